@@ -1,0 +1,1 @@
+"""Who runs it: named campaigns, runner, store and command line."""

@@ -1,0 +1,1 @@
+"""What is worked out: estimators on one contract."""

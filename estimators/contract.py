@@ -1,0 +1,101 @@
+"""The contract of every estimator: an observation in, an estimate or a reasoned failure out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.geometry import Camera, Pose, TriangleMesh, View
+from scenarios.observation import Observation
+
+Table = Mapping[str, NDArray[np.generic]]
+
+
+class ImageRenderer(Protocol):
+    """What an estimator needs of a renderer: noise-free images of a mesh."""
+
+    def render(self, view: View) -> NDArray[np.float32]:
+        """(H, W) radiance factor of the mesh seen from ``view``; 0 off the body and in shadow."""
+        ...
+
+
+class Assets(Protocol):
+    """What the campaign lends to an estimator when it is built; none of it knows a trial's truth."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the scenario."""
+        ...
+
+    def mesh_renderer(self, mesh: TriangleMesh) -> ImageRenderer:
+        """A renderer of ``mesh`` in the scenario's BRDF, with self-shadowing."""
+        ...
+
+    def product(self, kind: str, options: Mapping[str, object]) -> object:
+        """A product built beforehand from the scenario's shape, by kind (for example a landmark data base)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stage:
+    """The pose after one stage of an estimator, so that a report can follow its progress."""
+
+    name: str
+    T_cam_body: Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """What an estimator returns.
+
+    Parameters
+    ----------
+    status
+        ``ok`` or ``failed``; a hard image is a failure with a reason, not an exception.
+    reason
+        Why it failed; empty when ok.
+    poses
+        One T_cam_body for each frame when ok; empty when failed.
+    covariances
+        (6, 6) each, [rotation_rad, translation_m] in camera axes, where the method has one.
+    stages
+        Poses after the named stages, in order, also where a later stage failed.
+    details
+        Tables by name, each a mapping of equally long columns (for example recognised landmarks).
+    diagnostics
+        Scalars by name that go into the row.
+    timings_s
+        Wall time by stage.
+    """
+
+    status: Literal["ok", "failed"]
+    reason: str = ""
+    poses: tuple[Pose, ...] = ()
+    covariances: tuple[NDArray[np.float64], ...] = ()
+    stages: tuple[Stage, ...] = ()
+    details: Mapping[str, Table] = field(default_factory=dict)
+    diagnostics: Mapping[str, float | int | str] = field(default_factory=dict)
+    timings_s: Mapping[str, float] = field(default_factory=dict)
+
+
+class Estimator(Protocol):
+    """Anything that turns an observation into an estimate.
+
+    ``version`` is part of every result's key: raise it when results change.
+    """
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        ...
+
+    def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
+        """Estimate the pose of each frame. Must not change its input or keep state between calls."""
+        ...

@@ -1,0 +1,1 @@
+"""What the sensors give: rendered images, detector, real images."""

@@ -1,0 +1,1 @@
+"""What the world is: scenario files, their schema, geometry, bodies, lighting and error distributions."""

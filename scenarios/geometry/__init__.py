@@ -1,0 +1,27 @@
+"""Frames, poses, cameras and meshes: the geometry that every other part shares.
+
+Conventions, stated once:
+
+- ``R_cam_body`` / ``T_cam_body`` take body coordinates to camera coordinates.
+- Camera axes: x right, y down, z forward (the boresight).
+- Pixels ``(u, v)`` = (column, row), continuous: the corner of the image is (0, 0), the centre of the
+  first pixel is (0.5, 0.5). This is equation (11) of Rowell et al. (2015) and Mitsuba's film convention.
+- SI units and radians; directions are unit vectors towards the named thing.
+- Small rotations perturb on the left; 6-vectors are ``[rotation_rad, translation_m]``.
+"""
+
+from scenarios.geometry.camera import Camera, pixel_from_opencv, pixel_to_opencv
+from scenarios.geometry.mesh import TriangleMesh
+from scenarios.geometry.pose import FrameMismatchError, Pose, look_at
+from scenarios.geometry.view import View
+
+__all__ = [
+    "Camera",
+    "FrameMismatchError",
+    "Pose",
+    "TriangleMesh",
+    "View",
+    "look_at",
+    "pixel_from_opencv",
+    "pixel_to_opencv",
+]

@@ -1,0 +1,109 @@
+"""The pinhole camera of Rowell et al. (2015), equation (2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A pinhole camera without distortion.
+
+    Parameters
+    ----------
+    width_px, height_px
+        Size of the image.
+    fx_px, fy_px
+        Focal lengths along the columns and the rows.
+    cx_px, cy_px
+        Principal point in continuous pixels: (width / 2, height / 2) is the middle of the image.
+    """
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+
+    @classmethod
+    def from_fov(cls, width_px: int, height_px: int, fov_rad: float) -> Camera:
+        """Square pixels, principal point in the middle; ``fov_rad`` is the full field across the width."""
+        focal_px = 0.5 * width_px / np.tan(0.5 * fov_rad)
+        return cls(width_px, height_px, focal_px, focal_px, 0.5 * width_px, 0.5 * height_px)
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The calibration matrix K, (3, 3)."""
+        return np.array(  # eq. (2)
+            [[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]]
+        )
+
+    @property
+    def pixel_angle_rad(self) -> float:
+        """The angle that one pixel subtends on the boresight."""
+        return 2.0 / (self.fx_px + self.fy_px)
+
+    def project(self, points_cam_m: FloatArray) -> FloatArray:
+        """Project camera-frame points (..., 3) to pixels (..., 2).
+
+        Points with z <= 0 are behind the camera: their pixels are NaN.
+        """
+        points = np.asarray(points_cam_m, dtype=np.float64)
+        z = np.where(points[..., 2] > 0.0, points[..., 2], np.nan)
+        u = self.fx_px * points[..., 0] / z + self.cx_px  # eqs. (5), (6)
+        v = self.fy_px * points[..., 1] / z + self.cy_px
+        return np.stack([u, v], axis=-1)
+
+    def unproject(self, uv_px: FloatArray) -> FloatArray:
+        """Unit directions (..., 3) in the camera frame through the pixels (..., 2)."""
+        uv = np.asarray(uv_px, dtype=np.float64)
+        rays = np.stack(  # eq. (11); a pixel's centre carries its half pixel already
+            [
+                (uv[..., 0] - self.cx_px) / self.fx_px,
+                (uv[..., 1] - self.cy_px) / self.fy_px,
+                np.ones(uv.shape[:-1]),
+            ],
+            axis=-1,
+        )
+        unit: FloatArray = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        return unit
+
+    def jacobian(self, points_cam_m: FloatArray) -> FloatArray:
+        """Derivative of the pixel by the camera-frame point, (..., 2, 3).
+
+        This is the transpose of the matrix J printed as equation (10).
+        """
+        points = np.asarray(points_cam_m, dtype=np.float64)
+        x, y, z = points[..., 0], points[..., 1], points[..., 2]
+        zero = np.zeros_like(z)
+        row_u = np.stack([self.fx_px / z, zero, -self.fx_px * x / z**2], axis=-1)  # eq. (10)
+        row_v = np.stack([zero, self.fy_px / z, -self.fy_px * y / z**2], axis=-1)
+        return np.stack([row_u, row_v], axis=-2)
+
+    def contains(self, uv_px: FloatArray, margin_px: float = 0.0) -> NDArray[np.bool_]:
+        """Whether each pixel position (..., 2) lies in the image, at least ``margin_px`` from its edge."""
+        uv = np.asarray(uv_px, dtype=np.float64)
+        u, v = uv[..., 0], uv[..., 1]
+        inside: NDArray[np.bool_] = (
+            (u >= margin_px)
+            & (u <= self.width_px - margin_px)
+            & (v >= margin_px)
+            & (v <= self.height_px - margin_px)
+        )
+        return inside
+
+
+def pixel_from_opencv(uv_px: FloatArray) -> FloatArray:
+    """Pixels of OpenCV or of an array index (centre of the first pixel at (0, 0)) to ours."""
+    return np.asarray(uv_px, dtype=np.float64) + 0.5
+
+
+def pixel_to_opencv(uv_px: FloatArray) -> FloatArray:
+    """Our pixels to those of OpenCV or of an array index (centre of the first pixel at (0, 0))."""
+    return np.asarray(uv_px, dtype=np.float64) - 0.5

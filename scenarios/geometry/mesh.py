@@ -1,0 +1,88 @@
+"""A triangle mesh as a frozen value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.errors import BoresightError
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleMesh:
+    """Triangles over shared vertices.
+
+    Parameters
+    ----------
+    vertices_m
+        (V, 3) positions in the body frame.
+    faces
+        (F, 3) vertex indices, counter-clockwise seen from outside: the outward normal is
+        (v1 - v0) x (v2 - v0), equation (1) of Rowell et al. (2015).
+    albedo
+        (V,) factor on the reflectance at each vertex, or None for 1 everywhere.
+    """
+
+    vertices_m: FloatArray
+    faces: IndexArray
+    albedo: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        vertices = np.array(self.vertices_m, dtype=np.float64)
+        faces = np.array(self.faces, dtype=np.int32)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+            raise BoresightError(
+                f"a mesh needs (V, 3) vertices and (F, 3) faces, not {vertices.shape} and {faces.shape}"
+            )
+        if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
+            raise BoresightError(
+                f"a face names vertex {int(faces.max())}, but the mesh has {len(vertices)} vertices"
+            )
+        arrays: dict[str, NDArray[np.float64] | NDArray[np.int32]] = {"vertices_m": vertices, "faces": faces}
+        if self.albedo is not None:
+            arrays["albedo"] = np.array(self.albedo, dtype=np.float64)
+            if arrays["albedo"].shape != (len(vertices),):
+                raise BoresightError(f"albedo has shape {arrays['albedo'].shape}, not ({len(vertices)},)")
+        for name, value in arrays.items():
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    @cached_property
+    def corners_m(self) -> FloatArray:
+        """(F, 3, 3): for each face its three corners."""
+        return self.vertices_m[self.faces]
+
+    @cached_property
+    def area_vectors_m2(self) -> FloatArray:
+        """(F, 3): outward normals whose length is the face's area."""
+        corners = self.corners_m
+        return 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # eq. (1)
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """(F, 3) outward unit normals; zero where a face has no area."""
+        length = np.linalg.norm(self.area_vectors_m2, axis=1, keepdims=True)
+        return np.divide(
+            self.area_vectors_m2, length, out=np.zeros_like(self.area_vectors_m2), where=length > 0.0
+        )
+
+    @cached_property
+    def volume_m3(self) -> float:
+        """Signed volume: positive for a closed mesh whose normals point outward."""
+        return float(np.einsum("fi,fi->", self.corners_m[:, 0], self.area_vectors_m2) / 3.0)
+
+    @cached_property
+    def radius_m(self) -> float:
+        """The largest distance of a vertex from the origin."""
+        return float(np.linalg.norm(self.vertices_m, axis=1).max())
+
+    @property
+    def extent_m(self) -> FloatArray:
+        """(3,) size of the axis-aligned box."""
+        return np.ptp(self.vertices_m, axis=0)

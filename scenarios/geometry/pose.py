@@ -1,0 +1,134 @@
+"""Rigid transforms with named frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from scenarios.errors import BoresightError
+
+FloatArray = NDArray[np.float64]
+
+
+class FrameMismatchError(BoresightError):
+    """Two transforms were chained whose inner frames differ."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """A rigid transform ``x_to = rotation @ x_from + translation_m``.
+
+    Parameters
+    ----------
+    rotation
+        (3, 3) rotation matrix from ``from_frame`` to ``to_frame``.
+    translation_m
+        (3,) origin of ``from_frame`` in ``to_frame`` coordinates: the T of Rowell et al. (2015), equation (4).
+    """
+
+    rotation: FloatArray
+    translation_m: FloatArray
+    to_frame: str = "cam"
+    from_frame: str = "body"
+
+    def __post_init__(self) -> None:
+        for name in ("rotation", "translation_m"):
+            value = np.array(getattr(self, name), dtype=np.float64)
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        if self.rotation.shape != (3, 3) or self.translation_m.shape != (3,):
+            raise BoresightError(
+                f"a pose needs a (3, 3) rotation and a (3,) translation,"
+                f" not {self.rotation.shape} and {self.translation_m.shape}"
+            )
+
+    @classmethod
+    def from_quat_wxyz(
+        cls, quat_wxyz: FloatArray, translation_m: FloatArray, to_frame: str = "cam", from_frame: str = "body"
+    ) -> Pose:
+        """From a quaternion in the order (w, x, y, z), normalised here."""
+        rotation = Rotation.from_quat(np.asarray(quat_wxyz, dtype=np.float64), scalar_first=True).as_matrix()
+        return cls(rotation, translation_m, to_frame, from_frame)
+
+    @property
+    def quat_wxyz(self) -> FloatArray:
+        """The rotation as a unit quaternion (w, x, y, z) with w >= 0."""
+        return Rotation.from_matrix(self.rotation).as_quat(canonical=True, scalar_first=True)
+
+    @property
+    def camera_position_m(self) -> FloatArray:
+        """Origin of ``to_frame`` in ``from_frame`` coordinates, (3,): for T_cam_body the camera in the body."""
+        return -self.rotation.T @ self.translation_m
+
+    def __matmul__(self, other: Pose) -> Pose:
+        if self.from_frame != other.to_frame:
+            raise FrameMismatchError(
+                f"T_{self.to_frame}_{self.from_frame} @ T_{other.to_frame}_{other.from_frame}:"
+                f" {self.from_frame} is not {other.to_frame}"
+            )
+        return Pose(
+            self.rotation @ other.rotation,
+            self.rotation @ other.translation_m + self.translation_m,
+            self.to_frame,
+            other.from_frame,
+        )
+
+    def inverse(self) -> Pose:
+        """The transform the other way round."""
+        return Pose(self.rotation.T, self.camera_position_m, self.from_frame, self.to_frame)
+
+    def transform(self, points_m: FloatArray) -> FloatArray:
+        """Points (..., 3) in ``from_frame`` to ``to_frame``."""
+        return np.asarray(points_m, dtype=np.float64) @ self.rotation.T + self.translation_m
+
+    def rotate(self, vectors: FloatArray) -> FloatArray:
+        """Vectors (..., 3) in ``from_frame`` to ``to_frame``, without the translation."""
+        return np.asarray(vectors, dtype=np.float64) @ self.rotation.T
+
+    def perturbed(self, rotation_rad: FloatArray, translation_m: FloatArray) -> Pose:
+        """A left rotation ``exp(rotation_rad)`` of the attitude and an independent shift of the translation.
+
+        ``R' = exp(w) R`` and ``t' = t + d``: both in ``to_frame``. The two do not mix: a rotation of the
+        body about its own origin does not move that origin in the camera.
+        """
+        delta = Rotation.from_rotvec(np.asarray(rotation_rad, dtype=np.float64)).as_matrix()
+        return Pose(
+            delta @ self.rotation,
+            self.translation_m + np.asarray(translation_m, dtype=np.float64),
+            self.to_frame,
+            self.from_frame,
+        )
+
+    def angle_to(self, other: Pose) -> float:
+        """The angle, rad, of the rotation that takes one attitude to the other."""
+        return float(Rotation.from_matrix(self.rotation @ other.rotation.T).magnitude())
+
+
+def look_at(camera_position_body_m: FloatArray, roll_rad: float = 0.0) -> Pose:
+    """T_cam_body of a camera whose boresight points at the body's origin.
+
+    At zero roll the camera's y axis (down) leans against the body's z axis, so north is up; over a pole the
+    body's x axis takes that part. ``roll_rad`` turns the camera about its boresight.
+
+    Raises
+    ------
+    BoresightError
+        If the camera stands at the origin.
+    """
+    position = np.asarray(camera_position_body_m, dtype=np.float64)
+    distance = float(np.linalg.norm(position))
+    if not distance > 0.0:
+        raise BoresightError("a camera at the body's origin has no direction to look: choose a range above 0 m")
+    forward = -position / distance
+    north = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999999 else np.array([1.0, 0.0, 0.0])
+    right = np.cross(forward, north)
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    cos_roll, sin_roll = np.cos(roll_rad), np.sin(roll_rad)
+    rotation = np.stack(
+        [cos_roll * right + sin_roll * down, -sin_roll * right + cos_roll * down, forward]
+    )
+    return Pose(rotation, -rotation @ position)

@@ -1,0 +1,47 @@
+"""Where a camera stands and where the light comes from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.errors import BoresightError
+from scenarios.geometry.camera import Camera
+from scenarios.geometry.pose import Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One look at a body: camera, pose and Sun.
+
+    Parameters
+    ----------
+    camera
+        The pinhole camera.
+    T_cam_body
+        Body to camera coordinates, metres.
+    sun_dir_body
+        (3,) unit vector towards the Sun in the body frame; normalised here.
+    """
+
+    camera: Camera
+    T_cam_body: Pose
+    sun_dir_body: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        sun = np.array(self.sun_dir_body, dtype=np.float64)
+        norm = float(np.linalg.norm(sun))
+        if sun.shape != (3,) or not np.isfinite(norm) or norm == 0.0:
+            raise BoresightError(f"the direction to the Sun must be a finite vector of 3 numbers, not {sun}")
+        sun /= norm
+        sun.setflags(write=False)
+        object.__setattr__(self, "sun_dir_body", sun)
+
+    @property
+    def phase_angle_rad(self) -> float:
+        """The angle at the body's origin between the Sun and the camera."""
+        camera = self.T_cam_body.camera_position_m
+        cosine = float(camera @ self.sun_dir_body / np.linalg.norm(camera))
+        return float(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -1,0 +1,89 @@
+"""Body section: a shape and the detail that is added to it."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from scenarios.spec.base import SpecModel
+
+
+class BoulderSpec(SpecModel):
+    """Boulders whose cumulative number follows N(>D) ~ D**-exponent."""
+
+    count: int = Field(ge=0, le=2_000_000)
+    min_diameter_m: float = Field(gt=0)
+    max_diameter_m: float = Field(gt=0)
+    exponent: float = Field(3.0, gt=0, lt=10, description="Slope of the cumulative size distribution")
+    height_ratio: float = Field(0.5, gt=0, le=1, description="Height over diameter")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.min_diameter_m > self.max_diameter_m:
+            raise ValueError("min_diameter_m is above max_diameter_m")
+        return self
+
+
+class CraterSpec(SpecModel):
+    """Bowl-shaped craters with raised rims; cumulative number N(>D) ~ D**-exponent."""
+
+    count: int = Field(ge=0, le=200_000)
+    min_diameter_m: float = Field(gt=0)
+    max_diameter_m: float = Field(gt=0)
+    exponent: float = Field(2.5, gt=0, lt=10)
+    depth_ratio: float = Field(0.12, gt=0, le=0.4, description="Depth over diameter")
+    rim_ratio: float = Field(0.03, ge=0, le=0.1, description="Rim height over diameter")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.min_diameter_m > self.max_diameter_m:
+            raise ValueError("min_diameter_m is above max_diameter_m")
+        return self
+
+
+class RoughnessSpec(SpecModel):
+    """Fractal relief: a band-limited random field with a Hurst exponent."""
+
+    rms_m: float = Field(ge=0, description="RMS height of the whole field")
+    hurst: float = Field(0.8, gt=0, lt=1)
+    max_wavelength_m: float = Field(100.0, gt=0)
+    min_wavelength_m: float = Field(2.0, gt=0)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.min_wavelength_m > self.max_wavelength_m:
+            raise ValueError("min_wavelength_m is above max_wavelength_m")
+        return self
+
+
+class AlbedoSpec(SpecModel):
+    """Spatial variation of the albedo as a factor 1 + field, clipped to 0.2 to 2."""
+
+    sigma: float = Field(ge=0, le=1, description="RMS of the relative variation")
+    wavelength_m: float = Field(40.0, gt=0, description="Longest scale of the variation")
+
+
+class DetailSpec(SpecModel):
+    """Subdivides a coarse shape and adds relief; the same seed gives the same body."""
+
+    facets: int = Field(ge=4, le=13_000_000, description="At least this many facets, and less than four times as many")
+    seed: int = Field(0, ge=0)
+    boulders: BoulderSpec | None = None
+    craters: CraterSpec | None = None
+    roughness: RoughnessSpec | None = None
+    albedo: AlbedoSpec | None = None
+
+
+class BodySpec(SpecModel):
+    """A shape file (beside the scenario file, or under BORESIGHT_DATA) or an embedded body by name."""
+
+    shape: str = Field("contact-binary", description="A file name, or an embedded body: contact-binary")
+    unit: Literal["m", "km"] = Field("m", description="Unit of the numbers in the shape file")
+    format: Literal["auto", "obj", "ply", "pds-plates", "pds-grid", "icq"] = "auto"
+    longitude: Literal["east", "west"] = Field("east", description="Direction of longitudes in a pds-grid file")
+    expected_diameter_m: tuple[float, float] = Field(
+        (1.0, 2_000_000.0), description="The body's extent must lie in this range: guards against a wrong unit"
+    )
+    shading: Literal["flat", "smooth"] = Field("flat", description="Normals of the facets, or interpolated ones")
+    detail: DetailSpec | None = None

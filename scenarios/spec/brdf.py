@@ -1,0 +1,43 @@
+"""Reflectance models by name, with the parameters of their sources."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from scenarios.spec.base import SpecModel
+
+
+class LambertSpec(SpecModel):
+    """Perfectly diffuse reflection: f = albedo / pi."""
+
+    kind: Literal["lambert"] = "lambert"
+    albedo: float = Field(0.3, gt=0, le=1, description="Reflectance of the surface, 0 to 1")
+
+
+class OrenNayarSpec(SpecModel):
+    """Oren and Nayar (1994): rough Lambertian V-cavities."""
+
+    kind: Literal["oren-nayar"]
+    albedo: float = Field(0.3, gt=0, le=1, description="Reflectance of a cavity's facets, 0 to 1")
+    sigma_deg: float = Field(20.0, ge=0, le=60, description="Standard deviation of the facets' slope")
+    form: Literal["full", "qualitative"] = Field(
+        "full", description="The paper's full model with interreflection, or its simplified form"
+    )
+
+
+class HapkeSpec(SpecModel):
+    """Hapke's bidirectional reflectance with opposition surge and macroscopic roughness."""
+
+    kind: Literal["hapke"]
+    w: float = Field(0.42, gt=0, lt=1, description="Single scattering albedo")
+    b: float = Field(0.35, ge=-1, le=1, description="Asymmetry of each Henyey-Greenstein lobe")
+    c: float = Field(1.0, ge=-1, le=1, description="Weight of the lobes: 1 all backward, -1 all forward")
+    B0: float = Field(0.87, ge=0, description="Amplitude of the opposition surge")
+    h: float = Field(0.01, gt=0, description="Angular width of the opposition surge")
+    theta_bar_deg: float = Field(26.0, ge=0, lt=60, description="Mean slope of the macroscopic roughness (1984)")
+    H_function: Literal["2002", "1981"] = Field("2002", description="Approximation of Chandrasekhar's H function")
+
+
+BrdfSpec = Annotated[LambertSpec | OrenNayarSpec | HapkeSpec, Field(discriminator="kind")]

@@ -1,0 +1,71 @@
+"""Camera and rendering sections."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from scenarios.geometry import Camera
+from scenarios.spec.base import SpecModel
+
+
+class CameraSpec(SpecModel):
+    """A pinhole: either ``fov_deg`` (across the width, square pixels) or focal lengths in pixels."""
+
+    width_px: int = Field(512, ge=16, le=8192)
+    height_px: int = Field(512, ge=16, le=8192)
+    fov_deg: float | None = Field(None, gt=0, lt=180, description="Full field of view across the width")
+    focal_px: tuple[float, float] | None = Field(None, description="Focal lengths [fx, fy]; instead of fov_deg")
+    principal_point_px: tuple[float, float] | None = Field(
+        None, description="Principal point [cx, cy]; the middle of the image by default"
+    )
+
+    @model_validator(mode="after")
+    def _one_focal_length(self) -> Self:
+        if (self.fov_deg is None) == (self.focal_px is None):
+            raise ValueError("give either fov_deg or focal_px")
+        if self.focal_px is not None and min(self.focal_px) <= 0:
+            raise ValueError("focal_px must be above 0")
+        return self
+
+    def camera(self) -> Camera:
+        """The camera as a value."""
+        if self.focal_px is not None:
+            fx, fy = self.focal_px
+        else:
+            fx = fy = 0.5 * self.width_px / np.tan(0.5 * np.radians(self.fov_deg or 0.0))
+        cx, cy = self.principal_point_px or (0.5 * self.width_px, 0.5 * self.height_px)
+        return Camera(self.width_px, self.height_px, float(fx), float(fy), cx, cy)
+
+
+class DetectorSpec(SpecModel):
+    """From radiance to digital numbers. Leave the section out for ideal, noise-free images.
+
+    The signal of a surface of radiance factor 1 (a white Lambertian plate facing the Sun) is
+    ``white_e_per_s * exposure_s`` electrons a pixel.
+    """
+
+    psf_sigma_px: float = Field(0.5, ge=0, le=20, description="Gaussian point spread function")
+    exposure_s: float = Field(0.1, gt=0)
+    white_e_per_s: float = Field(2.0e6, gt=0, description="Electrons a second from a radiance factor of 1")
+    dark_e_per_s: float = Field(10.0, ge=0, description="Dark current")
+    full_well_e: float = Field(100_000.0, gt=0, description="Electrons at which a pixel saturates")
+    read_noise_e: float = Field(10.0, ge=0)
+    shot_noise: bool = Field(True, description="Poisson noise of signal and dark current")
+    gain_e_per_dn: float = Field(25.0, gt=0, description="Electrons for one digital number")
+    offset_dn: float = Field(10.0, ge=0, description="Bias level")
+    bits: int = Field(12, ge=1, le=16)
+
+
+class RenderingSpec(SpecModel):
+    """How finely the scene is sampled."""
+
+    samples_per_pixel: int = Field(4, ge=1, le=64, description="A square number: a regular grid in each pixel")
+
+    @model_validator(mode="after")
+    def _square(self) -> Self:
+        if round(self.samples_per_pixel**0.5) ** 2 != self.samples_per_pixel:
+            raise ValueError(f"{self.samples_per_pixel} is not a square number (1, 4, 9, 16, ...)")
+        return self

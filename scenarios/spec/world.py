@@ -1,0 +1,77 @@
+"""Viewpoint, lighting and pose-error sections."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from scenarios.spec.base import SpecModel
+from scenarios.spec.distribution import Scalar, Uniform, Uniform3, Vector3
+
+
+class ViewpointSpec(SpecModel):
+    """A random direction at a fixed range, boresight to the body's centre, random roll."""
+
+    kind: Literal["random-direction"] = "random-direction"
+    range_m: float = Field(gt=0, description="Distance of the camera from the body's origin")
+    roll_deg: Uniform = Field(Uniform(uniform=(-180.0, 180.0)), description="Roll about the boresight")
+    latitude_deg: Uniform = Field(
+        Uniform(uniform=(-90.0, 90.0)), description="Body-fixed latitudes of the camera; uniform over the area"
+    )
+
+
+class LightingSpec(SpecModel):
+    """Direction of the Sun by the phase angle; its azimuth about the line of sight is uniform."""
+
+    phase_deg: Uniform = Field(Uniform(uniform=(0.0, 60.0)), description="Range of the phase angle, within 0 to 180")
+    measure: Literal["solid-angle", "angle"] = Field(
+        "solid-angle", description="Uniform over the solid angle of the cap, or in the angle itself"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        low, high = self.phase_deg.uniform
+        if low < 0 or high > 180:
+            raise ValueError(f"phase_deg {[low, high]} is not within [0, 180]")
+        return self
+
+
+class AttitudeErrorSpec(SpecModel):
+    """A rotation by ``angle_deg`` about an isotropic axis, or a Gaussian rotation vector."""
+
+    axis: Literal["isotropic"] = "isotropic"
+    angle_deg: Scalar | None = Field(None, description="Angle about a random axis: {uniform: [-2, 2]}")
+    rotation_vector_deg: Vector3 | None = Field(None, description="Components in camera axes, instead of angle_deg")
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.angle_deg is None) == (self.rotation_vector_deg is None):
+            raise ValueError("give either angle_deg or rotation_vector_deg")
+        return self
+
+
+class PoseErrorSpec(SpecModel):
+    """How the true pose is degraded before an estimator sees it (Rowell et al. 2015, section 4.2).
+
+    The translation T of equation (4) is shifted in camera axes (x, y across the line of sight, z along it)
+    and the attitude is turned, independently.
+    """
+
+    position_cam_m: Vector3 | None = Field(None, description="Shift in camera axes, m")
+    position_cam_px: Vector3 | None = Field(
+        None, description="The same in pixel sizes at the body's range, instead of position_cam_m"
+    )
+    attitude: AttitudeErrorSpec = AttitudeErrorSpec(angle_deg=Uniform(uniform=(-2.0, 2.0)))
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.position_cam_m is None) == (self.position_cam_px is None):
+            raise ValueError("give either position_cam_m or position_cam_px")
+        return self
+
+
+PAPER_POSE_ERROR = PoseErrorSpec(
+    position_cam_m=Uniform3(uniform=((-50.0, 50.0), (-50.0, 50.0), (-5.0, 5.0))),
+    attitude=AttitudeErrorSpec(angle_deg=Uniform(uniform=(-2.0, 2.0))),
+)
