@@ -33,7 +33,7 @@ class Camera:
 
     @classmethod
     def from_fov(cls, width_px: int, height_px: int, fov_rad: float) -> Camera:
-        """Square pixels, principal point in the middle; ``fov_rad`` is the full field across the width."""
+        """Build with square pixels and the point in the middle; ``fov_rad`` is the full field across the width."""
         focal_px = 0.5 * width_px / np.tan(0.5 * fov_rad)
         return cls(width_px, height_px, focal_px, focal_px, 0.5 * width_px, 0.5 * height_px)
 
@@ -61,7 +61,7 @@ class Camera:
         return np.stack([u, v], axis=-1)
 
     def unproject(self, uv_px: FloatArray) -> FloatArray:
-        """Unit directions (..., 3) in the camera frame through the pixels (..., 2)."""
+        """Turn pixels (..., 2) into unit directions (..., 3) in the camera frame."""
         uv = np.asarray(uv_px, dtype=np.float64)
         rays = np.stack(  # eq. (11); a pixel's centre carries its half pixel already
             [
@@ -75,7 +75,7 @@ class Camera:
         return unit
 
     def jacobian(self, points_cam_m: FloatArray) -> FloatArray:
-        """Derivative of the pixel by the camera-frame point, (..., 2, 3).
+        """Differentiate the pixel by the camera-frame point, (..., 2, 3).
 
         This is the transpose of the matrix J printed as equation (10).
         """
@@ -87,23 +87,20 @@ class Camera:
         return np.stack([row_u, row_v], axis=-2)
 
     def contains(self, uv_px: FloatArray, margin_px: float = 0.0) -> NDArray[np.bool_]:
-        """Whether each pixel position (..., 2) lies in the image, at least ``margin_px`` from its edge."""
+        """Tell whether each pixel position (..., 2) lies in the image, at least ``margin_px`` from its edge."""
         uv = np.asarray(uv_px, dtype=np.float64)
         u, v = uv[..., 0], uv[..., 1]
         inside: NDArray[np.bool_] = (
-            (u >= margin_px)
-            & (u <= self.width_px - margin_px)
-            & (v >= margin_px)
-            & (v <= self.height_px - margin_px)
+            (u >= margin_px) & (u <= self.width_px - margin_px) & (v >= margin_px) & (v <= self.height_px - margin_px)
         )
         return inside
 
 
 def pixel_from_opencv(uv_px: FloatArray) -> FloatArray:
-    """Pixels of OpenCV or of an array index (centre of the first pixel at (0, 0)) to ours."""
+    """Take pixels of OpenCV or of an array index (centre of the first pixel at (0, 0)) to ours."""
     return np.asarray(uv_px, dtype=np.float64) + 0.5
 
 
 def pixel_to_opencv(uv_px: FloatArray) -> FloatArray:
-    """Our pixels to those of OpenCV or of an array index (centre of the first pixel at (0, 0))."""
+    """Take our pixels to those of OpenCV or of an array index (centre of the first pixel at (0, 0))."""
     return np.asarray(uv_px, dtype=np.float64) - 0.5

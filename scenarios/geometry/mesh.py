@@ -41,9 +41,7 @@ class TriangleMesh:
                 f"a mesh needs (V, 3) vertices and (F, 3) faces, not {vertices.shape} and {faces.shape}"
             )
         if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
-            raise BoresightError(
-                f"a face names vertex {int(faces.max())}, but the mesh has {len(vertices)} vertices"
-            )
+            raise BoresightError(f"a face names vertex {int(faces.max())}, but the mesh has {len(vertices)} vertices")
         arrays: dict[str, NDArray[np.float64] | NDArray[np.int32]] = {"vertices_m": vertices, "faces": faces}
         if self.albedo is not None:
             arrays["albedo"] = np.array(self.albedo, dtype=np.float64)
@@ -56,7 +54,8 @@ class TriangleMesh:
     @cached_property
     def corners_m(self) -> FloatArray:
         """(F, 3, 3): for each face its three corners."""
-        return self.vertices_m[self.faces]
+        corners: FloatArray = self.vertices_m[self.faces]
+        return corners
 
     @cached_property
     def area_vectors_m2(self) -> FloatArray:
@@ -68,9 +67,10 @@ class TriangleMesh:
     def normals(self) -> FloatArray:
         """(F, 3) outward unit normals; zero where a face has no area."""
         length = np.linalg.norm(self.area_vectors_m2, axis=1, keepdims=True)
-        return np.divide(
+        unit: FloatArray = np.divide(
             self.area_vectors_m2, length, out=np.zeros_like(self.area_vectors_m2), where=length > 0.0
         )
+        return unit
 
     @cached_property
     def volume_m3(self) -> float:
@@ -85,4 +85,5 @@ class TriangleMesh:
     @property
     def extent_m(self) -> FloatArray:
         """(3,) size of the axis-aligned box."""
-        return np.ptp(self.vertices_m, axis=0)
+        extent: FloatArray = np.ptp(self.vertices_m, axis=0)
+        return extent

@@ -49,7 +49,7 @@ class Pose:
     def from_quat_wxyz(
         cls, quat_wxyz: FloatArray, translation_m: FloatArray, to_frame: str = "cam", from_frame: str = "body"
     ) -> Pose:
-        """From a quaternion in the order (w, x, y, z), normalised here."""
+        """Build from a quaternion in the order (w, x, y, z), normalised here."""
         rotation = Rotation.from_quat(np.asarray(quat_wxyz, dtype=np.float64), scalar_first=True).as_matrix()
         return cls(rotation, translation_m, to_frame, from_frame)
 
@@ -77,19 +77,19 @@ class Pose:
         )
 
     def inverse(self) -> Pose:
-        """The transform the other way round."""
+        """Return the transform the other way round."""
         return Pose(self.rotation.T, self.camera_position_m, self.from_frame, self.to_frame)
 
     def transform(self, points_m: FloatArray) -> FloatArray:
-        """Points (..., 3) in ``from_frame`` to ``to_frame``."""
+        """Take points (..., 3) in ``from_frame`` to ``to_frame``."""
         return np.asarray(points_m, dtype=np.float64) @ self.rotation.T + self.translation_m
 
     def rotate(self, vectors: FloatArray) -> FloatArray:
-        """Vectors (..., 3) in ``from_frame`` to ``to_frame``, without the translation."""
+        """Take vectors (..., 3) in ``from_frame`` to ``to_frame``, without the translation."""
         return np.asarray(vectors, dtype=np.float64) @ self.rotation.T
 
     def perturbed(self, rotation_rad: FloatArray, translation_m: FloatArray) -> Pose:
-        """A left rotation ``exp(rotation_rad)`` of the attitude and an independent shift of the translation.
+        """Turn the attitude by ``exp(rotation_rad)`` on the left and shift the translation, independently.
 
         ``R' = exp(w) R`` and ``t' = t + d``: both in ``to_frame``. The two do not mix: a rotation of the
         body about its own origin does not move that origin in the camera.
@@ -103,12 +103,12 @@ class Pose:
         )
 
     def angle_to(self, other: Pose) -> float:
-        """The angle, rad, of the rotation that takes one attitude to the other."""
+        """Return the angle, rad, of the rotation that takes one attitude to the other."""
         return float(Rotation.from_matrix(self.rotation @ other.rotation.T).magnitude())
 
 
 def look_at(camera_position_body_m: FloatArray, roll_rad: float = 0.0) -> Pose:
-    """T_cam_body of a camera whose boresight points at the body's origin.
+    """Point a camera's boresight at the body's origin: T_cam_body.
 
     At zero roll the camera's y axis (down) leans against the body's z axis, so north is up; over a pole the
     body's x axis takes that part. ``roll_rad`` turns the camera about its boresight.
@@ -128,7 +128,5 @@ def look_at(camera_position_body_m: FloatArray, roll_rad: float = 0.0) -> Pose:
     right /= np.linalg.norm(right)
     down = np.cross(forward, right)
     cos_roll, sin_roll = np.cos(roll_rad), np.sin(roll_rad)
-    rotation = np.stack(
-        [cos_roll * right + sin_roll * down, -sin_roll * right + cos_roll * down, forward]
-    )
+    rotation = np.stack([cos_roll * right + sin_roll * down, -sin_roll * right + cos_roll * down, forward])
     return Pose(rotation, -rotation @ position)

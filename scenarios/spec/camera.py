@@ -31,7 +31,7 @@ class CameraSpec(SpecModel):
         return self
 
     def camera(self) -> Camera:
-        """The camera as a value."""
+        """Return the camera as a value."""
         if self.focal_px is not None:
             fx, fy = self.focal_px
         else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel
@@ -26,12 +27,12 @@ class Uniform(SpecModel):
         return self
 
     def draw(self, rng: np.random.Generator) -> float:
-        """One value."""
+        """Draw one value."""
         return float(rng.uniform(*self.uniform))
 
     @property
     def second_moment(self) -> float:
-        """Mean of the square."""
+        """Return the mean of the square."""
         low, high = self.uniform
         return (low * low + low * high + high * high) / 3.0
 
@@ -42,12 +43,12 @@ class Normal(SpecModel):
     normal: float = Field(ge=0)
 
     def draw(self, rng: np.random.Generator) -> float:
-        """One value."""
+        """Draw one value."""
         return float(rng.normal(0.0, self.normal))
 
     @property
     def second_moment(self) -> float:
-        """Mean of the square."""
+        """Return the mean of the square."""
         return self.normal**2
 
 
@@ -65,16 +66,17 @@ class Uniform3(SpecModel):
             _ordered(*bounds)
         return self
 
-    def draw(self, rng: np.random.Generator) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """(3,) values."""
+    def draw(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Draw (3,) values."""
         bounds = np.array(self.uniform)
         return rng.uniform(bounds[:, 0], bounds[:, 1])
 
     @property
-    def second_moments(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """(3,) mean squares."""
+    def second_moments(self) -> NDArray[np.float64]:
+        """Return the (3,) mean squares."""
         low, high = np.array(self.uniform).T
-        return (low * low + low * high + high * high) / 3.0
+        moments: NDArray[np.float64] = (low * low + low * high + high * high) / 3.0
+        return moments
 
 
 class Normal3(SpecModel):
@@ -88,13 +90,13 @@ class Normal3(SpecModel):
             raise ValueError(f"a standard deviation cannot be negative: {list(self.normal)}")
         return self
 
-    def draw(self, rng: np.random.Generator) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """(3,) values."""
+    def draw(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Draw (3,) values."""
         return rng.normal(0.0, self.normal)
 
     @property
-    def second_moments(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """(3,) mean squares."""
+    def second_moments(self) -> NDArray[np.float64]:
+        """Return the (3,) mean squares."""
         return np.array(self.normal) ** 2
 
 

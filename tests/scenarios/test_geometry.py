@@ -1,0 +1,151 @@
+"""Geometry against OpenCV, scipy, trimesh and closed forms."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from scenarios.errors import BoresightError
+from scenarios.geometry import (
+    Camera,
+    FrameMismatchError,
+    Pose,
+    TriangleMesh,
+    View,
+    look_at,
+    pixel_from_opencv,
+    pixel_to_opencv,
+)
+
+CAMERA = Camera(640, 480, 700.0, 710.0, 318.0, 243.0)
+
+
+def random_pose(rng: np.random.Generator) -> Pose:
+    return Pose(Rotation.random(rng=rng).as_matrix(), np.array([0.1, -0.2, 9.0]) + rng.normal(0, 0.1, 3))
+
+
+def test_projection_agrees_with_opencv():
+    rng = np.random.default_rng(1)
+    pose = random_pose(rng)
+    points = rng.uniform(-1, 1, (50, 3))
+    principal = pixel_to_opencv(np.array([CAMERA.cx_px, CAMERA.cy_px]))
+    matrix = CAMERA.matrix
+    matrix[:2, 2] = principal
+    expected, _ = cv2.projectPoints(points, cv2.Rodrigues(pose.rotation)[0], pose.translation_m, matrix, None)
+    ours = CAMERA.project(pose.transform(points))
+    np.testing.assert_allclose(ours, pixel_from_opencv(expected[:, 0]), atol=1e-9)
+
+
+def test_unproject_inverts_project():
+    rng = np.random.default_rng(2)
+    uv = rng.uniform(0, 480, (20, 2))
+    np.testing.assert_allclose(CAMERA.project(7.0 * CAMERA.unproject(uv)), uv, atol=1e-9)
+
+
+def test_points_behind_the_camera_have_no_pixel():
+    assert np.isnan(CAMERA.project(np.array([0.0, 0.0, -1.0]))).all()
+
+
+def test_jacobian_against_central_differences():
+    point = np.array([0.3, -0.4, 5.0])
+    step = 1e-6
+    numeric = np.stack(
+        [(CAMERA.project(point + step * e) - CAMERA.project(point - step * e)) / (2 * step) for e in np.eye(3)], axis=1
+    )
+    np.testing.assert_allclose(CAMERA.jacobian(point), numeric, rtol=1e-6, atol=1e-6)
+
+
+def test_fov_is_across_the_width():
+    camera = Camera.from_fov(512, 256, np.radians(18.3))
+    edges = camera.unproject(np.array([[0.0, 128.0], [512.0, 128.0]]))
+    assert np.degrees(np.arccos(edges[0] @ edges[1])) == pytest.approx(18.3)
+
+
+def test_the_papers_pixel_scale():
+    # Section 4.2: 18.3 deg over 512 px at 2 km less the body's radius of 200 m is about 1.13 m a pixel.
+    camera = Camera.from_fov(512, 512, np.radians(18.3))
+    assert 1800.0 * camera.pixel_angle_rad == pytest.approx(1.13, abs=0.01)
+
+
+def test_quaternion_order_agrees_with_the_papers_matrix():
+    q0, q1, q2, q3 = quat = np.array([0.8, 0.2, -0.4, 0.4])
+    printed = np.array(  # eq. (8)
+        [
+            [q0**2 + q1**2 - q2**2 - q3**2, 2 * q1 * q2 - 2 * q0 * q3, 2 * q1 * q3 + 2 * q0 * q2],
+            [2 * q1 * q2 + 2 * q0 * q3, q0**2 - q1**2 + q2**2 - q3**2, 2 * q2 * q3 - 2 * q0 * q1],
+            [2 * q1 * q3 - 2 * q0 * q2, 2 * q2 * q3 + 2 * q0 * q1, q0**2 - q1**2 - q2**2 + q3**2],
+        ]
+    )
+    pose = Pose.from_quat_wxyz(quat, np.zeros(3))
+    np.testing.assert_allclose(pose.rotation, printed, atol=1e-12)
+    np.testing.assert_allclose(pose.quat_wxyz, quat, atol=1e-12)
+
+
+def test_chained_and_inverse_transforms():
+    rng = np.random.default_rng(3)
+    T_cam_body = random_pose(rng)
+    T_body_inertial = Pose(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3), "body", "inertial")
+    point = rng.normal(size=(4, 3))
+    chained = T_cam_body @ T_body_inertial
+    np.testing.assert_allclose(chained.transform(point), T_cam_body.transform(T_body_inertial.transform(point)))
+    np.testing.assert_allclose((chained.inverse() @ chained).rotation, np.eye(3), atol=1e-12)
+    with pytest.raises(FrameMismatchError, match="body is not inertial"):
+        _ = T_cam_body @ T_cam_body @ T_body_inertial.inverse()
+
+
+def test_look_at_points_the_boresight_at_the_origin():
+    rng = np.random.default_rng(4)
+    for position in [*rng.normal(size=(10, 3)) * 1e3, np.array([0, 0, 5.0]), np.array([0, 0, -5.0])]:
+        pose = look_at(position, roll_rad=0.7)
+        np.testing.assert_allclose(pose.translation_m, [0, 0, np.linalg.norm(position)], atol=1e-9)
+        np.testing.assert_allclose(pose.camera_position_m, position, atol=1e-9)
+        assert np.linalg.det(pose.rotation) == pytest.approx(1.0)
+
+
+def test_north_is_up_at_zero_roll_and_roll_turns_the_camera():
+    up = look_at(np.array([100.0, 0, 0]))
+    assert up.transform(np.array([0, 0, 1.0]))[1] < 0
+    rolled = look_at(np.array([100.0, 0, 0]), roll_rad=np.radians(30))
+    assert np.degrees(up.angle_to(rolled)) == pytest.approx(30)
+
+
+def test_a_camera_at_the_origin_is_refused():
+    with pytest.raises(BoresightError, match="range above 0"):
+        look_at(np.zeros(3))
+
+
+def test_perturbed_keeps_rotation_and_translation_apart():
+    pose = look_at(np.array([2000.0, 0, 0]))
+    turned = pose.perturbed(np.array([0, np.radians(2), 0]), np.zeros(3))
+    np.testing.assert_array_equal(turned.translation_m, pose.translation_m)
+    assert np.degrees(pose.angle_to(turned)) == pytest.approx(2)
+
+
+def test_phase_angle():
+    view = View(CAMERA, look_at(np.array([100.0, 0, 0])), np.array([1.0, 1.0, 0]))
+    assert np.degrees(view.phase_angle_rad) == pytest.approx(45)
+    assert np.linalg.norm(view.sun_dir_body) == pytest.approx(1)
+    with pytest.raises(BoresightError, match="direction to the Sun"):
+        View(CAMERA, look_at(np.array([100.0, 0, 0])), np.zeros(3))
+
+
+def test_mesh_quantities_agree_with_trimesh():
+    foreign = trimesh.creation.torus(3.0, 1.0)
+    mesh = TriangleMesh(foreign.vertices, foreign.faces)
+    assert mesh.volume_m3 == pytest.approx(foreign.volume)
+    np.testing.assert_allclose(mesh.normals, foreign.face_normals, atol=1e-9)
+    np.testing.assert_allclose(mesh.extent_m, foreign.extents)
+
+
+def test_a_mesh_refuses_a_face_without_vertex():
+    with pytest.raises(BoresightError, match="names vertex 3"):
+        TriangleMesh(np.eye(3), np.array([[0, 1, 3]]))
+
+
+def test_values_are_frozen():
+    mesh = TriangleMesh(np.eye(3), np.array([[0, 1, 2]]))
+    with pytest.raises(ValueError, match="read-only"):
+        mesh.vertices_m[0, 0] = 1.0
