@@ -1,0 +1,101 @@
+"""``list``, ``show``, ``validate`` and ``schema``: campaigns and scenarios before they run."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+from ruamel.yaml import YAML
+
+from campaign.cli.terminal import console
+from campaign.resolve import CATALOG, campaign_names, resolve
+from scenarios.load import canonical_json, file_kind, json_schema, load_campaign, load_scenario, scenario_names
+
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction
+
+
+def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the commands to the parser."""
+    listing = commands.add_parser("list", help="list the campaigns, scenarios and estimators")
+    listing.set_defaults(handler=_list)
+    show = commands.add_parser("show", help="print a campaign or scenario with everything filled in")
+    show.add_argument("name", help="a name from the list, or a YAML file")
+    add_overrides(show)
+    show.set_defaults(handler=_show)
+    validate = commands.add_parser("validate", help="check a campaign or scenario file")
+    validate.add_argument("file", help="a YAML file, or a name from the list")
+    add_overrides(validate)
+    validate.set_defaults(handler=_validate)
+    schema = commands.add_parser("schema", help="print the JSON Schema, so that editors complete and check")
+    schema.add_argument("kind", nargs="?", choices=["scenario", "campaign"], default="scenario")
+    schema.set_defaults(handler=_schema)
+
+
+def add_overrides(parser: argparse.ArgumentParser) -> None:
+    """Add ``--set`` to a command."""
+    parser.add_argument(
+        "--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
+        help="override a key of every scenario, for example --set camera.fov_deg=20",
+    )  # fmt: skip
+
+
+def _list(_: argparse.Namespace) -> int:
+    out = console()
+    table = Table("campaign", "trials", "scenarios", "estimators", "what it is", box=None, pad_edge=False)
+    for name in campaign_names():
+        spec = load_campaign(name, CATALOG).spec
+        labels = ", ".join(e.label for e in spec.estimators)
+        table.add_row(name, str(spec.trials), ", ".join(spec.scenarios), labels, spec.title)
+    out.print(table)
+    out.print()
+    table = Table("scenario", "what it is", box=None, pad_edge=False)
+    for name in scenario_names():
+        table.add_row(name, load_scenario(name).spec.description)
+    out.print(table)
+    return 0
+
+
+def _show(arguments: argparse.Namespace) -> int:
+    if _is_campaign(arguments.name):
+        campaign = resolve(arguments.name, arguments.overrides)
+        shown = {
+            "campaign": json.loads(canonical_json(campaign.spec)),
+            "scenarios": [json.loads(canonical_json(s.spec)) for s in campaign.scenarios],
+        }
+    else:
+        shown = {"scenario": json.loads(canonical_json(load_scenario(arguments.name, arguments.overrides).spec))}
+    yaml = YAML()
+    yaml.default_flow_style = None
+    text = StringIO()
+    yaml.dump(shown, text)
+    console().print(text.getvalue(), end="", markup=False, highlight=False)
+    return 0
+
+
+def _validate(arguments: argparse.Namespace) -> int:
+    if _is_campaign(arguments.file):
+        campaign = resolve(arguments.file, arguments.overrides)
+        what = f"a campaign of {len(campaign.scenarios)} scenario(s) and {len(campaign.labels)} estimator(s)"
+    else:
+        what = f"the scenario {load_scenario(arguments.file, arguments.overrides).spec.name}"
+    console().print(f"{arguments.file}: ok, {what}")
+    return 0
+
+
+def _is_campaign(name: str) -> bool:
+    """Tell campaigns from scenarios: by the catalogue first, by the keys of the file otherwise."""
+    if name in campaign_names():
+        return True
+    if name in scenario_names():
+        return False
+    return file_kind(Path(name)) == "campaign"
+
+
+def _schema(arguments: argparse.Namespace) -> int:
+    console().print(json.dumps(json_schema(arguments.kind), indent=1), markup=False, highlight=False)
+    return 0

@@ -1,0 +1,45 @@
+"""Arguments in, exit code out."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+
+from campaign.cli import catalog, machine, runs
+from scenarios.errors import BoresightError
+
+EXIT_OK, EXIT_USER_ERROR, EXIT_ESTIMATOR_ERRORS, EXIT_INTERRUPTED = 0, 2, 3, 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit code.
+
+    0: done; 2: bad input, said in one line; 3: done, but an estimator raised in some trials; 130: interrupted.
+    """
+    parsed = _parser().parse_args(arguments)
+    try:
+        return int(parsed.handler(parsed))
+    except BoresightError as error:
+        for line in str(error).splitlines():
+            print(f"boresight: {line}", file=sys.stderr)  # noqa: T201  the command line speaks
+        return EXIT_USER_ERROR
+    except KeyboardInterrupt:
+        print("boresight: interrupted; the same command continues", file=sys.stderr)  # noqa: T201
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        sys.stderr.close()
+        return EXIT_OK
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="boresight", description="Monte Carlo evaluation of camera navigation around asteroids."
+    )
+    parser.add_argument("--version", action="version", version=f"boresight {version('boresight')}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    catalog.add_commands(commands)
+    runs.add_commands(commands)
+    machine.add_commands(commands)
+    return parser

@@ -1,0 +1,142 @@
+"""``run``, ``status`` and ``report``: a campaign while it runs and after."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from campaign.cli.catalog import add_overrides
+from campaign.cli.progress import ProgressListener
+from campaign.cli.terminal import console
+from campaign.machine import cores
+from campaign.resolve import ResolvedCampaign, resolve
+from campaign.runner import RunRequest, run_campaign
+from campaign.store import RunFolder
+from renderers.mitsuba3 import choose_variant
+from reports.build import console_table, write_report
+from scenarios.errors import BoresightError
+
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction
+
+RUNS = Path("runs")
+
+
+def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the commands to the parser."""
+    run = commands.add_parser("run", help="run a campaign, or continue it where it stopped")
+    run.add_argument("name", help="a campaign from the list, or a YAML file")
+    run.add_argument("--trials", type=_positive, help="trials of each scenario (default: what the campaign says)")
+    run.add_argument("--jobs", type=_positive, default=cores(), help="worker processes (default: the cores)")
+    run.add_argument("--seed", type=_not_negative, help="seed (default: what the campaign says)")
+    run.add_argument("--out", type=Path, help="run folder (default: runs/NAME-DIGEST)")
+    run.add_argument("--variant", help="Mitsuba variant (default: the fastest that works; see boresight doctor)")
+    run.add_argument("--keep-images", action="store_true", help="keep every image as TIFF in the run folder")
+    add_overrides(run)
+    run.set_defaults(handler=_run)
+    status = commands.add_parser("status", help="say how far a run is")
+    status.add_argument("run", help="a run folder, or a campaign's name")
+    status.set_defaults(handler=_status)
+    report = commands.add_parser("report", help="write the report of a run")
+    report.add_argument("run", help="a run folder, or a campaign's name")
+    report.set_defaults(handler=_report)
+
+
+def _positive(text: str) -> int:
+    return _integer(text, 1)
+
+
+def _not_negative(text: str) -> int:
+    return _integer(text, 0)
+
+
+def _integer(text: str, lowest: int) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+    if value < lowest:
+        raise argparse.ArgumentTypeError(f"{value} is below {lowest}")
+    return value
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    campaign = resolve(arguments.name, arguments.overrides, arguments.seed)
+    trials = _trials(campaign, arguments.trials)
+    variant = choose_variant(arguments.variant)
+    out = console()
+    request = RunRequest(
+        out=arguments.out or RUNS / f"{campaign.spec.name}-{campaign.digest[:8]}",
+        trials=trials,
+        jobs=arguments.jobs,
+        variant=arguments.variant,
+        variant_name=variant.name,
+        keep_images=arguments.keep_images,
+        command=shlex.join(["boresight", *sys.argv[1:]]),
+    )
+    out.print(f"{campaign.spec.name}: {trials} trials into {request.out}, {request.jobs} job(s), {variant.name}")
+    if variant.advice:
+        out.print(variant.advice)
+    with ProgressListener(out) as listener:
+        folder = run_campaign(campaign, request, listener)
+    _print_report(folder)
+    return 3 if listener.errors else 0
+
+
+def _trials(campaign: ResolvedCampaign, asked: int | None) -> int:
+    """Take the asked number, or the campaign's; more than there are real images for is refused before a start."""
+    trials = asked if asked is not None else campaign.spec.trials
+    for scenario in campaign.scenarios:
+        scenario_limit = trial_limit(scenario)
+        if scenario_limit is not None and trials > scenario_limit:
+            raise BoresightError(
+                f"--trials {trials}: {scenario.spec.name} has real images for {scenario_limit} trials at most"
+            )
+    return trials
+
+
+def _status(arguments: argparse.Namespace) -> int:
+    folder = find_run(arguments.run)
+    manifest = folder.read_manifest()
+    if manifest is None:
+        raise BoresightError(f"{folder.path}: no run has started there")
+    rows = folder.table("rows")
+    total = manifest["trials"] * len(manifest["scenarios"])
+    done = len(rows[["scenario", "trial"]].drop_duplicates())
+    out = console()
+    out.print(f"{folder.path}: {manifest['name']}, {done} of {total} trials stored, seed {manifest['seed']}")
+    out.print(f"started {manifest['created']}, {'finished ' + manifest['finished'] if done >= total and 'finished' in manifest else 'not finished: run the same command to continue'}")
+    for (scenario, estimator), group in rows.groupby(["scenario", "estimator"]):
+        counts = group["status"].value_counts()
+        out.print(f"  {scenario} / {estimator}: " + ", ".join(f"{n} {status}" for status, n in counts.items()))
+    return 0
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    _print_report(find_run(arguments.run))
+    return 0
+
+
+def _print_report(folder: RunFolder) -> None:
+    files = write_report(folder.path)
+    out = console()
+    out.print(console_table(folder.path))
+    out.print(f"report: {files.html}")
+
+
+def find_run(name: str) -> RunFolder:
+    """Find a run by its folder, or by a campaign's name under ``runs/`` (the newest of several).
+
+    Raises
+    ------
+    BoresightError
+        If there is none.
+    """
+    candidates = [Path(name), *sorted(RUNS.glob(f"{name}-*"), key=lambda p: p.stat().st_mtime, reverse=True)]
+    for candidate in candidates:
+        if (candidate / "manifest.json").exists():
+            return RunFolder(candidate)
+    raise BoresightError(f"{name}: no run there, nor as {RUNS / name}-*: give a run folder, or run it first")

@@ -1,0 +1,173 @@
+"""The single-image experiment: degrade the pose of one image, let each estimator refine it, score."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from campaign.score import no_pose_error, pose_error
+from campaign.world import Sight, World
+from estimators.contract import Estimate, Estimator, Table
+from scenarios.draw import Stream, degrade, generator, prior_covariance
+from scenarios.geometry import Pose
+from scenarios.observation import Frame, Observation
+
+Record = dict[str, object]
+Records = dict[str, list[Record]]
+T = TypeVar("T", bound=np.generic)
+ImageSink = Callable[[int, NDArray[np.float32]], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SingleImage:
+    """Trials of one scenario with a set of labelled estimators.
+
+    Parameters
+    ----------
+    world
+        The scenario in this process.
+    estimators
+        Label to estimator; every one sees the same observation.
+    seed
+        Seed of the campaign.
+    keep_image
+        Called with the trial and its image, to keep it; or None.
+    """
+
+    world: World
+    estimators: Mapping[str, Estimator]
+    seed: int
+    keep_image: ImageSink | None = None
+
+    def trial(self, trial: int) -> Records:
+        """Run one trial: the records that it adds to each stored table."""
+        started = time.perf_counter()
+        sight = self.world.source.sight(self.seed, trial)
+        image_seconds = time.perf_counter() - started
+        if self.keep_image is not None:
+            self.keep_image(trial, sight.image)
+        observation = self.observe(sight, trial)
+        records: Records = {}
+        for label, estimator in self.estimators.items():
+            key: Record = {"trial": trial, "scenario": self.world.scenario.spec.name, "estimator": label}
+            estimate, trace = self._estimate(estimator, observation, trial)
+            self._record(records, key, sight, observation, estimate)
+            _add(records, "timings", key, [{"stage": "image", "seconds": image_seconds}])
+            if trace:
+                _add(records, "tracebacks", key, [{"traceback": trace}])
+        return records
+
+    def observe(self, sight: Sight, trial: int) -> Observation:
+        """Make what an estimator may see of a sight: the image, the Sun in the camera and a degraded pose."""
+        spec = self.world.scenario.spec
+        true = sight.view.T_cam_body
+        prior = degrade(true, spec.pose_error, self.world.camera, generator(self.seed, Stream.POSE_ERROR, trial))
+        range_m = float(np.linalg.norm(prior.translation_m))
+        frame = Frame(
+            image=_read_only(sight.image),
+            sun_dir_cam=_read_only(true.rotate(sight.view.sun_dir_body)),
+            prior_T_cam_body=prior,
+            prior_covariance=_read_only(prior_covariance(spec.pose_error, range_m, self.world.camera)),
+            time_s=sight.time_s,
+        )
+        return Observation(self.world.camera, (frame,))
+
+    def _estimate(self, estimator: Estimator, observation: Observation, trial: int) -> tuple[Estimate | None, str]:
+        rng = generator(self.seed, Stream.ESTIMATOR, trial)
+        try:
+            estimate = estimator.estimate(observation, rng=rng)
+            _check(estimate, observation)
+        except Exception:  # noqa: BLE001  the one place: an estimator's fault is a result, recorded with its trace
+            return None, traceback.format_exc()
+        return estimate, ""
+
+    def _record(
+        self, records: Records, key: Record, sight: Sight, observation: Observation, estimate: Estimate | None
+    ) -> None:
+        true = sight.view.T_cam_body
+        prior = pose_error(observation.frames[0].prior_T_cam_body, true)
+        final = estimate.poses[0] if estimate is not None and estimate.status == "ok" else None
+        row: Record = {
+            "status": "error" if estimate is None else estimate.status,
+            "reason": "the estimator raised: see the table tracebacks" if estimate is None else estimate.reason,
+            **{f"prior_{name}": value for name, value in prior.items()},
+            **(no_pose_error() if final is None else pose_error(final, true)),
+            "n_landmarks": 0,
+            "image": sight.image_name,
+            "range_m": float(np.linalg.norm(true.translation_m)),
+            "phase_deg": float(np.degrees(sight.view.phase_angle_rad)),
+        }
+        if estimate is not None:
+            row["n_landmarks"] = int(estimate.diagnostics.get("n_landmarks", 0))
+            _add(records, "stages", key, [{"stage": s.name, **pose_error(s.T_cam_body, true)} for s in estimate.stages])
+            _add(records, "references", key, _references(final, sight))
+            _add(records, "landmarks", key, self._landmarks(estimate.details.get("landmarks"), sight))
+            numbers = [(n, v) for n, v in estimate.diagnostics.items() if not isinstance(v, str)]
+            _add(records, "diagnostics", key, [{"name": n, "value": float(v)} for n, v in numbers])
+            seconds = [{"stage": n, "seconds": v} for n, v in estimate.timings_s.items()]
+            _add(records, "timings", key, seconds)
+        _add(records, "rows", key, [row])
+
+    def _landmarks(self, table: Table | None, sight: Sight) -> list[Record]:
+        """Score recognised landmarks: the corner's true surface point against the landmark's distribution.
+
+        Rowell et al. (2015), section 4.2.2. Corners whose line of sight misses the body have no error: None.
+        """
+        if table is None or len(table["landmark"]) == 0:
+            return []
+        uv = np.column_stack([table["u_px"], table["v_px"]])
+        seen = self.world.renderer.surface(sight.view, uv).points_body_m
+        offset = seen - np.column_stack([table["x_m"], table["y_m"], table["z_m"]])
+        names = ("sxx", "sxy", "sxz", "sxy", "syy", "syz", "sxz", "syz", "szz")
+        covariance = np.stack([table[f"{name}_m2"] for name in names], axis=1).reshape(-1, 3, 3)
+        weighted = np.linalg.solve(covariance, offset[..., None])[..., 0]
+        errors = np.linalg.norm(offset, axis=1)
+        squares = np.einsum("ni,ni->n", offset, weighted)
+        return [
+            {
+                "landmark": int(landmark),
+                "u_px": float(u),
+                "v_px": float(v),
+                "error_m": float(error) if np.isfinite(error) else None,
+                "chi_square": float(square) if np.isfinite(square) else None,
+            }
+            for landmark, (u, v), error, square in zip(table["landmark"], uv, errors, squares, strict=True)
+        ]
+
+
+def _references(final: Pose | None, sight: Sight) -> list[Record]:
+    if final is None:
+        return []
+    return [{"reference": name, **pose_error(final, view.T_cam_body)} for name, view in sight.further.items()]
+
+
+def _add(records: Records, table: str, key: Record, added: Sequence[Mapping[str, object]]) -> None:
+    records.setdefault(table, []).extend({**key, **record} for record in added)
+
+
+def _read_only(array: NDArray[T]) -> NDArray[T]:
+    view = array.view()
+    view.setflags(write=False)
+    return view
+
+
+def _check(estimate: Estimate, observation: Observation) -> None:
+    """Refuse an estimate that is not one: it would poison the statistics."""
+    if estimate.status not in {"ok", "failed"}:
+        raise ValueError(f"status is {estimate.status!r}, not ok or failed")
+    if estimate.status == "failed":
+        if not estimate.reason:
+            raise ValueError("a failed estimate gives no reason")
+        return
+    if len(estimate.poses) != len(observation.frames):
+        raise ValueError(f"{len(estimate.poses)} poses for {len(observation.frames)} frames")
+    for pose in estimate.poses:
+        residual = np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max()
+        if not (np.isfinite(pose.translation_m).all() and residual < 1e-6 and np.linalg.det(pose.rotation) > 0):
+            raise ValueError(f"not a rigid pose: rotation off by {residual:.1e}, translation {pose.translation_m}")

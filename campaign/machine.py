@@ -1,0 +1,69 @@
+"""What this machine offers, and how a worker takes its share of it."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import cv2
+
+from renderers.mitsuba3 import cap_threads
+
+PACKAGES = (
+    "boresight", "numpy", "scipy", "opencv-python-headless", "mitsuba", "drjit", "trimesh", "pandas", "pyarrow",
+    "matplotlib", "joblib", "pydantic", "astropy",
+)  # fmt: skip
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def memory_gib() -> float:
+    """Return the installed memory."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+
+
+@lru_cache(maxsize=1)
+def use_threads(jobs: int) -> None:
+    """Give this worker cores / jobs threads: two workers with two threads each on two cores are far slower."""
+    threads = max(1, cores() // max(1, jobs))
+    cap_threads(threads)
+    cv2.setNumThreads(threads)
+
+
+def processor() -> str:
+    """Return the processor's name."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def package_versions() -> dict[str, str]:
+    """Return the version of each package that a result rests on; 'missing' where it is not installed."""
+    return {name: _version(name) for name in PACKAGES}
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "missing"
+
+
+def describe() -> dict[str, object]:
+    """Describe the machine for a manifest."""
+    return {
+        "system": platform.platform(),
+        "python": sys.version.split()[0],
+        "processor": processor(),
+        "cores": cores(),
+        "memory_gib": round(memory_gib(), 1),
+    }

@@ -1,0 +1,80 @@
+"""The manifest of a run: what was asked, from which versions, on which machine."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+
+from campaign.machine import describe, package_versions
+from campaign.resolve import ResolvedCampaign
+from campaign.store.columns import FORMAT_VERSION
+from estimators.landmark.database import LandmarkDatabase
+from scenarios.load import canonical_json
+
+
+def make_manifest(
+    campaign: ResolvedCampaign, trials: int, run: Path, variant: str, command: str
+) -> dict[str, object]:
+    """Describe a run before its first trial."""
+    return {
+        "format": FORMAT_VERSION,
+        "digest": campaign.digest,
+        "identity": campaign.identity,
+        "name": campaign.spec.name,
+        "title": campaign.spec.title or campaign.spec.name,
+        "description": campaign.spec.description,
+        "report": campaign.spec.report,
+        "seed": campaign.seed,
+        "trials": trials,
+        "estimators": list(campaign.labels),
+        "scenarios": {s.spec.name: json.loads(canonical_json(s.spec)) for s in campaign.scenarios},
+        "credit": sorted({s.spec.images.credit for s in campaign.scenarios if s.spec.images and s.spec.images.credit}),
+        "created": now(),
+        "command": command,
+        "commit": _commit(),
+        "versions": package_versions(),
+        "machine": {**describe(), "variant": variant},
+        "products": [_product(folder) for folder in sorted((run / "products").glob("[!.]*"))],
+    }
+
+
+def updated(manifest: Mapping[str, object], **changes: object) -> dict[str, object]:
+    """Return a manifest with some entries replaced and the time of the change."""
+    return {**manifest, **changes, "updated": now()}
+
+
+def now() -> str:
+    """Return the time in UTC, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _product(folder: Path) -> dict[str, object]:
+    database = LandmarkDatabase.load(folder)
+    about = json.loads((folder / "built.json").read_text(encoding="utf-8"))
+    return {
+        "kind": "landmark-database",
+        "folder": f"products/{folder.name}",
+        "n_landmarks": len(database.means_m),
+        "n_facets": len(database.facets),
+        **about,
+    }
+
+
+def _commit() -> str | None:
+    """Return the commit of the checkout that runs, or None outside a checkout."""
+    here = Path(__file__).parent
+    try:
+        found = subprocess.run(  # noqa: S603  fixed arguments
+            ["git", "describe", "--always", "--dirty", "--abbrev=12", "--match="],  # noqa: S607  git is where the user has it
+            cwd=here, capture_output=True, text=True, timeout=10, check=False,
+        )  # fmt: skip
+        tracked = subprocess.run(  # noqa: S603
+            ["git", "ls-files", "--error-unmatch", Path(__file__).name],  # noqa: S607
+            cwd=here, capture_output=True, timeout=10, check=False,
+        )  # fmt: skip
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return found.stdout.strip() if found.returncode == 0 and tracked.returncode == 0 else None

@@ -1,0 +1,61 @@
+"""The landmark data base of a scenario: render, detect corners, de-project, cluster, triangulate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from campaign.machine import use_threads
+from campaign.world import World, open_world
+from estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
+from estimators.landmark.database import LandmarkDatabase
+from scenarios.draw import Stream, draw_lit_view, generator
+from scenarios.geometry import View
+from scenarios.load import LoadedScenario
+from scenarios.spec.distribution import Uniform
+from scenarios.spec.world import LightingSpec, ViewpointSpec
+
+KIND = "landmark-database"
+VERSION = 1
+_CHUNK_IMAGES = 10
+
+
+def build(scenario: LoadedScenario, options: DatabaseOptions, folder: Path, jobs: int, variant: str | None) -> None:
+    """Build the data base of ``scenario`` and store it in ``folder``.
+
+    The images are noise free, of the scenario's own body, camera and BRDF, from random directions at the
+    scenario's range, with the Sun anywhere within the largest phase angle (Rowell et al. 2015, section 4.1).
+    """
+    chunks = [range(i, min(i + _CHUNK_IMAGES, options.images)) for i in range(0, options.images, _CHUNK_IMAGES)]
+    tasks = (delayed(_candidates)(scenario, options, chunk, variant, jobs) for chunk in chunks)
+    candidates = [points for chunk in Parallel(n_jobs=jobs)(tasks) for points in chunk]
+    database = database_from_candidates(candidates, options)
+    database.save(folder)
+
+
+def load(folder: Path) -> LandmarkDatabase:
+    """Read a stored data base."""
+    return LandmarkDatabase.load(folder)
+
+
+def _candidates(
+    scenario: LoadedScenario, options: DatabaseOptions, images: Sequence[int], variant: str | None, jobs: int
+) -> list[NDArray[np.float64]]:
+    use_threads(jobs)
+    world = open_world(scenario, variant)
+    return [_candidates_of(world, view, options) for view in (_view(world, options, i) for i in images)]
+
+
+def _view(world: World, options: DatabaseOptions, image: int) -> View:
+    viewpoint = ViewpointSpec(range_m=options.range_m or world.typical_range_m)
+    lighting = LightingSpec(phase_deg=Uniform(uniform=(0.0, options.phase_deg_max)))
+    return draw_lit_view(viewpoint, lighting, world.camera, generator(options.seed, Stream.DATABASE, image))
+
+
+def _candidates_of(world: World, view: View, options: DatabaseOptions) -> NDArray[np.float64]:
+    image = world.renderer.render(view)
+    return extract_candidates(image, lambda uv: world.renderer.surface(view, uv).points_body_m, options)

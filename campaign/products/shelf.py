@@ -1,0 +1,109 @@
+"""Where estimators find the products of a scenario, and where those are built."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from campaign.products import landmark_database
+from estimators.contract import ImageRenderer
+from estimators.landmark.build import DatabaseOptions
+from renderers.mitsuba3 import MitsubaRenderer
+from scenarios import cache
+from scenarios.bodies import body_digest
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, TriangleMesh
+from scenarios.load import LoadedScenario, canonical_json
+
+
+def product_key(scenario: LoadedScenario, kind: str, options: DatabaseOptions) -> str:
+    """Return the content hash of a product: whatever would change it changes the key."""
+    spec = scenario.spec
+    parts = {
+        "kind": kind,
+        "options": json.loads(options.model_dump_json()),
+        "body": body_digest(spec.body, scenario.search_dirs),
+        "scenario": {
+            name: json.loads(canonical_json(part)) if part is not None else None
+            for name, part in (
+                ("camera", spec.camera), ("brdf", spec.brdf), ("rendering", spec.rendering),
+                ("viewpoint", spec.viewpoint), ("images", spec.images),
+            )
+        },
+        "versions": [landmark_database.VERSION, MitsubaRenderer.version],
+    }  # fmt: skip
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
+
+
+class Shelf:
+    """Lends assets to estimators: camera, renderers of meshes, and products kept in the run folder.
+
+    Parameters
+    ----------
+    scenario
+        The scenario whose products are on the shelf.
+    folder
+        ``RUN/products``: each product in a folder of its own, so that a run stands alone.
+    jobs
+        Workers to build with; 0 where nothing may be built (in a worker).
+    variant
+        The Mitsuba variant, or None to choose.
+    tell
+        Told before something is built.
+    """
+
+    def __init__(
+        self,
+        scenario: LoadedScenario,
+        folder: Path,
+        jobs: int,
+        variant: str | None,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
+        self._scenario = scenario
+        self._folder = folder
+        self._jobs = jobs
+        self._variant = variant
+        self._tell = tell
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the scenario."""
+        return self._scenario.spec.camera.camera()
+
+    def mesh_renderer(self, mesh: TriangleMesh) -> ImageRenderer:
+        """Return a renderer of ``mesh`` in the scenario's BRDF."""
+        spec = self._scenario.spec
+        return MitsubaRenderer(mesh, spec.brdf, samples_per_pixel=1, shading="flat", variant=self._variant)
+
+    def product(self, kind: str, options: Mapping[str, object]) -> object:
+        """Return a product, built first where that is allowed."""
+        if kind != landmark_database.KIND:
+            raise BoresightError(f"no product is called {kind!r}: the only kind is {landmark_database.KIND}")
+        wanted = DatabaseOptions.model_validate(options)
+        folder = self._folder / f"{kind}-{product_key(self._scenario, kind, wanted)}"
+        if not folder.exists():
+            self._fetch(wanted, folder)
+        return landmark_database.load(folder)
+
+    def _fetch(self, options: DatabaseOptions, folder: Path) -> None:
+        if self._jobs == 0:
+            raise BoresightError(f"{folder}: the product is missing from the run folder: run the campaign again")
+        started = time.perf_counter()
+
+        def build(place: Path) -> None:
+            if self._tell is not None:
+                self._tell(f"building the landmark data base of {self._scenario.spec.name}: {options.images} images")
+            landmark_database.build(self._scenario, options, place, self._jobs, self._variant)
+            about = {"seconds": time.perf_counter() - started, "images": options.images}
+            (place / "built.json").write_text(json.dumps(about), encoding="utf-8")
+
+        cached = cache.folder(landmark_database.KIND, folder.name.rsplit("-", 1)[1], build)
+        temporary = folder.with_name(f".{folder.name}.tmp")
+        shutil.rmtree(temporary, ignore_errors=True)
+        shutil.copytree(cached, temporary)
+        temporary.replace(folder)

@@ -1,0 +1,100 @@
+"""From a campaign's name to everything that decides its rows."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from estimators.registry import estimator_class
+from renderers.detector import Detector
+from renderers.mitsuba3 import MitsubaRenderer
+from scenarios.bodies import body_digest
+from scenarios.errors import BoresightError
+from scenarios.load import LoadedScenario, digest, load_campaign, load_scenario, names_in
+from scenarios.spec.campaign import CampaignSpec
+
+CATALOG = Path(__file__).parent / "catalog"
+# Part of every run's digest: raise it when the experiment's rows change for another reason than its parts.
+EXPERIMENT_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class ResolvedCampaign:
+    """A campaign with its scenarios read: what the rows depend on, and nothing else.
+
+    Equality and hash are those of the digest, so a worker can keep what it built for a campaign.
+    """
+
+    spec: CampaignSpec
+    scenarios: tuple[LoadedScenario, ...]
+    seed: int
+
+    @cached_property
+    def identity(self) -> dict[str, object]:
+        """Everything that decides a row, in plain values."""
+        return {
+            "experiment": [self.spec.experiment, EXPERIMENT_VERSION],
+            "seed": self.seed,
+            "scenarios": [
+                {"name": s.spec.name, "digest": digest(s.spec), "body": body_digest(s.spec.body, s.search_dirs)}
+                for s in self.scenarios
+            ],
+            "estimators": [
+                {"label": e.label, "name": e.name, "options": e.options, "version": estimator_class(e.name).version}
+                for e in self.spec.estimators
+            ],
+            "renderer": [MitsubaRenderer.name, MitsubaRenderer.version],
+            "detector": Detector.version,
+        }
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of the identity: the key of the run."""
+        return hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the estimators in the order of the campaign."""
+        return tuple(entry.label for entry in self.spec.estimators)
+
+    def scenario(self, name: str) -> LoadedScenario:
+        """Return one scenario by its name."""
+        return next(s for s in self.scenarios if s.spec.name == name)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ResolvedCampaign) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+
+def campaign_names() -> list[str]:
+    """Return the names of the campaigns that come with boresight."""
+    return names_in(CATALOG)
+
+
+def resolve(name_or_path: str, overrides: Sequence[str] = (), seed: int | None = None) -> ResolvedCampaign:
+    """Read a campaign and its scenarios, with ``--set`` overrides put on every scenario.
+
+    Raises
+    ------
+    BoresightError
+        If a file, a key or a value is wrong, an estimator is unknown or two scenarios share a name.
+    """
+    loaded = load_campaign(name_or_path, CATALOG)
+    spec = loaded.spec
+    scenarios = tuple(
+        load_scenario(name, overrides, base=spec.overrides, near=loaded.path.parent) for name in spec.scenarios
+    )
+    names = [s.spec.name for s in scenarios]
+    if len(set(names)) != len(names):
+        raise BoresightError(f"{loaded.path}: scenarios: two of them are called the same: {names}")
+    for entry in spec.estimators:
+        estimator_class(entry.name)
+    return ResolvedCampaign(spec, scenarios, spec.seed if seed is None else seed)
+
+

@@ -1,0 +1,115 @@
+"""Runs a campaign: products first, then blocks of trials on joblib workers, each stored as it comes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from joblib import Parallel, delayed
+
+from campaign import manifest as manifests
+from campaign.experiments.single_image import Records
+from campaign.products import Shelf
+from campaign.resolve import ResolvedCampaign
+from campaign.store import RunFolder, RunLock
+from campaign.store.folder import Block, blocks
+from campaign.worker import Bench, run_block
+from estimators.registry import estimator_class
+from scenarios.errors import BoresightError
+
+
+class Listener(Protocol):
+    """Is told how a run goes."""
+
+    def message(self, text: str) -> None:
+        """Hear of a step."""
+        ...
+
+    def started(self, done: int, total: int) -> None:
+        """Hear how many trials are stored already and how many there are in all."""
+        ...
+
+    def block(self, records: Records, trials: int) -> None:
+        """Hear of a block that is now stored."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """How a campaign is to be run; nothing here but ``trials`` changes what is stored."""
+
+    out: Path
+    trials: int
+    jobs: int
+    variant: str | None
+    variant_name: str
+    keep_images: bool = False
+    command: str = ""
+
+
+def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: Listener) -> RunFolder:
+    """Run what is not stored yet and return the run folder.
+
+    Raises
+    ------
+    BoresightError
+        If the folder holds another run, is in use, or cannot be written.
+    """
+    folder = RunFolder(request.out)
+    with RunLock(request.out):
+        previous = _previous(folder, campaign)
+        _build_products(campaign, request, listener)
+        manifest = manifests.make_manifest(
+            campaign, max(request.trials, previous), request.out, request.variant_name, request.command
+        )
+        folder.write_manifest(manifest)
+        todo, stored = _plan(folder, campaign, request)
+        total = request.trials * len(campaign.scenarios)
+        listener.started(stored, total)
+        for block, records in _computed(campaign, todo, request):
+            folder.write_block(block, records)
+            listener.block(records, block.last - block.first)
+        folder.write_manifest(manifests.updated(manifest, finished=manifests.now()))
+    return folder
+
+
+def _previous(folder: RunFolder, campaign: ResolvedCampaign) -> int:
+    """Return the trials that an earlier start of the same run asked for; refuse another run's folder."""
+    manifest = folder.read_manifest()
+    if manifest is None:
+        if any((folder.path / name).exists() for name in folder.table_names()):
+            raise BoresightError(f"{folder.path}: has tables but no manifest: choose another folder with --out")
+        return 0
+    if manifest["digest"] != campaign.digest:
+        raise BoresightError(
+            f"{folder.path}: holds another run ({manifest.get('name')}, digest {manifest['digest'][:8]}, not"
+            f" {campaign.digest[:8]}): choose another folder with --out"
+        )
+    return int(manifest["trials"])
+
+
+def _build_products(campaign: ResolvedCampaign, request: RunRequest, listener: Listener) -> None:
+    """Let every estimator ask for its products where they may be built, before any trial."""
+    for scenario in campaign.scenarios:
+        shelf = Shelf(scenario, request.out / "products", request.jobs, request.variant, listener.message)
+        for entry in campaign.spec.estimators:
+            estimator_class(entry.name).from_options(entry.options, shelf)
+
+
+def _plan(folder: RunFolder, campaign: ResolvedCampaign, request: RunRequest) -> tuple[list[Block], int]:
+    every = list(blocks([s.spec.name for s in campaign.scenarios], request.trials))
+    todo = [block for block in every if not folder.is_done(block, len(campaign.labels))]
+    stored = sum(b.last - b.first for b in every) - sum(b.last - b.first for b in todo)
+    return todo, stored
+
+
+def _computed(
+    campaign: ResolvedCampaign, todo: Sequence[Block], request: RunRequest
+) -> Iterator[tuple[Block, Records]]:
+    """Yield each block with its records, in order, holding only what is in flight."""
+    bench = Bench(request.out, request.jobs, request.variant, request.keep_images)
+    parallel = Parallel(n_jobs=request.jobs, return_as="generator", pre_dispatch="2*n_jobs", batch_size=1)
+    results = parallel(delayed(run_block)(campaign, block, bench) for block in todo)
+    yield from zip(todo, results, strict=True)

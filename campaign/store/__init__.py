@@ -1,0 +1,11 @@
+"""The run folder: Parquet tables in blocks of trials, a manifest, a lock.
+
+Everything that a report needs is here, and nothing is counted twice: a block's detail tables are written
+before its rows, and only a block whose rows are complete counts as done.
+"""
+
+from campaign.store.columns import TABLES, Column
+from campaign.store.folder import BLOCK_TRIALS, RunFolder
+from campaign.store.lock import RunLock
+
+__all__ = ["BLOCK_TRIALS", "TABLES", "Column", "RunFolder", "RunLock"]

@@ -1,0 +1,66 @@
+"""Files that are either whole or absent."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from scenarios.errors import BoresightError
+
+
+def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+    """Let ``write`` fill a temporary file beside ``path``, flush it to the disk, then rename it.
+
+    Raises
+    ------
+    BoresightError
+        If the disk is full or the folder cannot be written; the temporary file is removed.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(temporary)
+        _flush(temporary)
+        temporary.replace(path)
+        _flush(path.parent)
+    except OSError as error:
+        raise BoresightError(_explain(path, error)) from error
+    finally:
+        # A failed clean-up must not hide the fault above; the name marks the file as no result.
+        try:
+            temporary.unlink(missing_ok=True)
+        except OSError:
+            pass
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically."""
+    write_atomically(path, lambda temporary: _write(temporary, text))
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def _flush(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _explain(path: Path, error: OSError) -> str:
+    advice = {
+        errno.ENOSPC: "the disk is full: free some space and run the same command again, it will continue",
+        errno.EDQUOT: "the disk quota is used up: free some space and run the same command again, it will continue",
+        errno.EFBIG: "the file size limit was hit (ulimit -f): raise it and run the same command again",
+        errno.EACCES: "no permission to write there: choose another folder with --out",
+        errno.EPERM: "no permission to write there: choose another folder with --out",
+        errno.EROFS: "the folder is read-only: choose another one with --out",
+        errno.ENOTDIR: "a part of that path is a file: choose another folder with --out",
+        errno.EEXIST: "a part of that path is a file: choose another folder with --out",
+    }.get(error.errno or 0, f"{error.strerror or error}")
+    return f"{path}: could not be written: {advice}"

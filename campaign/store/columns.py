@@ -1,0 +1,82 @@
+"""The documented columns of every stored table. Raise FORMAT_VERSION when one changes its meaning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pyarrow as pa
+
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a stored table: name, Arrow type and meaning."""
+
+    name: str
+    type: pa.DataType
+    meaning: str
+
+
+def _key() -> tuple[Column, ...]:
+    return (
+        Column("trial", pa.int64(), "number of the trial, from 0"),
+        Column("scenario", pa.string(), "name of the scenario"),
+        Column("estimator", pa.string(), "label of the estimator"),
+    )
+
+
+def _pose_error() -> tuple[Column, ...]:
+    return (
+        Column("position_error_m", pa.float64(), "length of c_est - c_true, the camera in the body frame"),
+        Column("attitude_error_deg", pa.float64(), "angle of the rotation from the true to the estimated attitude"),
+        Column("position_error_x_m", pa.float64(), "x of R_true (c_est - c_true): camera axes, right"),
+        Column("position_error_y_m", pa.float64(), "y of the same: down"),
+        Column("position_error_z_m", pa.float64(), "z of the same: along the boresight"),
+    )
+
+
+TABLES: dict[str, tuple[Column, ...]] = {
+    "rows": (
+        *_key(),
+        Column("status", pa.string(), "ok, failed (the estimator says why) or error (it raised or returned rubbish)"),
+        Column("reason", pa.string(), "why it is not ok; empty when ok"),
+        *(Column(f"prior_{c.name}", c.type, f"of the prior: {c.meaning}") for c in _pose_error()),
+        *_pose_error(),
+        Column("n_landmarks", pa.int64(), "landmarks that the estimate rests on; 0 where it uses none"),
+        Column("image", pa.string(), "file name of a real image; empty when rendered"),
+        Column("range_m", pa.float64(), "true distance of the camera from the body's origin"),
+        Column("phase_deg", pa.float64(), "true phase angle at the body's origin"),
+    ),
+    "stages": (*_key(), Column("stage", pa.string(), "prior, or a stage of the estimator"), *_pose_error()),
+    "references": (
+        *_key(),
+        Column("reference", pa.string(), "name of the pose that is scored against"),
+        *_pose_error(),
+    ),
+    "landmarks": (
+        *_key(),
+        Column("landmark", pa.int64(), "index in the landmark data base"),
+        Column("u_px", pa.float64(), "column of the matched corner, continuous pixels"),
+        Column("v_px", pa.float64(), "row of the matched corner"),
+        Column("error_m", pa.float64(), "distance of the corner's true surface point from the landmark's mean"),
+        Column("chi_square", pa.float64(), "the same, weighted by the landmark's covariance (3 degrees of freedom)"),
+    ),
+    "diagnostics": (
+        *_key(),
+        Column("name", pa.string(), "name of a number that the estimator reports"),
+        Column("value", pa.float64(), "its value"),
+    ),
+    "timings": (
+        *_key(),
+        Column("stage", pa.string(), "stage of the trial or of the estimator"),
+        Column("seconds", pa.float64(), "wall time"),
+    ),
+    "tracebacks": (*_key(), Column("traceback", pa.string(), "Python traceback of an estimator that raised")),
+}
+
+
+def schema(table: str) -> pa.Schema:
+    """Return the Arrow schema of a table, with the meanings as field metadata."""
+    fields = [pa.field(c.name, c.type, metadata={"meaning": c.meaning}) for c in TABLES[table]]
+    return pa.schema(fields, metadata={"boresight_table": table, "boresight_format": str(FORMAT_VERSION)})

@@ -1,0 +1,109 @@
+"""Reading and writing of a run folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from campaign.store.atomic import write_atomically, write_text
+from campaign.store.columns import TABLES, schema
+from scenarios.errors import BoresightError
+
+BLOCK_TRIALS = 10
+Records = Sequence[Mapping[str, object]]
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Trials ``[first, last)`` of one scenario: the unit that is computed, stored and resumed."""
+
+    scenario: str
+    first: int
+    last: int
+
+    @property
+    def file_name(self) -> str:
+        """Name of the block's file in each table's folder; names sort in the order of trials."""
+        return f"{self.scenario}-{self.first // BLOCK_TRIALS:07d}.parquet"
+
+
+def blocks(scenarios: Sequence[str], trials: int) -> Iterator[Block]:
+    """Yield every block of a campaign, trials first, so that all scenarios advance together."""
+    for first in range(0, trials, BLOCK_TRIALS):
+        for scenario in scenarios:
+            yield Block(scenario, first, min(first + BLOCK_TRIALS, trials))
+
+
+class RunFolder:
+    """A run on the disk. It keeps no state beside its path."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @property
+    def manifest_path(self) -> Path:
+        """Where the manifest is."""
+        return self.path / "manifest.json"
+
+    def read_manifest(self) -> dict[str, Any] | None:
+        """Return the manifest, or None where no run has started.
+
+        Raises
+        ------
+        BoresightError
+            If the file is there but cannot be read as a manifest.
+        """
+        if not self.manifest_path.exists():
+            return None
+        try:
+            manifest = json.loads(self.manifest_path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise BoresightError(f"{self.manifest_path}: not readable as a manifest ({error})") from error
+        if not isinstance(manifest, dict) or "digest" not in manifest:
+            raise BoresightError(f"{self.manifest_path}: not a manifest of boresight: choose another folder with --out")
+        return manifest
+
+    def write_manifest(self, manifest: Mapping[str, object]) -> None:
+        """Write the manifest atomically."""
+        write_text(self.manifest_path, json.dumps(manifest, indent=1, sort_keys=True, default=str) + "\n")
+
+    def write_block(self, block: Block, tables: Mapping[str, Records]) -> None:
+        """Store a block: its detail tables first, its rows last, so that rows stand for the whole block."""
+        for name in sorted(tables, key=lambda table: table == "rows"):
+            target = self.path / name / block.file_name
+            if tables[name]:
+                table = pa.Table.from_pylist([dict(record) for record in tables[name]], schema=schema(name))
+                write_atomically(target, lambda path, table=table: pq.write_table(table, path))  # type: ignore[misc]
+            else:
+                target.unlink(missing_ok=True)
+
+    def is_done(self, block: Block, estimators: int) -> bool:
+        """Tell whether rows of all the block's trials are stored and readable; more trials than that are fine."""
+        path = self.path / "rows" / block.file_name
+        if not path.exists():
+            return False
+        try:
+            trials = pq.read_table(path, columns=["trial"]).column("trial").to_pylist()
+        except (OSError, pa.ArrowException):
+            return False
+        wanted = [trial for trial in range(block.first, block.last) for _ in range(estimators)]
+        return bool(trials[: len(wanted)] == wanted)
+
+    def table(self, name: str) -> pd.DataFrame:
+        """Read one stored table whole; an empty frame with its columns where nothing is stored."""
+        folder = self.path / name
+        if not any(folder.glob("*.parquet")):
+            return schema(name).empty_table().to_pandas()
+        return pd.read_parquet(folder)
+
+    @staticmethod
+    def table_names() -> tuple[str, ...]:
+        """Return the names of the stored tables."""
+        return tuple(TABLES)

@@ -1,0 +1,132 @@
+"""One scenario made real in this process: body, renderer, detector or image set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderers.detector import Detector
+from renderers.images import PosedImageSet
+from renderers.mitsuba3 import MitsubaRenderer
+from scenarios.bodies import Body, load_body
+from scenarios.draw import Stream, draw_view, generator
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, View
+from scenarios.load import LoadedScenario
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """What a camera saw in one trial, with the truth of it: for experiments only, never for an estimator.
+
+    Parameters
+    ----------
+    image
+        (H, W) float32.
+    view
+        The true view (for real images the reference pose).
+    further
+        Other poses to score against, by name.
+    image_name
+        File name of a real image, or ''.
+    time_s
+        Epoch of a real image, or 0.
+    """
+
+    image: NDArray[np.float32]
+    view: View
+    further: dict[str, View]
+    image_name: str = ""
+    time_s: float = 0.0
+
+
+class Source(Protocol):
+    """Where the images of an experiment come from."""
+
+    def sight(self, seed: int, trial: int) -> Sight:
+        """Produce the image and the truth of one trial."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RenderedSource:
+    """Images rendered from views drawn at random."""
+
+    scenario: LoadedScenario
+    camera: Camera
+    renderer: MitsubaRenderer
+    detector: Detector | None
+
+    def sight(self, seed: int, trial: int) -> Sight:
+        """Draw a view, render it and expose the detector."""
+        view = draw_view(self.scenario.spec, self.camera, generator(seed, Stream.TRUTH, trial))
+        image = self.renderer.render(view)
+        if self.detector is not None:
+            image = self.detector.expose(image, generator(seed, Stream.DETECTOR, trial))
+        return Sight(image, view, {})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RealSource:
+    """Real images: trial t looks at image t modulo their number, so that few trials cover many images."""
+
+    images: PosedImageSet
+    truth: str
+    further: tuple[str, ...]
+    realisations: int
+
+    def sight(self, seed: int, trial: int) -> Sight:
+        """Read the trial's image."""
+        if trial >= len(self.images) * self.realisations:
+            raise BoresightError(
+                f"trial {trial}: the image set has {len(self.images)} images x {self.realisations} noise"
+                f" realisations: ask for at most {len(self.images) * self.realisations} trials"
+            )
+        index = trial % len(self.images)
+        return Sight(
+            self.images.image(index),
+            self.images.view(index, self.truth),
+            {name: self.images.view(index, name) for name in (self.truth, *self.further)},
+            self.images.names[index],
+            self.images.time_s(index),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class World:
+    """A scenario with everything that it takes to see it."""
+
+    scenario: LoadedScenario
+    camera: Camera
+    body: Body
+    renderer: MitsubaRenderer
+    source: Source
+    typical_range_m: float
+
+
+@lru_cache(maxsize=1)
+def open_world(scenario: LoadedScenario, variant: str | None) -> World:
+    """Build a scenario's world once per process; scenes do not pickle, so every worker has its own."""
+    spec = scenario.spec
+    camera = spec.camera.camera()
+    body = load_body(spec.body, scenario.search_dirs)
+    renderer = MitsubaRenderer(
+        body.mesh, spec.brdf, samples_per_pixel=spec.rendering.samples_per_pixel, shading=spec.body.shading,
+        variant=variant,
+    )
+    if spec.images is not None:
+        images = PosedImageSet.open(spec.images, camera, scenario.search_dirs)
+        ranges = [np.linalg.norm(images.view(i, spec.images.truth).T_cam_body.translation_m) for i in range(len(images))]
+        source: Source = RealSource(
+            images, spec.images.truth, spec.images.also_score, spec.images.noise_realisations
+        )
+        return World(scenario, camera, body, renderer, source, float(np.median(ranges)))
+    if spec.viewpoint is None:
+        raise BoresightError(f"{scenario.path}: give either viewpoint or images")
+    detector = Detector(spec.detector) if spec.detector is not None else None
+    source = RenderedSource(scenario, camera, renderer, detector)
+    return World(scenario, camera, body, renderer, source, spec.viewpoint.range_m)
