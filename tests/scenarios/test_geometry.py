@@ -93,7 +93,7 @@ def test_chained_and_inverse_transforms():
     np.testing.assert_allclose(chained.transform(point), T_cam_body.transform(T_body_inertial.transform(point)))
     np.testing.assert_allclose((chained.inverse() @ chained).rotation, np.eye(3), atol=1e-12)
     with pytest.raises(FrameMismatchError, match="body is not inertial"):
-        _ = T_cam_body @ T_cam_body @ T_body_inertial.inverse()
+        _ = T_cam_body @ T_body_inertial.inverse()
 
 
 def test_look_at_points_the_boresight_at_the_origin():

@@ -1,0 +1,157 @@
+"""The run folder: whole blocks or none, one process at a time, faults in one clear line."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from campaign.score import no_pose_error, pose_error
+from campaign.store import TABLES, RunFolder, RunLock
+from campaign.store.atomic import write_text
+from campaign.store.columns import schema
+from campaign.store.folder import Block, blocks
+from scenarios.errors import BoresightError
+from scenarios.geometry import look_at
+
+ERROR_KEYS = tuple(no_pose_error())
+
+
+def record(trial: int, estimator: str = "prior") -> dict[str, object]:
+    errors = {name: float(trial) for name in ERROR_KEYS}
+    return {
+        "trial": trial, "scenario": "a", "estimator": estimator, "status": "ok", "reason": "",
+        **errors, **{f"prior_{name}": value for name, value in errors.items()},
+        "n_landmarks": 5, "image": "", "range_m": 2000.0, "phase_deg": 30.0,
+    }  # fmt: skip
+
+
+def test_blocks_cover_every_trial_once():
+    found = list(blocks(["a", "b"], 25))
+    for scenario in "ab":
+        mine = [b for b in found if b.scenario == scenario]
+        assert [t for b in mine for t in range(b.first, b.last)] == list(range(25))
+
+
+def test_a_stored_block_reads_back_in_the_order_of_trials(tmp_path):
+    folder = RunFolder(tmp_path)
+    for block in reversed(list(blocks(["a"], 25))):
+        folder.write_block(block, {"rows": [record(t) for t in range(block.first, block.last)]})
+    rows = pd.read_parquet(tmp_path / "rows")
+    assert rows["trial"].tolist() == list(range(25))
+    assert list(rows.columns) == [c.name for c in TABLES["rows"]]
+
+
+def test_a_block_is_done_only_when_its_rows_are_whole(tmp_path):
+    folder, block = RunFolder(tmp_path), Block("a", 0, 10)
+    assert not folder.is_done(block, 1)
+    folder.write_block(Block("a", 0, 5), {"rows": [record(t) for t in range(5)]})
+    assert not folder.is_done(block, 1)
+    assert folder.is_done(Block("a", 0, 5), 1)
+    folder.write_block(block, {"rows": [record(t) for t in range(10)]})
+    assert folder.is_done(block, 1)
+    assert folder.is_done(Block("a", 0, 5), 1), "more trials than asked for are kept"
+
+
+def test_a_damaged_block_is_not_done(tmp_path):
+    folder, block = RunFolder(tmp_path), Block("a", 0, 10)
+    folder.write_block(block, {"rows": [record(t) for t in range(10)]})
+    path = tmp_path / "rows" / block.file_name
+    path.write_bytes(path.read_bytes()[:-20])
+    assert not folder.is_done(block, 1)
+
+
+def test_missing_values_are_nan_and_not_infinite(tmp_path):
+    folder, block = RunFolder(tmp_path), Block("a", 0, 1)
+    folder.write_block(block, {"rows": [{**record(0), **no_pose_error(), "status": "failed", "reason": "dark"}]})
+    row = folder.table("rows").iloc[0]
+    assert np.isnan(row["position_error_m"])
+    assert row["reason"] == "dark"
+
+
+def test_every_column_says_what_it_means():
+    for name, columns in TABLES.items():
+        assert [f.metadata[b"meaning"].decode() for f in schema(name)] == [c.meaning for c in columns]
+        assert all(c.meaning for c in columns)
+
+
+def test_an_empty_table_has_its_columns(tmp_path):
+    assert RunFolder(tmp_path).table("landmarks").columns.tolist() == [c.name for c in TABLES["landmarks"]]
+
+
+def test_a_second_process_is_refused(tmp_path):
+    code = f"""
+import sys
+from pathlib import Path
+from campaign.store import RunLock
+from scenarios.errors import BoresightError
+try:
+    RunLock(Path({str(tmp_path)!r})).__enter__()
+except BoresightError as error:
+    print(error); sys.exit(7)
+"""
+    with RunLock(tmp_path):
+        held = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    free = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert held.returncode == 7
+    assert "another boresight process" in held.stdout
+    assert free.returncode == 0
+
+
+def test_a_full_disk_leaves_nothing_half_written(tmp_path):
+    # The limit on a file's size stands for the full disk: both end in an OSError in the middle of a write.
+    code = f"""
+import resource, signal, sys
+from pathlib import Path
+from campaign.store.atomic import write_text
+from scenarios.errors import BoresightError
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+try:
+    write_text(Path({str(tmp_path)!r}) / "big.txt", "x" * 5000)
+except BoresightError as error:
+    sys.stderr.write(str(error)); sys.exit(7)
+"""
+    write_text(tmp_path / "big.txt", "before")
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert result.returncode == 7
+    assert "big.txt: could not be written: the file size limit" in result.stderr
+    assert (tmp_path / "big.txt").read_text() == "before"
+    assert [p.name for p in tmp_path.iterdir()] == ["big.txt"]
+    assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] != 1000
+
+
+def test_a_part_of_the_path_that_is_a_file(tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(BoresightError, match="part of that path is a file: choose another folder with --out"):
+        write_text(tmp_path / "file" / "rows.txt", "y")
+    with pytest.raises(BoresightError, match="--out"), RunLock(tmp_path / "file" / "run"):
+        pass
+
+
+def test_a_foreign_manifest_is_refused(tmp_path):
+    folder = RunFolder(tmp_path)
+    assert folder.read_manifest() is None
+    for text in ("{", "[]", '{"name": "x"}'):
+        folder.manifest_path.write_text(text)
+        with pytest.raises(BoresightError, match="manifest"):
+            folder.read_manifest()
+
+
+def test_pose_error_by_hand():
+    true = look_at(np.array([2000.0, 0, 0]))
+    # 2 deg about the camera's y axis swings the camera by 2000 m x 2 sin(1 deg) about the body.
+    turned = true.perturbed(np.array([0, np.radians(2), 0]), np.zeros(3))
+    error = pose_error(turned, true)
+    assert error["attitude_error_deg"] == pytest.approx(2.0)
+    assert error["position_error_m"] == pytest.approx(4000 * np.sin(np.radians(1)))
+    shifted = pose_error(true.perturbed(np.zeros(3), np.array([3.0, -4.0, 12.0])), true)
+    assert shifted["position_error_m"] == pytest.approx(13.0)
+    # The body moved by +3 in the camera's x: the camera moved by -3 along its own x in the body.
+    assert [shifted[f"position_error_{axis}_m"] for axis in "xyz"] == pytest.approx([-3.0, 4.0, -12.0])
+
+
