@@ -1,9 +1,44 @@
 """The base of every model of the schema."""
 
-from pydantic import BaseModel, ConfigDict
+from __future__ import annotations
+
+from typing import Any, ClassVar, Self
+
+from pydantic import BaseModel, ConfigDict, model_validator
+
+
+def _describe_alternatives(schema: dict[str, Any], model: type[BaseModel]) -> None:
+    """Tell the JSON Schema which keys exclude each other."""
+    groups = model.alternatives if issubclass(model, SpecModel) else ()
+    if groups:
+        schema["allOf"] = [{"not": {"required": list(keys)}} for keys in groups]
 
 
 class SpecModel(BaseModel):
-    """Frozen; unknown keys and non-finite numbers are refused."""
+    """Frozen; unknown keys and non-finite numbers are refused.
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+    A model names in ``alternatives`` the groups of keys of which exactly one is given. Where one file builds
+    on another, a key of such a group takes the place of the others (see ``scenarios.load.merge``).
+    ``prose`` names the keys that no result depends on.
+    """
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        validate_default=True,
+        json_schema_extra=_describe_alternatives,
+    )
+
+    alternatives: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    prose: ClassVar[frozenset[str]] = frozenset()
+
+    @model_validator(mode="after")
+    def _exactly_one_of_each_group(self) -> Self:
+        for keys in type(self).alternatives:
+            given = [key for key in keys if getattr(self, key) is not None]
+            if not given:
+                raise ValueError(f"give either {' or '.join(keys)}")
+            if len(given) > 1:
+                raise ValueError(f"give either {' or '.join(keys)}, not both")
+        return self

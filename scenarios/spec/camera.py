@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -10,25 +10,21 @@ from pydantic import Field, model_validator
 from scenarios.geometry import Camera
 from scenarios.spec.base import SpecModel
 
+Positive = Annotated[float, Field(gt=0)]
+
 
 class CameraSpec(SpecModel):
     """A pinhole: either ``fov_deg`` (across the width, square pixels) or focal lengths in pixels."""
 
-    width_px: int = Field(512, ge=16, le=8192)
-    height_px: int = Field(512, ge=16, le=8192)
+    alternatives: ClassVar = (("fov_deg", "focal_px"),)
+
+    width_px: int = Field(512, ge=16, le=8192, description="Columns of the image")
+    height_px: int = Field(512, ge=16, le=8192, description="Rows of the image")
     fov_deg: float | None = Field(None, gt=0, lt=180, description="Full field of view across the width")
-    focal_px: tuple[float, float] | None = Field(None, description="Focal lengths [fx, fy]; instead of fov_deg")
+    focal_px: tuple[Positive, Positive] | None = Field(None, description="Focal lengths [fx, fy]; instead of fov_deg")
     principal_point_px: tuple[float, float] | None = Field(
         None, description="Principal point [cx, cy]; the middle of the image by default"
     )
-
-    @model_validator(mode="after")
-    def _one_focal_length(self) -> Self:
-        if (self.fov_deg is None) == (self.focal_px is None):
-            raise ValueError("give either fov_deg or focal_px")
-        if self.focal_px is not None and min(self.focal_px) <= 0:
-            raise ValueError("focal_px must be above 0")
-        return self
 
     def camera(self) -> Camera:
         """Return the camera as a value."""
@@ -48,15 +44,23 @@ class DetectorSpec(SpecModel):
     """
 
     psf_sigma_px: float = Field(0.5, ge=0, le=20, description="Gaussian point spread function")
-    exposure_s: float = Field(0.1, gt=0)
+    exposure_s: float = Field(0.1, gt=0, description="Exposure time")
     white_e_per_s: float = Field(2.0e6, gt=0, description="Electrons a second from a radiance factor of 1")
     dark_e_per_s: float = Field(10.0, ge=0, description="Dark current")
     full_well_e: float = Field(100_000.0, gt=0, description="Electrons at which a pixel saturates")
-    read_noise_e: float = Field(10.0, ge=0)
+    read_noise_e: float = Field(10.0, ge=0, description="RMS noise of a read-out")
     shot_noise: bool = Field(True, description="Poisson noise of signal and dark current")
     gain_e_per_dn: float = Field(25.0, gt=0, description="Electrons for one digital number")
     offset_dn: float = Field(10.0, ge=0, description="Bias level")
-    bits: int = Field(12, ge=1, le=16)
+    bits: int = Field(12, ge=1, le=16, description="Digital numbers run from 0 to 2**bits - 1")
+
+    @model_validator(mode="after")
+    def _offset_below_the_top(self) -> Self:
+        if self.offset_dn >= 2**self.bits - 1:
+            raise ValueError(
+                f"offset_dn {self.offset_dn:g} is not below {2**self.bits - 1}, the largest number of {self.bits} bits"
+            )
+        return self
 
 
 class RenderingSpec(SpecModel):

@@ -1,29 +1,43 @@
-"""Random numbers as a scenario writes them: a constant, a uniform range or a normal law."""
+"""Random numbers as a scenario writes them: a uniform range or a normal law; equal bounds make a constant."""
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import BaseModel, Discriminator, Field, Tag, model_validator
 
 from scenarios.spec.base import SpecModel
 
+FloatArray = NDArray[np.float64]
+Bounds = tuple[float, float]
+NonNegative = Annotated[float, Field(ge=0)]
 
-def _ordered(low: float, high: float) -> None:
+
+def _check_order(low: float, high: float) -> None:
     if low > high:
-        raise ValueError(f"the lower bound {low} is above the upper bound {high}")
+        raise ValueError(f"the lower bound {low:g} is above the upper bound {high:g}")
+
+
+def _law(value: object) -> str | None:
+    """Which law a value means: the key that it holds."""
+    keys = value if isinstance(value, dict) else type(value).model_fields if isinstance(value, BaseModel) else {}
+    return next((law for law in ("normal", "uniform") if law in keys), None)
+
+
+def _either(pattern: str) -> Discriminator:
+    return Discriminator(_law, custom_error_type="no_law", custom_error_message=f"is no distribution: write {pattern}")
 
 
 class Uniform(SpecModel):
     """Uniform between two bounds: ``{uniform: [low, high]}``."""
 
-    uniform: tuple[float, float]
+    uniform: Bounds = Field(description="[low, high]")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        _ordered(*self.uniform)
+        _check_order(*self.uniform)
         return self
 
     def draw(self, rng: np.random.Generator) -> float:
@@ -32,7 +46,7 @@ class Uniform(SpecModel):
 
     @property
     def second_moment(self) -> float:
-        """Return the mean of the square."""
+        """Mean of the square."""
         low, high = self.uniform
         return (low * low + low * high + high * high) / 3.0
 
@@ -40,7 +54,7 @@ class Uniform(SpecModel):
 class Normal(SpecModel):
     """Gaussian about zero: ``{normal: sigma}``."""
 
-    normal: float = Field(ge=0)
+    normal: NonNegative = Field(description="Standard deviation")
 
     def draw(self, rng: np.random.Generator) -> float:
         """Draw one value."""
@@ -48,56 +62,55 @@ class Normal(SpecModel):
 
     @property
     def second_moment(self) -> float:
-        """Return the mean of the square."""
+        """Mean of the square."""
         return self.normal**2
 
 
-Scalar = Uniform | Normal
+Scalar = Annotated[
+    Annotated[Uniform, Tag("uniform")] | Annotated[Normal, Tag("normal")],
+    _either("uniform: [low, high] or normal: sigma"),
+]
 
 
 class Uniform3(SpecModel):
     """Three independent uniform components: ``{uniform: [[low, high], [low, high], [low, high]]}``."""
 
-    uniform: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+    uniform: tuple[Bounds, Bounds, Bounds] = Field(description="[low, high] of x, y and z")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         for bounds in self.uniform:
-            _ordered(*bounds)
+            _check_order(*bounds)
         return self
 
-    def draw(self, rng: np.random.Generator) -> NDArray[np.float64]:
+    def draw(self, rng: np.random.Generator) -> FloatArray:
         """Draw (3,) values."""
-        bounds = np.array(self.uniform)
-        return rng.uniform(bounds[:, 0], bounds[:, 1])
+        low, high = np.array(self.uniform).T
+        return rng.uniform(low, high)
 
     @property
-    def second_moments(self) -> NDArray[np.float64]:
-        """Return the (3,) mean squares."""
+    def second_moments(self) -> FloatArray:
+        """(3,) mean squares."""
         low, high = np.array(self.uniform).T
-        moments: NDArray[np.float64] = (low * low + low * high + high * high) / 3.0
-        return moments
+        return np.asarray((low * low + low * high + high * high) / 3.0, dtype=np.float64)
 
 
 class Normal3(SpecModel):
     """Three independent Gaussian components about zero: ``{normal: [sx, sy, sz]}``."""
 
-    normal: tuple[float, float, float]
+    normal: tuple[NonNegative, NonNegative, NonNegative] = Field(description="Standard deviations of x, y and z")
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if min(self.normal) < 0:
-            raise ValueError(f"a standard deviation cannot be negative: {list(self.normal)}")
-        return self
-
-    def draw(self, rng: np.random.Generator) -> NDArray[np.float64]:
+    def draw(self, rng: np.random.Generator) -> FloatArray:
         """Draw (3,) values."""
         return rng.normal(0.0, self.normal)
 
     @property
-    def second_moments(self) -> NDArray[np.float64]:
-        """Return the (3,) mean squares."""
-        return np.array(self.normal) ** 2
+    def second_moments(self) -> FloatArray:
+        """(3,) mean squares."""
+        return np.square(np.array(self.normal, dtype=np.float64))
 
 
-Vector3 = Uniform3 | Normal3
+Vector3 = Annotated[
+    Annotated[Uniform3, Tag("uniform")] | Annotated[Normal3, Tag("normal")],
+    _either("uniform: [[low, high], [low, high], [low, high]] or normal: [sx, sy, sz]"),
+]

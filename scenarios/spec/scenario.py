@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
@@ -10,37 +10,37 @@ from scenarios.spec.base import SpecModel
 from scenarios.spec.body import BodySpec
 from scenarios.spec.brdf import BrdfSpec, LambertSpec
 from scenarios.spec.camera import CameraSpec, DetectorSpec, RenderingSpec
+from scenarios.spec.images import ImageSetSpec
 from scenarios.spec.world import PAPER_POSE_ERROR, LightingSpec, PoseErrorSpec, ViewpointSpec
 
-
-class ImageSetSpec(SpecModel):
-    """Real images with a table of poses, camera and Sun in place of rendered ones."""
-
-    folder: str = Field(description="Folder of the images (beside the scenario file, or under BORESIGHT_DATA)")
-    table: str = Field("poses.csv", description="Table of poses in that folder")
-    truth: str = Field("ref", description="Prefix of the columns that are scored against")
-    also_score: tuple[str, ...] = Field((), description="Prefixes of further poses to score against")
-    noise_realisations: int = Field(1, ge=1, description="Pose errors drawn for each image")
-    credit: str = Field("", description="Credit line that every figure with these images carries")
+NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
 
 
 class ScenarioSpec(SpecModel):
-    """What the YAML says. Its digest is part of every result's key."""
+    """What the YAML says. Its digest is part of every result's key.
 
-    name: str = Field(pattern=r"^[a-z0-9][a-z0-9._-]*$")
-    description: str = ""
+    Images are either rendered from a ``viewpoint`` or read from ``images``.
+    """
+
+    alternatives: ClassVar = (("viewpoint", "images"),)
+    prose: ClassVar = frozenset({"name", "description"})
+
+    name: str = Field(pattern=NAME_PATTERN, description="Lower case; the file's name if left out")
+    description: str = Field("", description="One line about the scenario")
     body: BodySpec = BodySpec()
     camera: CameraSpec
     rendering: RenderingSpec = RenderingSpec()
-    detector: DetectorSpec | None = None
-    brdf: BrdfSpec = LambertSpec()
-    viewpoint: ViewpointSpec | None = None
+    detector: DetectorSpec | None = Field(None, description="Left out: ideal, noise-free images")
+    brdf: BrdfSpec = Field(LambertSpec(), description="Reflectance of the surface")
+    viewpoint: ViewpointSpec | None = Field(None, description="Where rendered images are seen from")
     lighting: LightingSpec = LightingSpec()
-    images: ImageSetSpec | None = None
+    images: ImageSetSpec | None = Field(None, description="Real images, instead of viewpoint")
     pose_error: PoseErrorSpec = PAPER_POSE_ERROR
 
     @model_validator(mode="after")
-    def _source(self) -> Self:
-        if (self.viewpoint is None) == (self.images is None):
-            raise ValueError("give either viewpoint (images are rendered) or images (real images are read)")
+    def _real_images_bring_their_own(self) -> Self:
+        if self.images is not None and self.detector is not None:
+            raise ValueError("detector has no part in a scenario with images: they carry their own noise; leave it out")
+        if self.images is not None and self.lighting != LightingSpec():
+            raise ValueError("lighting has no part in a scenario with images: their table says where the Sun is")
         return self

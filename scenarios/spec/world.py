@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel
 from scenarios.spec.distribution import Scalar, Uniform, Uniform3, Vector3
+
+
+def _check_within(key: str, bounds: tuple[float, float], low: float, high: float) -> None:
+    if bounds[0] < low or bounds[1] > high:
+        raise ValueError(f"{key} {list(bounds)} is not within [{low:g}, {high:g}]")
 
 
 class ViewpointSpec(SpecModel):
@@ -17,8 +22,14 @@ class ViewpointSpec(SpecModel):
     range_m: float = Field(gt=0, description="Distance of the camera from the body's origin")
     roll_deg: Uniform = Field(Uniform(uniform=(-180.0, 180.0)), description="Roll about the boresight")
     latitude_deg: Uniform = Field(
-        Uniform(uniform=(-90.0, 90.0)), description="Body-fixed latitudes of the camera; uniform over the area"
+        Uniform(uniform=(-90.0, 90.0)),
+        description="Body-fixed latitudes of the camera, within -90 to 90; uniform over the area",
     )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _check_within("latitude_deg", self.latitude_deg.uniform, -90.0, 90.0)
+        return self
 
 
 class LightingSpec(SpecModel):
@@ -31,24 +42,18 @@ class LightingSpec(SpecModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        low, high = self.phase_deg.uniform
-        if low < 0 or high > 180:
-            raise ValueError(f"phase_deg {[low, high]} is not within [0, 180]")
+        _check_within("phase_deg", self.phase_deg.uniform, 0.0, 180.0)
         return self
 
 
 class AttitudeErrorSpec(SpecModel):
-    """A rotation by ``angle_deg`` about an isotropic axis, or a Gaussian rotation vector."""
+    """A rotation by ``angle_deg`` about an isotropic axis, or a random rotation vector."""
 
-    axis: Literal["isotropic"] = "isotropic"
-    angle_deg: Scalar | None = Field(None, description="Angle about a random axis: {uniform: [-2, 2]}")
+    alternatives: ClassVar = (("angle_deg", "rotation_vector_deg"),)
+
+    axis: Literal["isotropic"] = Field("isotropic", description="Axis of angle_deg: uniform over the sphere")
+    angle_deg: Scalar | None = Field(None, description="Angle about a random axis")
     rotation_vector_deg: Vector3 | None = Field(None, description="Components in camera axes, instead of angle_deg")
-
-    @model_validator(mode="after")
-    def _one(self) -> Self:
-        if (self.angle_deg is None) == (self.rotation_vector_deg is None):
-            raise ValueError("give either angle_deg or rotation_vector_deg")
-        return self
 
 
 class PoseErrorSpec(SpecModel):
@@ -58,17 +63,13 @@ class PoseErrorSpec(SpecModel):
     and the attitude is turned, independently.
     """
 
+    alternatives: ClassVar = (("position_cam_m", "position_cam_px"),)
+
     position_cam_m: Vector3 | None = Field(None, description="Shift in camera axes, m")
     position_cam_px: Vector3 | None = Field(
         None, description="The same in pixel sizes at the body's range, instead of position_cam_m"
     )
     attitude: AttitudeErrorSpec = AttitudeErrorSpec(angle_deg=Uniform(uniform=(-2.0, 2.0)))
-
-    @model_validator(mode="after")
-    def _one(self) -> Self:
-        if (self.position_cam_m is None) == (self.position_cam_px is None):
-            raise ValueError("give either position_cam_m or position_cam_px")
-        return self
 
 
 PAPER_POSE_ERROR = PoseErrorSpec(

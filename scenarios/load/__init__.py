@@ -1,0 +1,33 @@
+"""Scenario and campaign files: read, extended, overridden, checked.
+
+The order is defaults < ``extends`` < file < a campaign's ``set`` < ``--set``. Every fault is a line with its place.
+"""
+
+from scenarios.load.digest import canonical_json, digest
+from scenarios.load.entry import Entry
+from scenarios.load.files import (
+    LoadedCampaign,
+    LoadedScenario,
+    file_kind,
+    load_campaign,
+    load_scenario,
+    scenario_names,
+    validated,
+)
+from scenarios.load.find import names_in
+from scenarios.load.schema import json_schema
+
+__all__ = [
+    "Entry",
+    "LoadedCampaign",
+    "LoadedScenario",
+    "canonical_json",
+    "digest",
+    "file_kind",
+    "json_schema",
+    "load_campaign",
+    "load_scenario",
+    "names_in",
+    "scenario_names",
+    "validated",
+]

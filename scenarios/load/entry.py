@@ -1,0 +1,75 @@
+"""Values that remember where they were written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+Scalar = str | int | float | bool | None
+_LARGEST_EXACT = 2**53
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A value with its place, for example ``scenarios/x.yaml:12`` or ``--set camera.fov_deg=20``.
+
+    Parameters
+    ----------
+    value
+        A scalar, a mapping of keys to entries, or a sequence of entries.
+    place
+        Where the key (or the item) stands.
+    """
+
+    value: Scalar | Mapping[str, Entry] | tuple[Entry, ...]
+    place: str
+
+    @property
+    def section(self) -> Mapping[str, Entry] | None:
+        """The keys of a mapping; None for anything else."""
+        return self.value if isinstance(self.value, Mapping) else None
+
+    def plain(self) -> object:
+        """Return the value without places: dicts, lists and scalars; whole floats (3.1e6) become integers."""
+        if isinstance(self.value, Mapping):
+            return {key: entry.plain() for key, entry in self.value.items()}
+        if isinstance(self.value, tuple):
+            return [entry.plain() for entry in self.value]
+        if isinstance(self.value, float) and self.value.is_integer() and abs(self.value) <= _LARGEST_EXACT:
+            return int(self.value)
+        return self.value
+
+
+def entry_of(value: object, place: str) -> Entry:
+    """Give every value of a plain structure the same place."""
+    if isinstance(value, Mapping):
+        return Entry({str(key): entry_of(item, place) for key, item in value.items()}, place)
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return Entry(tuple(entry_of(item, place) for item in value), place)
+    return Entry(value if isinstance(value, str | int | float) else None, place)
+
+
+def nested(keys: Iterable[str], entry: Entry) -> Entry:
+    """Wrap an entry in sections: keys a, b make ``{a: {b: entry}}``."""
+    for key in reversed(list(keys)):
+        entry = Entry({key: entry}, entry.place)
+    return entry
+
+
+def describe(entry: Entry) -> str:
+    """Write a value as YAML would in one line, shortened where it is long."""
+    text = _inline(entry)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _inline(entry: Entry) -> str:
+    value = entry.value
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {_inline(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_inline(item) for item in value) + "]"
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value)

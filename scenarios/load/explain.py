@@ -1,0 +1,157 @@
+"""Faults of a specification in one line each: place, key, value, what is allowed."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, get_args
+
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from scenarios.load.entry import Entry, describe
+from scenarios.load.merge import Models, field_models
+from scenarios.spec.base import SpecModel
+
+_TAG = "<tag>"
+_WANTED = {
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "string_type": "a text (quote it)",
+    "bool_type": "true or false",
+    "tuple_type": "a list",
+    "dict_type": "a section of keys",
+    "model_type": "a section of keys",
+    "mapping_type": "a section of keys",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Spot:
+    """Where an error's ``loc`` leads: the dotted key, the deepest entry on the way, the schema there."""
+
+    key: str
+    entry: Entry
+    parent: Models
+    field: FieldInfo | None
+
+
+def explain(error: ValidationError, root: Entry, model: type[SpecModel]) -> str:
+    """Turn pydantic's errors into lines ``place: key: value is not ...``, without repeats."""
+    lines = [_line(detail, root, model) for detail in error.errors(include_url=False)]
+    return "\n".join(dict.fromkeys(lines))
+
+
+def _line(detail: ErrorDetails, root: Entry, model: type[SpecModel]) -> str:
+    loc = detail["loc"]
+    if detail["type"] in {"union_tag_invalid", "union_tag_not_found"}:
+        loc = (*loc, _TAG, "kind")
+    spot = _locate(loc, root, model)
+    what = _what(detail, spot)
+    return f"{spot.entry.place}: {spot.key}: {what}" if spot.key else f"{spot.entry.place}: {what}"
+
+
+def _locate(loc: tuple[int | str, ...], root: Entry, model: type[SpecModel]) -> _Spot:
+    """Follow ``loc`` through the entries and the schema; where several models are admitted the next step is a tag."""
+    keys: list[str] = []
+    entry = root
+    models: Models = (model,)
+    parent: Models = models
+    field: FieldInfo | None = None
+    for step in loc:
+        if len(models) > 1:
+            models = tuple(candidate for candidate in models if step == _TAG or _has_tag(candidate, str(step)))[:1]
+            continue
+        keys.append(f"[{step}]" if isinstance(step, int) else f".{step}")
+        entry = _child(entry, step)
+        if isinstance(step, str):
+            parent, field = models, _field(models, step)
+            models = field_models(models, step)
+    return _Spot("".join(keys).lstrip("."), entry, parent, field)
+
+
+def _has_tag(model: type[SpecModel], tag: str) -> bool:
+    kind = model.model_fields.get("kind")
+    return tag in get_args(kind.annotation) if kind is not None else tag in model.model_fields
+
+
+def _field(models: Models, key: str) -> FieldInfo | None:
+    return next((model.model_fields[key] for model in models if key in model.model_fields), None)
+
+
+def _child(entry: Entry, step: int | str) -> Entry:
+    """Return the entry one step down, or the same where the file does not hold it."""
+    if isinstance(entry.value, Mapping):
+        return entry.value.get(str(step), entry)
+    if isinstance(entry.value, tuple) and isinstance(step, int) and step < len(entry.value):
+        return entry.value[step]
+    return entry
+
+
+def _what(detail: ErrorDetails, spot: _Spot) -> str:
+    kind, context = detail["type"], detail.get("ctx", {})
+    if kind == "missing":
+        return _missing(detail["loc"], spot)
+    if kind == "union_tag_not_found":
+        return "this key is missing"
+    if kind == "extra_forbidden":
+        return _unknown(spot)
+    if kind == "value_error":
+        return str(context["error"])
+    if kind in {"too_short", "too_long"}:
+        return _wrong_length(kind, context)
+    return f"{describe(spot.entry)} {_fault(kind, context, spot.field, detail['msg'])}"
+
+
+def _fault(kind: str, context: Mapping[str, Any], field: FieldInfo | None, message: str) -> str:
+    """Say what is wrong with a value, to be read after the value itself."""
+    if kind == "union_tag_invalid":
+        return f"is not {context['expected_tags']}"
+    if kind == "literal_error":
+        return f"is not {context['expected']}"
+    if kind == "string_pattern_mismatch":
+        return f"does not match {context['pattern']}"
+    if kind == "no_law":
+        return message
+    if kind in _WANTED:
+        return f"is not {_WANTED[kind]}"
+    interval = _interval(field, context)
+    return f"is not {interval}" if interval else f"is wrong: {message[:1].lower()}{message[1:]}"
+
+
+def _missing(loc: tuple[int | str, ...], spot: _Spot) -> str:
+    if isinstance(loc[-1], int):
+        return "this value of the list is missing"
+    described = f" ({spot.field.description})" if spot.field is not None and spot.field.description else ""
+    return f"this key is missing{described}"
+
+
+def _unknown(spot: _Spot) -> str:
+    known = [field.alias or key for model in spot.parent for key, field in model.model_fields.items()]
+    near = difflib.get_close_matches(spot.key.rsplit(".", 1)[-1], known, n=1)
+    return f"unknown key; did you mean {near[0]}?" if near else f"unknown key; known here are {', '.join(known)}"
+
+
+def _wrong_length(kind: str, context: Mapping[str, Any]) -> str:
+    bound = context["min_length"] if kind == "too_short" else context["max_length"]
+    return f"needs at {'least' if kind == 'too_short' else 'most'} {bound} values, not {context['actual_length']}"
+
+
+def _interval(field: FieldInfo | None, context: Mapping[str, Any]) -> str:
+    """Write the bounds of a number: from the field where it has them, from the one broken rule otherwise."""
+    bounds: dict[str, float] = {}
+    for rule in field.metadata if field is not None else ():
+        bounds |= {name: getattr(rule, name) for name in ("gt", "ge", "lt", "le") if hasattr(rule, name)}
+    if not set(bounds) & set(context):
+        bounds = {name: value for name, value in context.items() if name in {"gt", "ge", "lt", "le"}}
+    below, above = {"gt", "ge"} & set(bounds), {"lt", "le"} & set(bounds)
+    if below and above:
+        left = f"({bounds['gt']:g}" if "gt" in bounds else f"[{bounds['ge']:g}"
+        right = f"{bounds['lt']:g})" if "lt" in bounds else f"{bounds['le']:g}]"
+        return f"in {left}, {right}"
+    words = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
+    return " and ".join(f"{words[name]} {value:g}" for name, value in bounds.items())

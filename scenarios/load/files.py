@@ -1,0 +1,161 @@
+"""Scenario and campaign files to validated specifications."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeVar
+
+from pydantic import ValidationError
+
+from scenarios.errors import BoresightError
+from scenarios.load.entry import Entry, describe
+from scenarios.load.explain import explain
+from scenarios.load.find import display, find, name_of, names_in, read
+from scenarios.load.merge import defaults, merge
+from scenarios.load.overrides import apply, parse_override, settings
+from scenarios.spec.base import SpecModel
+from scenarios.spec.campaign import CampaignSpec
+from scenarios.spec.scenario import ScenarioSpec
+
+CATALOG = Path(__file__).parents[1] / "catalog"
+Spec = TypeVar("Spec", bound=SpecModel)
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedScenario:
+    """A scenario, the file that it came from, and the folders where its data may lie."""
+
+    spec: ScenarioSpec
+    path: Path
+    search_dirs: tuple[Path, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedCampaign:
+    """A campaign, its file, and its overrides of every scenario with their places."""
+
+    spec: CampaignSpec
+    path: Path
+    overrides: Entry
+
+
+@dataclass(frozen=True, slots=True)
+class _File:
+    """A file laid on what it extends; ``folders`` holds its own folder first, then those of its parents."""
+
+    root: Entry
+    folders: tuple[Path, ...]
+
+
+def scenario_names() -> list[str]:
+    """Return the names of the scenarios that come with boresight."""
+    return names_in(CATALOG)
+
+
+def load_scenario(
+    name_or_path: str,
+    overrides: Sequence[str] = (),
+    *,
+    base: Entry | Mapping[str, object] | None = None,
+    near: Path | None = None,
+) -> LoadedScenario:
+    """Read a scenario: defaults < what it extends < the file < ``base`` < ``overrides``.
+
+    Parameters
+    ----------
+    name_or_path
+        A name of the catalogue or the path of a YAML file.
+    overrides
+        Texts ``key.key=value``, as on the command line.
+    base
+        Overrides that a campaign puts on its scenarios; keys may be dotted.
+    near
+        Folder that a relative path starts from.
+
+    Raises
+    ------
+    BoresightError
+        With one line for each fault: file, line, key, value and what is allowed.
+    """
+    path = find(name_or_path, CATALOG, near)
+    file = _read_chain(path, CATALOG, ScenarioSpec)
+    layers = [settings(base, (ScenarioSpec,))] if base is not None else []
+    layers += [parse_override(text) for text in overrides]
+    root = apply(merge(defaults(ScenarioSpec), file.root, (ScenarioSpec,)), layers, (ScenarioSpec,))
+    return LoadedScenario(validated(ScenarioSpec, root), path, file.folders)
+
+
+def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = ()) -> LoadedCampaign:
+    """Read a campaign; ``overrides`` are of its own keys, for example ``trials=20``.
+
+    Raises
+    ------
+    BoresightError
+        As ``load_scenario``.
+    """
+    path = find(name_or_path, catalog, what="campaign")
+    file = _read_chain(path, catalog, CampaignSpec)
+    root = apply(file.root, [parse_override(text) for text in overrides], (CampaignSpec,))
+    spec = validated(CampaignSpec, root)
+    return LoadedCampaign(spec, path, (root.section or {}).get("set", Entry({}, root.place)))
+
+
+def validated(model: type[Spec], root: Entry) -> Spec:
+    """Validate an entry against a model, with strict types: no text for a number, no 1 for true.
+
+    Raises
+    ------
+    BoresightError
+        With one line for each fault.
+    """
+    try:
+        return model.model_validate_json(json.dumps(root.plain()), strict=True)
+    except ValidationError as error:
+        raise BoresightError(explain(error, root, model)) from error
+
+
+def file_kind(path: Path) -> Literal["scenario", "campaign"]:
+    """Tell a campaign file from a scenario file by its keys.
+
+    Raises
+    ------
+    BoresightError
+        If the file cannot be read.
+    """
+    keys = set(read(path).section or {})
+    of_campaign, of_scenario = set(CampaignSpec.model_fields), set(ScenarioSpec.model_fields)
+    return "campaign" if len(keys & of_campaign - of_scenario) > len(keys & of_scenario - of_campaign) else "scenario"
+
+
+def _read_chain(path: Path, catalog: Path, model: type[SpecModel], children: tuple[Path, ...] = ()) -> _File:
+    """Read a file and lay it on those that it extends, the first one at the bottom."""
+    resolved = path.resolve()
+    own = read(path)
+    section = dict(own.section or {})
+    extends = section.pop("extends", None)
+    if not children:
+        section.setdefault("name", Entry(name_of(path), display(path)))
+    base, folders = Entry({}, own.place), [resolved.parent]
+    for parent in _parents(extends):
+        parent_path = find(parent, catalog, path.parent)
+        if parent_path.resolve() in (*children, resolved):
+            raise BoresightError(f"{extends.place if extends else path}: extends: {parent} leads back to this file")
+        file = _read_chain(parent_path, catalog, model, (*children, resolved))
+        inherited = {key: entry for key, entry in (file.root.section or {}).items() if key not in model.prose}
+        base = merge(base, Entry(inherited, own.place), (model,))
+        folders += file.folders
+    root = merge(base, Entry(section, own.place), (model,))
+    return _File(Entry(root.value, display(path)), tuple(dict.fromkeys(folders)))
+
+
+def _parents(extends: Entry | None) -> list[str]:
+    if extends is None:
+        return []
+    items = extends.value if isinstance(extends.value, tuple) else (extends,)
+    parents = [item.value for item in items]
+    if not all(isinstance(parent, str) and parent for parent in parents):
+        raise BoresightError(f"{extends.place}: extends: {describe(extends)} is not a name, a path or a list of them")
+    return [str(parent) for parent in parents]

@@ -1,0 +1,106 @@
+"""From a name or a path to the text of a YAML file."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+
+from scenarios.errors import BoresightError
+from scenarios.load.entry import Entry
+from scenarios.load.yaml_text import parse_yaml
+
+SUFFIXES = (".yaml", ".yml")
+_MAX_BYTES = 1_000_000
+
+
+def names_in(catalog: Path) -> list[str]:
+    """Return the names of the files of a catalogue folder, sorted: stems, with ``-`` for ``_``."""
+    return sorted(_by_name(catalog))
+
+
+def name_of(path: Path) -> str:
+    """Return the name that a file has by itself: ``my_scene.yaml`` is ``my-scene``."""
+    return path.stem.replace("_", "-")
+
+
+def find(name_or_path: str, catalog: Path, near: Path | None = None, what: str = "scenario") -> Path:
+    """Find a file by its name in the catalogue, else by its path.
+
+    Parameters
+    ----------
+    name_or_path
+        ``quickstart``, or ``my/scene.yaml``.
+    catalog
+        Folder of the files that come with boresight.
+    near
+        Folder that relative paths start from, where names without a suffix are looked up too; the working
+        directory if None.
+    what
+        What is looked for, in errors.
+
+    Raises
+    ------
+    BoresightError
+        If there is none; the line suggests near names.
+    """
+    known = _by_name(catalog)
+    beside = _by_name(near) if near is not None else {}
+    for names in (known, beside):
+        if name_or_path.replace("_", "-") in names:
+            return names[name_or_path.replace("_", "-")]
+    try:
+        path = (near or Path()) / Path(name_or_path).expanduser()
+        exists = path.exists()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise BoresightError(f"{name_or_path!r}: not a {what}: {error}") from error
+    if not exists:
+        raise BoresightError(_not_found(name_or_path, path, list(known), what))
+    return path
+
+
+def read(path: Path) -> Entry:
+    """Read and parse a file whose top level must be a section of keys.
+
+    Raises
+    ------
+    BoresightError
+        If it cannot be read, is no UTF-8 text, is empty or is anything but keys with values.
+    """
+    shown = display(path)
+    try:
+        if path.is_dir():
+            raise BoresightError(f"{shown}: is a folder, not a YAML file")
+        size = path.stat().st_size
+        if size > _MAX_BYTES:
+            raise BoresightError(f"{shown}: {size} bytes is too long for a scenario or campaign file")
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError as error:
+        raise BoresightError(f"{shown}: no such file") from error
+    except UnicodeDecodeError as error:
+        raise BoresightError(f"{shown}: not UTF-8 text (byte {error.start}): save it as UTF-8") from error
+    except (OSError, ValueError) as error:
+        raise BoresightError(f"{shown}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    root = parse_yaml(text, shown)
+    if root.section is None:
+        state = "is empty" if root.value is None else "is not a section of keys"
+        raise BoresightError(f"{shown}: the file {state}: write 'key: value' lines")
+    return root
+
+
+def display(path: Path) -> str:
+    """Write a path from the working directory where it lies below it, in full otherwise."""
+    try:
+        return path.resolve().relative_to(Path.cwd()).as_posix()
+    except (OSError, ValueError):
+        return str(path)
+
+
+def _by_name(folder: Path) -> dict[str, Path]:
+    return {name_of(path): path for path in sorted(folder.glob("*")) if path.suffix in SUFFIXES}
+
+
+def _not_found(name_or_path: str, path: Path, known: list[str], what: str) -> str:
+    beside = [item.name for item in sorted(path.parent.glob("*")) if item.suffix in SUFFIXES]
+    near = difflib.get_close_matches(path.stem, known, n=1) or difflib.get_close_matches(path.name, beside, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"give a path, or one of {', '.join(known)}"
+    return f"{name_or_path}: no such {what}; {hint}"

@@ -1,0 +1,60 @@
+"""JSON Schema of the files, so that editors complete and check them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from typing import Any, Literal
+
+from scenarios.load.merge import defaults
+from scenarios.spec.base import SpecModel
+from scenarios.spec.campaign import CampaignSpec
+from scenarios.spec.scenario import ScenarioSpec
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_MODELS: Mapping[str, type[SpecModel]] = {"scenario": ScenarioSpec, "campaign": CampaignSpec}
+_PART = "Part"
+_EXTENDS = {
+    "description": "Files that this one builds on: names of the catalogue or paths from this file, the first lowest",
+    "anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}],
+}
+
+
+def json_schema(kind: Literal["scenario", "campaign"]) -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of a scenario or campaign file.
+
+    A file that extends another may leave out any key, so it is held to the types alone; a file that stands on its
+    own must hold the required keys as well.
+    """
+    model = _MODELS[kind]
+    whole = model.model_json_schema(by_alias=True)
+    definitions: dict[str, Any] = whole.pop("$defs", {})
+    whole["properties"]["extends"] = _EXTENDS
+    filled = {"name", *(defaults(model).section or {})}
+    whole["required"] = [key for key in whole.get("required", []) if key not in filled]
+    definitions[model.__name__] = whole
+    parts = {name + _PART: _as_part(definition) for name, definition in definitions.items()}
+    return {
+        "$schema": DIALECT,
+        "title": f"boresight {kind}",
+        "$ref": f"#/$defs/{model.__name__}{_PART}",
+        "if": {"not": {"required": ["extends"]}},
+        "then": {"$ref": f"#/$defs/{model.__name__}"},
+        "$defs": {**definitions, **parts},
+    }
+
+
+def _as_part(node: Any) -> Any:
+    """Copy a schema without its required keys; what refers to a definition refers to that one's part."""
+    if isinstance(node, list):
+        return [_as_part(item) for item in node]
+    if not isinstance(node, Mapping):
+        return deepcopy(node)
+    part = {key: _as_part(value) for key, value in node.items() if key not in {"required", "discriminator", "not"}}
+    if isinstance(node.get("not"), Mapping):
+        part["not"] = deepcopy(node["not"])
+    if isinstance(part.get("$ref"), str):
+        part["$ref"] += _PART
+    if "oneOf" in part:
+        part["anyOf"] = part.pop("oneOf")
+    return part

@@ -1,0 +1,169 @@
+"""YAML 1.2 (core schema) to entries: no code, no tags, no duplicate keys, bounded size."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.events import (
+    AliasEvent,
+    DocumentStartEvent,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    SequenceStartEvent,
+    StreamEndEvent,
+)
+
+from scenarios.errors import BoresightError
+from scenarios.load.entry import Entry, Scalar
+
+MAX_VALUES = 20_000
+MAX_DEPTH = 40
+
+# The tag resolution of YAML 1.2's core schema, section 10.3.2.
+_NULL = frozenset({"", "~", "null", "Null", "NULL"})
+_BOOL = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
+_INT = re.compile(r"[-+]?[0-9]{1,100}")
+_OCTAL = re.compile(r"0o[0-7]{1,100}")
+_HEX = re.compile(r"0x[0-9a-fA-F]{1,100}")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_INFINITY = re.compile(r"[-+]?\.(inf|Inf|INF)")
+_NAN = frozenset({".nan", ".NaN", ".NAN"})
+
+
+def parse_yaml(text: str, source: str, *, place: str | None = None) -> Entry:
+    """Parse one YAML document.
+
+    Parameters
+    ----------
+    text
+        The document.
+    source
+        Name of the file, for places and errors.
+    place
+        One place for every value, in place of ``source:line``.
+
+    Raises
+    ------
+    BoresightError
+        On a syntax error, a duplicate key, a tag, a second document or an excess of values (an alias bomb);
+        one line that names the file and the line.
+    """
+    try:
+        return _Builder(text, source, place).document()
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f":{mark.line + 1}" if mark is not None else ""
+        what = " ".join(str(error.problem or error.context).split())
+        raise BoresightError(f"{place or source + line}: not valid YAML: {what}") from error
+    except YAMLError as error:
+        raise BoresightError(f"{place or source}: not valid YAML: {' '.join(str(error).split())}") from error
+    except (AttributeError, AssertionError, IndexError, TypeError, ValueError) as error:
+        # The parser meets some malformed directives and escapes with such errors of its own.
+        raise BoresightError(f"{place or source}: not valid YAML: {error}") from error
+
+
+def resolve_scalar(text: str) -> Scalar:
+    """Read a plain scalar by the core schema: null, bool, int, float or else a text."""
+    if text in _NULL:
+        return None
+    if text in _BOOL:
+        return _BOOL[text]
+    if _INT.fullmatch(text):
+        return int(text)
+    if _OCTAL.fullmatch(text) or _HEX.fullmatch(text):
+        return int(text, base=0)
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    if _INFINITY.fullmatch(text):
+        return float(text.replace(".", ""))
+    return float("nan") if text in _NAN else text
+
+
+class _Builder:
+    """Builds entries from the parser's events; the alias of an anchor shares its entry."""
+
+    def __init__(self, text: str, source: str, place: str | None) -> None:
+        self._events: Iterator[Any] = YAML(typ="safe", pure=True).parse(text)
+        self._source = source
+        self._place = place
+        self._anchors: dict[str, tuple[Entry, int]] = {}
+        self._values = 0
+        self._depth = 0
+
+    def document(self) -> Entry:
+        root = Entry(None, self._place or f"{self._source}:1")
+        documents = 0
+        for event in self._events:
+            if isinstance(event, DocumentStartEvent):
+                documents += 1
+                if documents > 1:
+                    raise self._error(event, "a second YAML document starts here: write one a file")
+                root = self._build(next(self._events), root.place)
+            elif isinstance(event, StreamEndEvent):
+                break
+        return root
+
+    def _build(self, event: Any, place: str) -> Entry:
+        if isinstance(event, AliasEvent):
+            return self._alias(event, place)
+        if event.tag is not None and str(event.tag) != "!":
+            raise self._error(event, f"the tag {event.tag} is not read here: write the plain value")
+        before = self._values
+        self._count(event, 1)
+        self._depth += 1
+        if self._depth > MAX_DEPTH:
+            raise self._error(event, f"values are nested more than {MAX_DEPTH} deep")
+        value: Any
+        if isinstance(event, MappingStartEvent):
+            value = self._mapping()
+        elif isinstance(event, SequenceStartEvent):
+            value = self._sequence()
+        else:
+            value = resolve_scalar(event.value) if event.implicit[0] and event.style is None else event.value
+        self._depth -= 1
+        entry = Entry(value, place)
+        if event.anchor:
+            self._anchors[str(event.anchor)] = (entry, self._values - before)
+        return entry
+
+    def _mapping(self) -> dict[str, Entry]:
+        section: dict[str, Entry] = {}
+        while not isinstance(event := next(self._events), MappingEndEvent):
+            if not isinstance(event, ScalarEvent):
+                raise self._error(event, "a key must be a word")
+            key = event.value
+            place = self._at(event)
+            if key in section:
+                raise BoresightError(f"{place}: {key}: duplicate key, first given at {section[key].place}")
+            section[key] = self._build(next(self._events), place)
+        return section
+
+    def _sequence(self) -> tuple[Entry, ...]:
+        items: list[Entry] = []
+        while not isinstance(event := next(self._events), SequenceEndEvent):
+            items.append(self._build(event, self._at(event)))
+        return tuple(items)
+
+    def _alias(self, event: Any, place: str) -> Entry:
+        if event.anchor not in self._anchors:
+            raise self._error(event, f"the alias *{event.anchor} has no anchor before it")
+        entry, size = self._anchors[event.anchor]
+        self._count(event, size)
+        return Entry(entry.value, place)
+
+    def _count(self, event: Any, values: int) -> None:
+        self._values += values
+        if self._values > MAX_VALUES:
+            raise self._error(event, f"more than {MAX_VALUES} values, aliases expanded")
+
+    def _at(self, event: Any) -> str:
+        return self._place or f"{self._source}:{event.start_mark.line + 1}"
+
+    def _error(self, event: Any, what: str) -> BoresightError:
+        return BoresightError(f"{self._at(event)}: {what}")
