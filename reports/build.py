@@ -1,0 +1,143 @@
+"""Write a run's report: page, Markdown, CSV and figures, each file whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from reports.content import Content, NamedFigure, draw_figures, read_content
+from reports.figures.style import save_figure
+from reports.html import html_page, reproduce_command
+from reports.tables import Grid, comparison_grid, pose_grids
+from scenarios.errors import BoresightError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReportFiles:
+    """Where a report lies, and what it says.
+
+    Parameters
+    ----------
+    folder
+        Holds all files.
+    page, markdown
+        ``report.html`` and ``report.md``.
+    tables
+        ``table.csv`` (every measured number beside the published one), ``timings.csv``, ``failures.csv``.
+    figures
+        PNG and PDF of each figure.
+    content
+        For `console_table`.
+    """
+
+    folder: Path
+    page: Path
+    markdown: Path
+    tables: tuple[Path, ...]
+    figures: tuple[Path, ...]
+    content: Content
+
+
+def write_report(run: Path, out: Path | None = None) -> ReportFiles:
+    """Write the report of a run folder.
+
+    Parameters
+    ----------
+    run
+        Folder with ``manifest.json`` and ``rows``; an unfinished run is reported as such.
+    out
+        Folder of the report, ``run/report`` by default. Other files in it are left alone.
+
+    Raises
+    ------
+    BoresightError
+        If the run cannot be read or the report cannot be written; files of an earlier report then stay as they were.
+    """
+    content = read_content(run)
+    folder = out or run / "report"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(prefix=".writing-", dir=folder))
+    except OSError as error:
+        raise BoresightError(
+            f"{folder}: the report cannot be written: {error.strerror}; choose another --out"
+        ) from error
+    try:
+        names = _write_all(content, work)
+        for name in names:
+            os.replace(work / name, folder / name)
+    except OSError as error:
+        raise BoresightError(
+            f"{folder}: the report cannot be written: {error.strerror}; choose another --out"
+        ) from error
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    paths = [folder / name for name in names]
+    return ReportFiles(
+        folder,
+        folder / "report.html",
+        folder / "report.md",
+        tuple(path for path in paths if path.suffix == ".csv"),
+        tuple(path for path in paths if path.suffix in (".png", ".pdf")),
+        content,
+    )
+
+
+def _write_all(content: Content, folder: Path) -> list[str]:
+    """Write all files into ``folder`` and list their names, the page last so that it never shows what is not there."""
+    names = _write_tables(content, folder)
+    figures = list(draw_figures(content))
+    for figure in figures:
+        names += [path.name for path in save_figure(figure.figure, folder / figure.stem)]
+    (folder / "report.md").write_text(markdown(content, figures), encoding="utf-8")
+    (folder / "report.html").write_text(html_page(content, figures), encoding="utf-8")
+    return [*names, "report.md", "report.html"]
+
+
+def _write_tables(content: Content, folder: Path) -> list[str]:
+    table = content.table()
+    timed = table["measure"] == "seconds"
+    failed = content.run.rows[content.run.rows["status"] != "ok"]
+    failures = failed[["trial", "scenario", "estimator", "status", "reason"]]
+    frames: dict[str, pd.DataFrame] = {
+        "table.csv": table[~timed],
+        "timings.csv": table[timed],
+        "failures.csv": failures,
+    }
+    for name, frame in frames.items():
+        frame.to_csv(folder / name, index=False, lineterminator="\n")
+    return list(frames)
+
+
+def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:
+    """Write the report as Markdown, with its figures beside it."""
+    manifest = content.run.manifest
+    parts = [f"# {manifest.title or manifest.name}", "\n".join(f"- {note}" for note in content.notes)]
+    parts += [grid.markdown() for grid in content.grids()]
+    parts += [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in figures]
+    parts += [f"To make this again: `{reproduce_command(content)}`", *manifest.credits]
+    return "\n\n".join(parts) + "\n"
+
+
+def console_table(content: Content) -> Group:
+    """Build what the terminal shows at the end of a run: pose errors, and verdicts where values are published."""
+    grids = [*pose_grids(content.records), comparison_grid(content.compared)]
+    return Group(*(_rich(grid) for grid in grids if grid is not None))
+
+
+def _rich(grid: Grid) -> Table:
+    table = Table(title=grid.title, title_justify="left", header_style="bold")
+    for i, column in enumerate(grid.columns):
+        table.add_column(column, justify="left" if i in grid.text else "right")
+    for row in grid.rows:
+        table.add_row(*(Text(cell) for cell in row))
+    return table

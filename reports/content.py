@@ -1,0 +1,223 @@
+"""What a report says, worked out once and then written as page, Markdown, CSV, figures and terminal text."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from reports.comparison import ComparedValue, compare
+from reports.figures import draw_cumulative_errors, draw_landmark_counts, draw_landmark_errors, draw_pose_errors
+from reports.measures import CONTROL, Record, errors_by_stage, final_stage, measure_run
+from reports.published import Comparison, load_published
+from reports.run_data import RunData, read_run, select
+from reports.statistics import MEDIAN
+from reports.tables import (
+    Grid,
+    comparison_grid,
+    detail_grid,
+    failure_grid,
+    pose_grids,
+    reference_grid,
+    stage_label,
+    timing_grid,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NamedFigure:
+    """A figure with the stem of its files, its caption and a description for those who cannot see it."""
+
+    stem: str
+    figure: Figure
+    caption: str
+    alt: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Content:
+    """A run and all that is said of it.
+
+    Parameters
+    ----------
+    run
+        The stored tables.
+    records
+        Every measured number.
+    comparison, compared
+        Published values and our numbers beside them; None and empty if the campaign names none.
+    notes
+        What a reader must know before trusting the numbers.
+    """
+
+    run: RunData
+    records: tuple[Record, ...]
+    comparison: Comparison | None
+    compared: tuple[ComparedValue, ...]
+    notes: tuple[str, ...]
+
+    def grids(self) -> list[Grid]:
+        """List the tables of the report, in order."""
+        optional = (
+            reference_grid(self.records),
+            comparison_grid(self.compared),
+            detail_grid(self.records),
+            timing_grid(self.records),
+            failure_grid(self.run),
+        )
+        return [*pose_grids(self.records), *(grid for grid in optional if grid is not None)]
+
+    def table(self) -> pd.DataFrame:
+        """Every measured number, beside the published one where there is one."""
+        beside = {id(c.ours): c for c in self.compared if c.ours is not None}
+        lines = []
+        for record in self.records:
+            match = beside.get(id(record))
+            published = {
+                "published": match.published.value if match else None,
+                "tolerance": match.published.tolerance if match else None,
+                "verdict": match.verdict if match else "",
+                "place": match.published.place if match else "",
+            }
+            lines.append(asdict(record) | published)
+        return pd.DataFrame(lines)
+
+
+def read_content(folder: Path) -> Content:
+    """Read a run folder and work out what is to be said.
+
+    Raises
+    ------
+    BoresightError
+        If the folder is not a run, holds no finished trial, or names unknown published values.
+    """
+    run = read_run(folder)
+    comparison = load_published(run.manifest.report) if run.manifest.report else None
+    records = measure_run(run)
+    compared = compare(records, comparison) if comparison else ()
+    return Content(run, records, comparison, compared, tuple(_notes(run, comparison)))
+
+
+def finished_trials(run: RunData) -> int:
+    """Count the trials that every scenario and estimator has finished."""
+    return int(run.rows.groupby(["scenario", "estimator"])["trial"].nunique().min())
+
+
+def _notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
+    done, total = finished_trials(run), run.manifest.trials
+    if done < total:
+        yield f"The run is not finished: {done} of {total} trials."
+    yield (
+        "Intervals are 95 % percentile-bootstrap intervals (2,000 resamples of whole trials"
+        " or, for real images, of whole images, because the noise realisations of one image are not independent)."
+    )
+    yield (
+        "Position error is the difference of camera positions in the body frame, its components turned into the true"
+        " camera's axes. Failed trials have no error: statistics after a stage are over the trials that reached it,"
+        " beside their number, and the line with failures at their prior counts every trial."
+    )
+    if (run.rows["image"] != "").any():
+        yield (
+            "These are real images. The pose that they are scored against is itself an estimate, and so is every"
+            " further reference pose: neither is exact truth, and each error below contains the reference's own error."
+        )
+    if comparison is not None:
+        yield f"Published values: {comparison.source}. {comparison.conditions}"
+    absent = [name for name in ("stages", "landmarks", "timings") if getattr(run, name).empty]
+    if absent:
+        yield f"Not stored in this run, so left out: {', '.join(absent)}."
+    yield from run.manifest.notes
+
+
+def draw_figures(content: Content) -> Iterator[NamedFigure]:
+    """Draw every figure that the run's tables allow."""
+    run = content.run
+    for scenario in dict.fromkeys(scenario for scenario, _ in run.pairs()):
+        for _, estimator in (pair for pair in run.pairs() if pair[0] == scenario and pair[1] != CONTROL):
+            yield _pose_figure(content, scenario, estimator)
+            yield from _landmark_figures(content, scenario, estimator)
+        yield _cumulative_figure(content, scenario)
+
+
+def _published_medians(content: Content, scenario: str, estimator: str) -> dict[tuple[str, str], float]:
+    """Medians of the paper by (stage, measure), for the figures of one scenario and estimator."""
+    return {
+        (c.published.stage, c.published.measure): c.published.value
+        for c in content.compared
+        if (c.scenario, c.estimator) == (scenario, estimator) and c.published.statistic == MEDIAN.name
+        if c.verdict != "context"
+    }
+
+
+def _pose_figure(content: Content, scenario: str, estimator: str) -> NamedFigure:
+    run = content.run
+    errors = {stage_label(name): table for name, table in errors_by_stage(run, scenario, estimator).items()}
+    medians = _published_medians(content, scenario, estimator)
+    published = {(stage_label(stage), measure): value for (stage, measure), value in medians.items()}
+    title = f"Pose error, {scenario}, {estimator}"
+    triangles = " Open triangles on the axis: medians of the paper." if published else ""
+    return NamedFigure(
+        _stem("pose_errors", scenario, estimator),
+        draw_pose_errors(errors, title, published, run.manifest.credits),
+        f"{title}: attitude and translation error before and after each stage, normalised; dotted lines: medians."
+        f"{triangles}",
+        f"Two histograms of the errors of attitude and position for the stages {', '.join(errors)}.",
+    )
+
+
+def _landmark_figures(content: Content, scenario: str, estimator: str) -> Iterator[NamedFigure]:
+    run = content.run
+    credit_lines = run.manifest.credits
+    marks = select(run.landmarks, scenario, estimator)
+    error, chi_square = (_finite(marks[name]) for name in ("error_m", "chi_square"))
+    if len(error) and len(chi_square):
+        title = f"Landmark recognition error, {scenario}, {estimator}"
+        yield NamedFigure(
+            _stem("landmark_errors", scenario, estimator),
+            draw_landmark_errors(error, chi_square, title, credit_lines),
+            f"{title}: distance from the landmark of the data base to the surface point that was matched with it, and"
+            " the same weighted by the landmark's covariance, with the distribution that a Gaussian error would give.",
+            "Histogram of landmark errors in metres, and histogram of chi-square with its theoretical curve.",
+        )
+    rows = select(run.rows, scenario, estimator)
+    counts = _finite(rows.loc[rows["status"] == "ok", "n_landmarks"])
+    if len(counts):
+        title = f"Landmarks an image, {scenario}, {estimator}"
+        medians = _published_medians(content, scenario, estimator)
+        median = medians.get((final_stage(run, scenario, estimator), "n_landmarks"))
+        yield NamedFigure(
+            _stem("landmark_counts", scenario, estimator),
+            draw_landmark_counts(counts, title, median, credit_lines),
+            f"{title}: number of recognised landmarks in each image with an estimate.",
+            "Histogram of the number of recognised landmarks in each image.",
+        )
+
+
+def _cumulative_figure(content: Content, scenario: str) -> NamedFigure:
+    run = content.run
+    found = {}
+    for estimator in (name for where, name in run.pairs() if where == scenario):
+        rows = select(run.rows, scenario, estimator)
+        found[estimator] = (rows[rows["status"] == "ok"], len(rows))
+    title = f"Cumulative error, {scenario}"
+    return NamedFigure(
+        _stem("cumulative_errors", scenario),
+        draw_cumulative_errors(found, title, run.manifest.credits),
+        f"{title}: share of all trials with an error below the abscissa; a curve ends at the share of trials with an"
+        " estimate.",
+        f"Cumulative shares of attitude and position error for {', '.join(found)}.",
+    )
+
+
+def _finite(values: pd.Series) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    return np.asarray(values.dropna(), dtype=np.float64)
+
+
+def _stem(*parts: str) -> str:
+    """Make a file name that is valid on every system."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", "_".join(parts))

@@ -1,0 +1,17 @@
+"""The figures of a report, drawn from plain tables and arrays."""
+
+from reports.figures.fit import Fit, Overlay, draw_fit_panels
+from reports.figures.landmarks import draw_landmark_counts, draw_landmark_errors
+from reports.figures.pose import draw_cumulative_errors, draw_pose_errors
+from reports.figures.style import save_figure
+
+__all__ = [
+    "Fit",
+    "Overlay",
+    "draw_cumulative_errors",
+    "draw_fit_panels",
+    "draw_landmark_counts",
+    "draw_landmark_errors",
+    "draw_pose_errors",
+    "save_figure",
+]

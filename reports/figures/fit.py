@@ -1,0 +1,174 @@
+"""The stages of one recognition, drawn over its image (the paper's figure 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from reports.figures.style import ORANGE, SKY, VERMILION, FloatArray, add_credits, new_figure, styled
+
+MATCH_SIGMAS = 6.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overlay:
+    """The data base, projected into an image with one pose.
+
+    Parameters
+    ----------
+    landmarks_px
+        (n, 2) projected means (u, v) of the visible landmarks.
+    covariances_px2
+        (n, 2, 2) projected covariances, or None to draw no ellipses.
+    edges_px
+        (m, 2, 2) ends (u, v) of the visible edges of the mesh.
+    """
+
+    landmarks_px: FloatArray
+    covariances_px2: FloatArray | None
+    edges_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """What the figure shows of one recognition, all of it in pixels of the image.
+
+    Parameters
+    ----------
+    image, mesh_image
+        (H, W) the observed image, and the mesh rendered with the pose of the first iteration.
+    before, after
+        The data base with the prior pose and with the final pose.
+    observed_centroid_px, rendered_centroid_px
+        (2,) brightness centroids of the two images.
+    corners_px
+        (k, 2) Harris corners of the image.
+    matched
+        (k,) True for the corners that were matched with a landmark.
+    """
+
+    image: NDArray[np.floating]
+    mesh_image: NDArray[np.floating]
+    before: Overlay
+    after: Overlay
+    observed_centroid_px: FloatArray
+    rendered_centroid_px: FloatArray
+    corners_px: FloatArray
+    matched: NDArray[np.bool_]
+
+
+@styled
+def draw_fit_panels(fit: Fit, title: str, credit_lines: Sequence[str] = ()) -> Figure:
+    """Draw the initial fit, the rendered mesh and the converged fit, cropped alike to the body.
+
+    Parameters
+    ----------
+    fit
+        What to draw.
+    title
+        Printed above the panels.
+    credit_lines
+        Credits of a real image.
+    """
+    figure, (first, second, third) = new_figure(3, width_in=10.5, height_in=4.3)
+    for axes, image in ((first, fit.image), (second, fit.mesh_image), (third, fit.image)):
+        _draw_image(axes, image)
+    _draw_initial(first, fit)
+    _draw_final(third, fit)
+    window = _window(fit)
+    names = ("(a) initial fit", "(b) mesh rendered for the first iteration", "(c) converged fit")
+    for axes, name in zip((first, second, third), names, strict=True):
+        axes.set_title(name)
+        axes.set(xlim=window[0], ylim=window[1][::-1], xticks=[], yticks=[])
+        axes.spines[:].set_visible(False)
+    figure.suptitle(title, fontsize=10)
+    add_credits(figure, credit_lines)
+    return figure
+
+
+def _draw_image(axes: Axes, image: NDArray[np.floating]) -> None:
+    """Show an image so that the centre of its first pixel is at (0.5, 0.5), stretched to its 99.8th percentile."""
+    height, width = image.shape
+    top = float(np.percentile(image, 99.8)) or float(image.max()) or 1.0
+    axes.imshow(image, cmap="gray", vmin=0.0, vmax=top, extent=(0, width, height, 0), interpolation="nearest")
+    axes.grid(visible=False)
+
+
+def _draw_initial(axes: Axes, fit: Fit) -> None:
+    _draw_edges(axes, fit.before)
+    if fit.before.covariances_px2 is not None:
+        axes.add_collection(_ellipses(axes, fit.before.landmarks_px, fit.before.covariances_px2))
+    marks = ((fit.observed_centroid_px, "black"), (fit.rendered_centroid_px, VERMILION))
+    for (u, v), colour in marks:
+        axes.plot(u, v, "o", markersize=6, color=colour, markeredgecolor="white", markeredgewidth=0.9, zorder=5)
+    handles = [
+        _dot("o", "black", "white", "observed centroid"),
+        _dot("o", VERMILION, "white", "rendered centroid"),
+        Line2D([], [], color=SKY, label=f"{MATCH_SIGMAS:g}-sigma search"),
+    ]
+    _legend(axes, handles)
+
+
+def _draw_final(axes: Axes, fit: Fit) -> None:
+    _draw_edges(axes, fit.after)
+    free, matched = fit.corners_px[~fit.matched], fit.corners_px[fit.matched]
+    axes.plot(*free.T, "D", markersize=3.4, markerfacecolor="none", markeredgecolor=VERMILION, markeredgewidth=0.8)
+    axes.plot(*matched.T, "D", markersize=4.2, color=VERMILION, markeredgecolor="white", markeredgewidth=0.5)
+    handles = [
+        _dot("D", "none", VERMILION, f"corner ({len(fit.corners_px)})"),
+        _dot("D", VERMILION, "white", f"matched landmark ({len(matched)})"),
+    ]
+    _legend(axes, handles)
+
+
+def _draw_edges(axes: Axes, overlay: Overlay) -> None:
+    axes.add_collection(LineCollection(list(overlay.edges_px), colors=ORANGE, linewidths=0.45, alpha=0.75))
+
+
+def _ellipses(axes: Axes, centres_px: FloatArray, covariances_px2: FloatArray) -> EllipseCollection:
+    """Build the ellipses within which a corner matches (d^2 < 36)."""
+    variances, vectors = np.linalg.eigh(covariances_px2)
+    diameters = 2.0 * MATCH_SIGMAS * np.sqrt(np.maximum(variances, 0.0))
+    angles = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
+    return EllipseCollection(
+        diameters[:, 1],
+        diameters[:, 0],
+        angles,
+        units="xy",
+        offsets=centres_px,
+        transOffset=axes.transData,
+        facecolors="none",
+        edgecolors=SKY,
+        linewidths=0.8,
+    )
+
+
+def _dot(marker: str, face: str, edge: str, label: str) -> Line2D:
+    return Line2D([], [], marker=marker, color="none", markerfacecolor=face, markeredgecolor=edge, label=label)
+
+
+def _legend(axes: Axes, handles: Sequence[Line2D]) -> None:
+    legend = axes.legend(
+        handles=list(handles), loc="lower left", frameon=True, framealpha=0.6, facecolor="black", edgecolor="none"
+    )
+    for text in legend.get_texts():
+        text.set_color("white")
+
+
+def _window(fit: Fit) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Bounds (left, right), (top, bottom) in pixels: the drawn overlays with a margin, within the image."""
+    height, width = fit.image.shape
+    points = np.concatenate([fit.before.edges_px.reshape(-1, 2), fit.after.edges_px.reshape(-1, 2), fit.corners_px])
+    if len(points) == 0:
+        return (0.0, float(width)), (0.0, float(height))
+    margin = 0.06 * max(np.ptp(points, axis=0).max(), 1.0)
+    low = np.maximum(points.min(axis=0) - margin, 0.0)
+    high = np.minimum(points.max(axis=0) + margin, (width, height))
+    return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))

@@ -1,0 +1,99 @@
+"""Figures of landmarks: errors and their chi-square (the paper's figure 7), number an image (figure 10)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.stats import chi2
+
+from reports.figures.style import (
+    BLUE,
+    GREY,
+    VERMILION,
+    FloatArray,
+    add_credits,
+    new_figure,
+    note_beyond,
+    shared_edges,
+    step_histogram,
+    styled,
+)
+
+DEGREES_OF_FREEDOM = 3
+_FILL = {"color": BLUE, "linewidth": 1.5}
+
+
+@styled
+def draw_landmark_errors(
+    error_m: FloatArray, chi_square: FloatArray, title: str, credit_lines: Sequence[str] = ()
+) -> Figure:
+    """Draw the histogram of landmark errors, and that of chi-square against its theory with 3 degrees of freedom.
+
+    Parameters
+    ----------
+    error_m, chi_square
+        (n,) and (m,) finite values of all recognised landmarks.
+    title
+        Printed above the panels.
+    credit_lines
+        Credits of real images.
+    """
+    figure, (left, right) = new_figure(2)
+    _draw_sample(left, error_m, "m", "landmark error, m", "frequency per metre")
+    edges = _draw_sample(right, chi_square, "", "chi-square of the landmark error", "frequency")
+    x = np.linspace(0.0, edges[-1], 400)
+    theory = f"chi-square, {DEGREES_OF_FREEDOM} degrees of freedom"
+    right.plot(x, chi2.pdf(x, DEGREES_OF_FREEDOM), color=VERMILION, linestyle="--", linewidth=1.4, label=theory)
+    right.legend(loc="upper right")
+    figure.suptitle(title, fontsize=9.5)
+    add_credits(figure, credit_lines)
+    return figure
+
+
+def _draw_sample(axes: Axes, sample: FloatArray, unit: str, label: str, frequency: str) -> FloatArray:
+    edges = shared_edges([sample], bins=50)
+    median = float(np.median(sample))
+    name = f"observed: median {median:.3g} {unit}".rstrip() + f" (n = {len(sample)})"
+    beyond = step_histogram(axes, sample, edges, label=name, **_FILL)
+    axes.axvline(median, color=BLUE, linewidth=0.9, linestyle=":")
+    axes.set(xlabel=label, ylabel=frequency, xlim=(0, edges[-1]))
+    axes.legend(loc="upper right")
+    note_beyond(axes, beyond, float(edges[-1]), unit)
+    return edges
+
+
+@styled
+def draw_landmark_counts(
+    counts: FloatArray, title: str, published_median: float | None = None, credit_lines: Sequence[str] = ()
+) -> Figure:
+    """Draw the histogram of the number of recognised landmarks an image.
+
+    Parameters
+    ----------
+    counts
+        (n,) numbers of landmarks, one an image.
+    title
+        Printed above the panel.
+    published_median
+        Median of a paper, marked by a second line.
+    credit_lines
+        Credits of real images.
+    """
+    figure, (axes,) = new_figure(1, width_in=5.0, height_in=3.2)
+    width = max(1, round((counts.max() - counts.min()) / 40))
+    edges = np.arange(counts.min() - 0.5, counts.max() + width + 0.5, width)
+    median = float(np.median(counts))
+    axes.hist(counts, bins=edges.tolist(), color=BLUE, alpha=0.25, edgecolor=BLUE, linewidth=0.8, histtype="stepfilled")
+    axes.axvline(median, color=BLUE, linewidth=1.4, label=f"median {median:.3g} (n = {len(counts)})")
+    if published_median is not None:
+        label = f"median of the paper {published_median:.3g}"
+        axes.axvline(published_median, color=GREY, linestyle="--", linewidth=1.4, label=label)
+    axes.set(xlabel="recognised landmarks an image", ylabel="images")
+    axes.set_ylim(0, axes.get_ylim()[1] * 1.18)
+    axes.legend(loc="upper right")
+    figure.suptitle(title, fontsize=9.5)
+    add_credits(figure, credit_lines)
+    return figure

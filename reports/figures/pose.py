@@ -1,0 +1,162 @@
+"""Figures of pose errors: histograms after each stage (the paper's figure 6) and cumulative shares of all trials."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from reports.figures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    LINE_STYLES,
+    ORANGE,
+    SERIES_COLOURS,
+    FloatArray,
+    add_credits,
+    new_figure,
+    note_beyond,
+    shared_edges,
+    step_histogram,
+    styled,
+)
+
+_PANELS = (
+    ("attitude_error_deg", "attitude error, deg", "deg", "frequency per degree"),
+    ("position_error_m", "position error, m", "m", "frequency per metre"),
+)
+
+
+@styled
+def draw_pose_errors(
+    stages: Mapping[str, pd.DataFrame],
+    title: str,
+    published: Mapping[tuple[str, str], float] | None = None,
+    credit_lines: Sequence[str] = (),
+) -> Figure:
+    """Draw normalised histograms of attitude and position error, with the medians marked.
+
+    Parameters
+    ----------
+    stages
+        Label of each stage and its errors, with columns ``attitude_error_deg`` and ``position_error_m``, in order.
+        A stage that leaves the attitude of the first as it was is left out of the attitude panel.
+    title
+        Printed above the panels.
+    published
+        Medians of a paper by (stage label, column), marked by triangles at the upper edge.
+    credit_lines
+        Credits of real images.
+    """
+    figure, panels = new_figure(2)
+    for axes, (column, label, unit, frequency) in zip(panels, _PANELS, strict=True):
+        samples = {name: _finite(errors[column]) for name, errors in stages.items()}
+        if column == "attitude_error_deg":
+            samples = _without_repeats(samples)
+        _draw_stages(axes, samples, list(stages), unit)
+        for (name, wanted), value in (published or {}).items():
+            if wanted == column and name in samples:
+                _mark_published(axes, value, _line(list(stages).index(name), len(stages))["color"])
+        axes.set(xlabel=label, ylabel=frequency)
+    figure.suptitle(title, fontsize=9.5)
+    add_credits(figure, credit_lines)
+    return figure
+
+
+def _finite(values: pd.Series) -> FloatArray:
+    return np.asarray(values.dropna(), dtype=np.float64)
+
+
+def _without_repeats(samples: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Drop the stages whose errors are those of the first."""
+    first = next(iter(samples.values()))
+    return {
+        name: sample
+        for i, (name, sample) in enumerate(samples.items())
+        if i == 0 or len(sample) != len(first) or not np.allclose(sample, first)
+    }
+
+
+def _line(index: int, count: int) -> dict[str, Any]:
+    """Style of a stage: grey for the first, blue for the last, orange and green between them."""
+    if index == 0:
+        return {"color": GREY, "linestyle": "--", "linewidth": 1.3}
+    if index == count - 1:
+        return {"color": BLUE, "linestyle": "-", "linewidth": 1.7}
+    return {"color": (ORANGE, GREEN)[(index - 1) % 2], "linestyle": "-.", "linewidth": 1.4}
+
+
+def _draw_stages(axes: Axes, samples: Mapping[str, FloatArray], order: Sequence[str], unit: str) -> None:
+    edges = shared_edges(list(samples.values()))
+    beyond = 0
+    for name, sample in samples.items():
+        line = _line(order.index(name), len(order))
+        label = f"{name} (n = {len(sample)})"
+        if len(sample):
+            median = float(np.median(sample))
+            label = f"{name}: median {median:.3g} {unit} (n = {len(sample)})"
+            axes.axvline(median, ymax=0.93, color=line["color"], linewidth=0.9, linestyle=":")
+        beyond += step_histogram(axes, sample, edges, label=label, **line)
+    axes.set_xlim(0, edges[-1])
+    axes.set_ylim(0, axes.get_ylim()[1] * (1.1 + 0.09 * len(samples)))
+    axes.legend(loc="upper right")
+    note_beyond(axes, beyond, float(edges[-1]), unit)
+
+
+def _mark_published(axes: Axes, value: float, colour: str) -> None:
+    """Mark a paper's median by an open triangle on the axis."""
+    axes.plot(
+        [value],
+        [0.0],
+        marker="^",
+        markersize=7,
+        markerfacecolor="white",
+        markeredgecolor=colour,
+        transform=axes.get_xaxis_transform(),
+        clip_on=False,
+        zorder=5,
+        linestyle="none",
+    )
+
+
+@styled
+def draw_cumulative_errors(
+    estimators: Mapping[str, tuple[pd.DataFrame, int]], title: str, credit_lines: Sequence[str] = ()
+) -> Figure:
+    """Draw the share of all trials whose error is below a bound, so that failures lower the curve.
+
+    Parameters
+    ----------
+    estimators
+        Label of each estimator, its errors where it is ok, and its number of trials.
+    title
+        Printed above the panels.
+    credit_lines
+        Credits of real images.
+    """
+    figure, panels = new_figure(2)
+    for axes, (column, label, _, _) in zip(panels, _PANELS, strict=True):
+        samples = {name: np.sort(_finite(errors[column])) for name, (errors, _) in estimators.items()}
+        limit = float(shared_edges(list(samples.values()))[-1])
+        for i, (name, sample) in enumerate(samples.items()):
+            n = estimators[name][1]
+            share = np.arange(1, len(sample) + 1) / n
+            axes.step(
+                np.concatenate([[0.0], sample, [limit]]),
+                np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]]),
+                where="post",
+                color=GREY if name == "prior" else SERIES_COLOURS[i % len(SERIES_COLOURS)],
+                linestyle=LINE_STYLES[i % len(LINE_STYLES)],
+                linewidth=1.6,
+                label=f"{name} ({len(sample)} of {n} ok)",
+            )
+        axes.set(xlabel=label, ylabel="share of all trials", xlim=(0, limit), ylim=(0, 1.02))
+    panels[1].legend(loc="lower right")
+    figure.suptitle(title, fontsize=9.5)
+    add_credits(figure, credit_lines)
+    return figure

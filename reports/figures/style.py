@@ -1,0 +1,117 @@
+"""What all figures share: colours, axes, histograms, and files that do not change with the clock."""
+
+from __future__ import annotations
+
+import functools
+import io
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, ParamSpec
+
+import matplotlib.style
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Parameters = ParamSpec("Parameters")
+
+# Okabe and Ito's palette, which colour-blind readers can tell apart; line styles differ as well, for print in grey.
+GREY, ORANGE, BLUE, GREEN, VERMILION, PURPLE, SKY = (
+    "#5f6368",
+    "#e69f00",
+    "#0072b2",
+    "#009e73",
+    "#d55e00",
+    "#cc79a7",
+    "#56b4e9",
+)
+LINE_STYLES: tuple[str | tuple[int, tuple[int, ...]], ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+SERIES_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY)
+_PARAMETERS: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib, so the same bytes on every machine
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#d8dce0",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "axes.edgecolor": "#5f6368",
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "pdf.fonttype": 42,
+    "savefig.facecolor": "white",
+}
+
+
+def styled(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
+    """Run a drawing function in the style of this module, whatever the reader's own matplotlib settings are."""
+
+    @functools.wraps(draw)
+    def inner(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Figure:
+        with matplotlib.style.context(["default", _PARAMETERS]):
+            return draw(*args, **kwargs)
+
+    return inner
+
+
+def new_figure(columns: int, width_in: float = 7.5, height_in: float = 3.4) -> tuple[Figure, list[Axes]]:
+    """Make a figure with ``columns`` panels side by side, without pyplot's global state."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, list(figure.subplots(1, columns, squeeze=False)[0])
+
+
+def render(figure: Figure, kind: str, dpi: int = 160) -> bytes:
+    """Encode a figure as ``png`` or ``pdf``, without dates: the same figure gives the same bytes on one machine."""
+    metadata = {"Software": None} if kind == "png" else {"Creator": None, "Producer": None, "CreationDate": None}
+    buffer = io.BytesIO()
+    with matplotlib.style.context(["default", _PARAMETERS]):
+        figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
+    return buffer.getvalue()
+
+
+def save_figure(figure: Figure, stem: Path) -> tuple[Path, Path]:
+    """Write ``stem``.png and ``stem``.pdf and return their paths."""
+    paths = (stem.with_name(f"{stem.name}.png"), stem.with_name(f"{stem.name}.pdf"))
+    for path in paths:
+        path.write_bytes(render(figure, path.suffix[1:]))
+    return paths
+
+
+def add_credits(figure: Figure, credit_lines: Sequence[str]) -> None:
+    """Print the credit lines of the images below the panels."""
+    if credit_lines:
+        figure.supxlabel("; ".join(credit_lines), fontsize=7, color=GREY, x=0.995, ha="right")
+
+
+def shared_edges(samples: Sequence[FloatArray], bins: int = 40) -> FloatArray:
+    """Choose bin edges (bins + 1,) from 0 to a round number that holds 99 % of every sample."""
+    top = max((float(np.percentile(sample, 99)) for sample in samples if len(sample)), default=1.0) or 1.0
+    unit = 10.0 ** np.floor(np.log10(top))
+    step = next(s for s in (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0) if s * unit >= top * (1 - 1e-9))
+    return np.linspace(0.0, step * unit, bins + 1)
+
+
+def step_histogram(axes: Axes, sample: FloatArray, edges: FloatArray, **line: Any) -> int:
+    """Draw a step histogram in frequency per unit, normalised by the whole sample.
+
+    Returns
+    -------
+    beyond
+        How many values lie beyond the last edge; they count in the normalisation, not in the drawing.
+    """
+    inside = np.histogram(sample, edges)[0]
+    axes.stairs(inside / (max(len(sample), 1) * np.diff(edges)), edges, **line)
+    return int(np.count_nonzero(sample > edges[-1]))
+
+
+def note_beyond(axes: Axes, beyond: int, limit: float, unit: str) -> None:
+    """Say in the corner how many values the axis leaves out."""
+    if beyond:
+        text = f"{beyond} beyond {limit:g} {unit}".strip()
+        axes.text(0.99, 0.02, text, transform=axes.transAxes, ha="right", va="bottom", fontsize=7, color=GREY)

@@ -1,0 +1,71 @@
+"""One self-contained page: no script, nothing fetched from elsewhere."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from importlib import resources
+
+from jinja2 import Environment, StrictUndefined
+
+from reports.content import Content, NamedFigure, finished_trials
+from reports.figures.style import render
+
+
+def html_page(content: Content, figures: Sequence[NamedFigure]) -> str:
+    """Fill the page's template.
+
+    Parameters
+    ----------
+    content
+        What is said.
+    figures
+        Embedded as PNG.
+    """
+    files = resources.files("reports")
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    template = environment.from_string(files.joinpath("page.html").read_text(encoding="utf-8"))
+    manifest = content.run.manifest
+    return template.render(
+        css=files.joinpath("page.css").read_text(encoding="utf-8"),
+        manifest=manifest,
+        done=finished_trials(content.run),
+        facts=_facts(content),
+        notes=content.notes,
+        grids=content.grids(),
+        figures=[(figure, base64.b64encode(render(figure.figure, "png")).decode()) for figure in figures],
+        resolved={
+            "scenarios": json.dumps(manifest.scenarios, indent=2, ensure_ascii=False),
+            "estimators": json.dumps(manifest.estimators, indent=2, ensure_ascii=False),
+        },
+        command=reproduce_command(content),
+    )
+
+
+def reproduce_command(content: Content) -> str:
+    """Write the command line that makes this run again."""
+    manifest = content.run.manifest
+    return manifest.command or f"boresight run {manifest.name} --trials {manifest.trials} --seed {manifest.seed}"
+
+
+def _facts(content: Content) -> list[tuple[str, str]]:
+    """Say how the run was made, as names and values."""
+    manifest = content.run.manifest
+    facts = [
+        ("Campaign", manifest.name),
+        ("Trials", f"{finished_trials(content.run)} of {manifest.trials}"),
+        ("Seed", str(manifest.seed)),
+        ("Created", manifest.created),
+        ("Commit", manifest.commit),
+        ("Machine", _listed(manifest.machine)),
+        ("Versions", _listed(manifest.versions)),
+    ]
+    return [(name, value) for name, value in facts if value]
+
+
+def _listed(mapping: object) -> str:
+    """Write a mapping on one line."""
+    if not isinstance(mapping, dict):
+        return str(mapping)
+    return ", ".join(f"{str(name).replace('_', ' ')} {value}" for name, value in mapping.items())

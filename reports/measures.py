@@ -1,0 +1,253 @@
+"""Every number of a report, in one tidy table: what was measured, over how many trials, how well it is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from reports.run_data import POSE_COLUMNS, RunData, select
+from reports.statistics import MEAN, MEDIAN, P75, P95, RMS, ROOT_MEDIAN_SQUARE, Measured, Statistic, measure
+
+CONTROL = "prior"
+"""Name of the control estimator, and of the stage before anything was estimated."""
+FAILURES_AT_PRIOR = "failures-at-prior"
+"""Stage in which a trial without an estimate counts with the error of its prior."""
+
+UNITS = {
+    "position_error_m": "m",
+    "position_error_x_m": "m",
+    "position_error_y_m": "m",
+    "position_error_z_m": "m",
+    "attitude_error_deg": "deg",
+    "position_reduction_m": "m",
+    "attitude_reduction_deg": "deg",
+    "n_landmarks": "",
+    "landmark_error_m": "m",
+    "chi_square": "",
+    "database_landmarks": "",
+    "database_facets": "",
+    "seconds": "s",
+}
+_MAGNITUDE = (MEDIAN, RMS, P75, P95)
+_COMPONENT = (ROOT_MEDIAN_SQUARE, RMS)
+_POSE_STATISTICS = dict(zip(POSE_COLUMNS, (_MAGNITUDE, _MAGNITUDE, _COMPONENT, _COMPONENT, _COMPONENT), strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One line of the tidy table.
+
+    Parameters
+    ----------
+    scenario, estimator
+        What the trials were.
+    stage
+        ``prior``, a stage of the estimator, ``failures-at-prior``, ``database`` or a timed stage.
+    reference
+        The pose that was scored against; '' for the scenario's own truth.
+    measure, unit, statistic
+        What the value is.
+    value, low, high
+        The statistic with its 95 % interval; None where unknown.
+    n_ok, n
+        Samples behind the value, and how many there would be had nothing failed.
+    """
+
+    scenario: str
+    estimator: str
+    stage: str
+    reference: str
+    measure: str
+    unit: str
+    statistic: str
+    value: float | None
+    low: float | None
+    high: float | None
+    n_ok: int
+    n: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Subject:
+    """What a group of records is about."""
+
+    scenario: str
+    estimator: str
+    stage: str
+    n: int
+    reference: str = ""
+
+    def record(self, name: str, statistic: str, measured: Measured, n_ok: int) -> Record:
+        return Record(
+            self.scenario,
+            self.estimator,
+            self.stage,
+            self.reference,
+            name,
+            UNITS[name],
+            statistic,
+            measured.value,
+            measured.low,
+            measured.high,
+            n_ok,
+            self.n,
+        )
+
+    def records(
+        self, name: str, values: pd.Series, clusters: NDArray[np.generic], statistics: Sequence[Statistic]
+    ) -> list[Record]:
+        """Evaluate ``statistics`` over the finite ``values``."""
+        numbers = values.to_numpy(dtype=np.float64)
+        known = np.isfinite(numbers)
+        measured = measure(numbers[known], clusters[known], statistics)
+        n_ok = int(known.sum())
+        return [self.record(name, s.name, m, n_ok) for s, m in zip(statistics, measured, strict=True)]
+
+    def pose_records(self, errors: pd.DataFrame, clusters: NDArray[np.generic]) -> list[Record]:
+        """Evaluate the statistics of the five pose errors."""
+        return [
+            record
+            for name in POSE_COLUMNS
+            for record in self.records(name, errors[name], clusters, _POSE_STATISTICS[name])
+        ]
+
+
+def measure_run(run: RunData) -> tuple[Record, ...]:
+    """Measure everything that the run's tables allow, in the order of the report."""
+    parts: tuple[Callable[[RunData], list[Record]], ...] = (
+        pose_measures,
+        reference_measures,
+        improvement_measures,
+        landmark_measures,
+        database_measures,
+        timing_measures,
+    )
+    return tuple(record for part in parts for record in part(run))
+
+
+def find(records: Sequence[Record], **wanted: str) -> Record | None:
+    """Return the first record whose fields equal ``wanted`` (``reference`` is '' unless given)."""
+    wanted = {"reference": "", **wanted}
+    return next((r for r in records if all(getattr(r, name) == value for name, value in wanted.items())), None)
+
+
+def clusters_of(run: RunData, table: pd.DataFrame) -> NDArray[np.generic]:
+    """Label the rows of a detail table by their real image, or by their trial where images were rendered."""
+    images = run.rows.drop_duplicates(["scenario", "trial"]).set_index(["scenario", "trial"])["image"]
+    image = images.reindex(pd.MultiIndex.from_frame(table[["scenario", "trial"]])).fillna("").to_numpy(dtype=str)
+    return np.where(image == "", table["trial"].to_numpy().astype(str), image)
+
+
+def final_stage(run: RunData, scenario: str, estimator: str) -> str:
+    """Name the last stage that the estimator reports; its errors are those of the rows."""
+    names = select(run.stages, scenario, estimator)["stage"].unique()
+    return str(names[-1]) if len(names) and names[-1] != CONTROL else "final"
+
+
+def errors_by_stage(run: RunData, scenario: str, estimator: str) -> dict[str, pd.DataFrame]:
+    """Collect pose errors (trial, POSE_COLUMNS) of the prior, each stage and the final estimate, in order.
+
+    The prior is known for every trial, a stage for the trials that reached it, the final estimate for
+    those that are ok.
+    """
+    rows = select(run.rows, scenario, estimator)
+    prior = rows[["trial"]].assign(**{name: rows[f"prior_{name}"] for name in POSE_COLUMNS})
+    stages = select(run.stages, scenario, estimator)
+    last = final_stage(run, scenario, estimator)
+    between = [name for name in stages["stage"].unique() if name not in (CONTROL, last)]
+    columns = ["trial", *POSE_COLUMNS]
+    found = {CONTROL: prior} | {name: stages.loc[stages["stage"] == name, columns] for name in between}
+    if estimator != CONTROL:
+        found[last] = rows.loc[rows["status"] == "ok", columns]
+    return found
+
+
+def pose_measures(run: RunData) -> list[Record]:
+    """Measure pose errors after each stage, and with failures counted at the error of their prior."""
+    records = []
+    for scenario, estimator in run.pairs():
+        rows = select(run.rows, scenario, estimator)
+        stages = errors_by_stage(run, scenario, estimator)
+        if estimator != CONTROL:
+            ok = (rows["status"] == "ok").to_numpy()
+            stages[FAILURES_AT_PRIOR] = rows.assign(
+                **{name: np.where(ok, rows[name], rows[f"prior_{name}"]) for name in POSE_COLUMNS}
+            )
+        for stage, errors in stages.items():
+            errors = errors.assign(scenario=scenario)
+            records += _Subject(scenario, estimator, stage, len(rows)).pose_records(errors, clusters_of(run, errors))
+    return records
+
+
+def reference_measures(run: RunData) -> list[Record]:
+    """Measure final pose errors against each further reference pose."""
+    records = []
+    for scenario, estimator in run.pairs():
+        table = select(run.references, scenario, estimator)
+        n = len(select(run.rows, scenario, estimator))
+        for reference in table["reference"].unique():
+            errors = table[table["reference"] == reference]
+            subject = _Subject(scenario, estimator, final_stage(run, scenario, estimator), n, str(reference))
+            records += subject.pose_records(errors, clusters_of(run, errors))
+    return records
+
+
+def improvement_measures(run: RunData) -> list[Record]:
+    """Measure prior error minus final error, trial by trial, over the trials that are ok (positive is better)."""
+    records = []
+    for scenario, estimator in run.pairs():
+        if estimator == CONTROL:
+            continue
+        rows = select(run.rows, scenario, estimator)
+        ok = rows[rows["status"] == "ok"]
+        subject = _Subject(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
+        for name, error in (("position_reduction_m", POSE_COLUMNS[0]), ("attitude_reduction_deg", POSE_COLUMNS[1])):
+            records += subject.records(name, ok[f"prior_{error}"] - ok[error], clusters_of(run, ok), (MEDIAN, MEAN))
+    return records
+
+
+def landmark_measures(run: RunData) -> list[Record]:
+    """Measure the number of landmarks an image, and the error of each recognised landmark."""
+    records = []
+    for scenario, estimator in run.pairs():
+        if estimator == CONTROL:
+            continue
+        rows = select(run.rows, scenario, estimator)
+        ok = rows[(rows["status"] == "ok") & rows["n_landmarks"].notna()]
+        stage = final_stage(run, scenario, estimator)
+        if len(ok):
+            subject = _Subject(scenario, estimator, stage, len(rows))
+            records += subject.records("n_landmarks", ok["n_landmarks"], clusters_of(run, ok), (MEDIAN, MEAN))
+        marks = select(run.landmarks, scenario, estimator)
+        if len(marks):
+            subject = _Subject(scenario, estimator, stage, len(marks))
+            clusters = clusters_of(run, marks)
+            records += subject.records("landmark_error_m", marks["error_m"], clusters, (MEDIAN, RMS, P95))
+            records += subject.records("chi_square", marks["chi_square"], clusters, (MEDIAN, MEAN))
+    return records
+
+
+def database_measures(run: RunData) -> list[Record]:
+    """Count the landmarks and facets of each data base."""
+    records = []
+    for product in run.manifest.products:
+        subject = _Subject(product.scenario, product.estimator, "database", 1)
+        for name, count in (("database_landmarks", product.n_landmarks), ("database_facets", product.n_facets)):
+            if count is not None:
+                records.append(subject.record(name, "count", Measured(count, count, count), 1))
+    return records
+
+
+def timing_measures(run: RunData) -> list[Record]:
+    """Measure the wall time of each stage of a trial."""
+    records = []
+    keys = ["scenario", "estimator", "stage"]
+    for (scenario, estimator, stage), times in run.timings.groupby(keys, sort=False):
+        total = times.groupby(["scenario", "trial"], sort=False)[["seconds"]].sum().reset_index()
+        subject = _Subject(str(scenario), str(estimator), str(stage), len(total))
+        records += subject.records("seconds", total["seconds"], clusters_of(run, total), (MEDIAN, MEAN, P95))
+    return records

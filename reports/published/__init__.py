@@ -1,0 +1,144 @@
+"""Published values that a campaign is compared with, each with its place in the paper and its tolerance."""
+
+from __future__ import annotations
+
+from importlib import resources
+from typing import Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from reports.measures import UNITS
+from scenarios.errors import BoresightError
+
+_FILES = ("rowell2015.yaml",)
+_SCALE = {("", ""): 1.0, ("m", "m"): 1.0, ("deg", "deg"): 1.0, ("s", "s"): 1.0, ("ms", "s"): 1e-3}
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class PublishedValue(_Model):
+    """One printed number.
+
+    Parameters
+    ----------
+    measure, stage, statistic
+        Which of our numbers it stands beside.
+    printed
+        Number and unit, verbatim.
+    tolerance
+        Half-width of the band that counts as reproduced, in the measure's unit; None where no verdict is due.
+    better
+        Which side of the band is an improvement.
+    place
+        Where it is printed.
+    """
+
+    measure: str
+    stage: str
+    statistic: str
+    printed: str = Field(pattern=r"^\d+(\.\d+)?( [a-z]+)?$")
+    tolerance: float | None = Field(None, gt=0)
+    better: Literal["lower", "higher", "neither"] = "neither"
+    place: str = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        if self.measure not in UNITS:
+            raise ValueError(f"measure {self.measure!r} is not one of {', '.join(UNITS)}")
+        if (self._unit, UNITS[self.measure]) not in _SCALE:
+            raise ValueError(f"{self.printed!r}: unit {self._unit!r} does not fit {self.measure}")
+        return self
+
+    @property
+    def _unit(self) -> str:
+        return self.printed.partition(" ")[2]
+
+    @property
+    def value(self) -> float:
+        """The printed number in the unit of the measure."""
+        return float(self.printed.partition(" ")[0]) * _SCALE[self._unit, UNITS[self.measure]]
+
+
+class Comparison(_Model):
+    """The values of one experiment of a paper.
+
+    Parameters
+    ----------
+    conditions
+        How the paper's numbers were obtained, and what differs from ours.
+    verdicts
+        False where the conditions differ so much that a verdict would mean nothing.
+    values
+        The printed numbers.
+    source
+        The paper.
+    """
+
+    conditions: str
+    verdicts: bool = True
+    values: tuple[PublishedValue, ...] = Field(min_length=1)
+    source: str = ""
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Self:
+        keys = [(value.measure, value.stage, value.statistic) for value in self.values]
+        repeated = {key for key in keys if keys.count(key) > 1}
+        if repeated:
+            raise ValueError(f"values are given twice: {sorted(repeated)}")
+        return self
+
+    def find(self, measure: str, stage: str, statistic: str) -> PublishedValue | None:
+        """Look a value up; None if the paper does not print it."""
+        key = (measure, stage, statistic)
+        return next((value for value in self.values if (value.measure, value.stage, value.statistic) == key), None)
+
+
+class _Document(_Model):
+    source: str
+    comparisons: dict[str, Comparison]
+
+
+def published_names() -> list[str]:
+    """List the keys that a campaign's ``report:`` may name."""
+    return sorted(name for file in _FILES for name in _read(file).comparisons)
+
+
+def load_published(name: str) -> Comparison:
+    """Load the published values called ``name``.
+
+    Raises
+    ------
+    BoresightError
+        If there are none of that name.
+    """
+    for file in _FILES:
+        document = _read(file)
+        if name in document.comparisons:
+            return document.comparisons[name].model_copy(update={"source": document.source})
+    raise BoresightError(f"report: no published values are called {name!r}; known are {', '.join(published_names())}")
+
+
+def _read(file: str) -> _Document:
+    return parse(resources.files(__name__).joinpath(file).read_text(encoding="utf-8"), file)
+
+
+def parse(text: str, file: str) -> _Document:
+    """Validate the text of a file of published values.
+
+    Raises
+    ------
+    BoresightError
+        If the text is not YAML or does not fit the schema.
+    """
+    try:
+        return _Document.model_validate(YAML(typ="safe", pure=True).load(text))
+    except YAMLError as error:
+        raise BoresightError(f"{file}: not YAML: {error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise BoresightError(f"{file}: {place}: {first['msg']}") from error

@@ -1,0 +1,150 @@
+"""A stored run, read back: the only thing that a report is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from scenarios.errors import BoresightError
+
+POSE_COLUMNS = (
+    "position_error_m",
+    "attitude_error_deg",
+    "position_error_x_m",
+    "position_error_y_m",
+    "position_error_z_m",
+)
+_KEY = ("scenario", "estimator", "trial")
+_COLUMNS: Mapping[str, tuple[str, ...]] = {
+    "rows": (*_KEY, "status", "reason", *(f"prior_{name}" for name in POSE_COLUMNS), *POSE_COLUMNS),
+    "stages": (*_KEY, "stage", *POSE_COLUMNS),
+    "references": (*_KEY, "reference", *POSE_COLUMNS),
+    "landmarks": (*_KEY, "landmark", "error_m", "chi_square"),
+    "timings": (*_KEY, "stage", "seconds"),
+}
+
+
+class Product(BaseModel):
+    """What is known of a product that was built before the trials, such as a landmark data base."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    kind: str
+    scenario: str
+    estimator: str
+    n_landmarks: int | None = None
+    n_facets: int | None = None
+    seconds: float | None = None
+    images: int | None = None
+
+
+class Manifest(BaseModel):
+    """What a report needs of ``manifest.json``; further keys are left alone.
+
+    ``credits`` has no default: a figure of somebody else's images without its credit line is not acceptable.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    name: str
+    title: str = ""
+    seed: int
+    trials: int
+    created: str = ""
+    commit: str = ""
+    scenarios: Any
+    estimators: Any
+    versions: Mapping[str, Any]
+    machine: Mapping[str, Any]
+    credits: tuple[str, ...]
+    report: str | None = None
+    command: str = ""
+    notes: tuple[str, ...] = ()
+    products: tuple[Product, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunData:
+    """The tables of a run, sorted by trial, scenario and estimator; a table that was not stored is empty.
+
+    Parameters
+    ----------
+    folder
+        Where the run lies.
+    manifest
+        How it was made.
+    rows
+        One row per trial and estimator; ``image`` is '' where the image was rendered, ``n_landmarks`` is
+        NaN where the estimator does not count landmarks.
+    stages, references, landmarks, timings
+        Detail tables: errors after each stage, errors against further reference poses, recognised
+        landmarks, wall times.
+    """
+
+    folder: Path
+    manifest: Manifest
+    rows: pd.DataFrame
+    stages: pd.DataFrame
+    references: pd.DataFrame
+    landmarks: pd.DataFrame
+    timings: pd.DataFrame
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """List (scenario, estimator) in the order in which the rows name them."""
+        return list(self.rows[["scenario", "estimator"]].drop_duplicates().itertuples(index=False, name=None))
+
+
+def select(table: pd.DataFrame, scenario: str, estimator: str) -> pd.DataFrame:
+    """Rows of one scenario and estimator."""
+    return table[(table["scenario"] == scenario) & (table["estimator"] == estimator)]
+
+
+def read_run(folder: Path) -> RunData:
+    """Read a run folder.
+
+    Raises
+    ------
+    BoresightError
+        If the manifest is missing or broken, or if no trial has been stored yet.
+    """
+    manifest = _read_manifest(folder / "manifest.json")
+    tables = {name: _read_table(folder / name, columns) for name, columns in _COLUMNS.items()}
+    rows = tables.pop("rows")
+    if rows.empty:
+        raise BoresightError(f"{folder}/rows: no finished trial is stored; continue the run first")
+    image = rows["image"].fillna("").astype(str) if "image" in rows else ""
+    n_landmarks = rows["n_landmarks"].astype(float) if "n_landmarks" in rows else float("nan")
+    rows = rows.assign(image=image, n_landmarks=n_landmarks, reason=rows["reason"].fillna(""))
+    return RunData(folder, manifest, rows, **tables)
+
+
+def _read_manifest(path: Path) -> Manifest:
+    try:
+        return Manifest.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        raise BoresightError(f"{path}: not found; is {path.parent} the folder of a run?") from None
+    except OSError as error:
+        raise BoresightError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise BoresightError(f"{path}: {place}: {first['msg']}; the run was not written by boresight") from error
+
+
+def _read_table(folder: Path, columns: tuple[str, ...]) -> pd.DataFrame:
+    """Read a Parquet folder, in an order that does not depend on how its parts were written."""
+    if not folder.is_dir() or not any(folder.glob("*.parquet")):
+        return pd.DataFrame(columns=list(columns))
+    try:
+        table = pd.read_parquet(folder)
+    except (OSError, ValueError) as error:
+        raise BoresightError(f"{folder}: cannot be read as Parquet: {error}") from error
+    missing = [name for name in columns if name not in table.columns]
+    if missing:
+        raise BoresightError(f"{folder}: columns {', '.join(missing)} are missing; the run is of another version")
+    return table.sort_values(["trial", "scenario", "estimator"], kind="stable").reset_index(drop=True)

@@ -1,0 +1,262 @@
+"""The tables of a report: the same cells for the page, for Markdown and for the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from reports.comparison import VERDICT_RULE, ComparedValue
+from reports.measures import CONTROL, FAILURES_AT_PRIOR, Record, find
+from reports.run_data import RunData
+from reports.statistics import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE
+
+NO_VALUE = "-"
+_STAGES = {
+    CONTROL: "prior",
+    "centroid": "after centroiding",
+    "recognition": "after recognition",
+    "final": "final",
+    FAILURES_AT_PRIOR: "all trials, failures at their prior",
+    "database": "data base",
+}
+_TIMED = {
+    "mesh_rendering": "data base image rendering",
+    "centroid": "brightness centroid",
+    "feature_extraction": "feature extraction",
+    "recognition": "recognition and pose estimation",
+}
+_MEASURES = {
+    "position_error_m": "position error",
+    "position_error_x_m": "position error, x",
+    "position_error_y_m": "position error, y",
+    "position_error_z_m": "position error, z",
+    "attitude_error_deg": "attitude error",
+    "n_landmarks": "landmarks an image",
+    "landmark_error_m": "landmark error",
+    "chi_square": "chi-square of a landmark",
+    "database_landmarks": "landmarks in the data base",
+    "database_facets": "facets of the data base",
+    "position_reduction_m": "reduction of the position error",
+    "attitude_reduction_deg": "reduction of the attitude error",
+    "seconds": "time",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """A table of printed cells.
+
+    Parameters
+    ----------
+    title, note
+        Heading, and what a reader must know to read it.
+    columns
+        Headings of the columns.
+    rows
+        Cells, as many as columns.
+    text
+        Numbers of the columns that hold text; the others hold numbers and align right.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    text: frozenset[int] = frozenset({0})
+    note: str = ""
+
+    def markdown(self) -> str:
+        """Write as a Markdown table under its heading."""
+        rule = [":--" if i in self.text else "--:" for i in range(len(self.columns))]
+        cells = [self.columns, rule, *([_escape(cell) for cell in row] for row in self.rows)]
+        table = "\n".join(f"| {' | '.join(row)} |" for row in cells)
+        return "\n\n".join(part for part in (f"### {self.title}", self.note, table) if part) + "\n"
+
+
+def _escape(cell: str) -> str:
+    """Keep a text from ending its Markdown cell."""
+    return cell.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")
+
+
+def number(value: float | None) -> str:
+    """Print three significant digits (whole numbers from 100 on); ``-`` for no value."""
+    if value is None:
+        return NO_VALUE
+    if value == 0 or abs(value) >= 100:
+        return f"{value:.0f}"
+    return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
+
+
+def value_of(record: Record | None, interval: bool = False) -> str:
+    """Print a record's value, on request with its interval; times with s or ms."""
+    if record is None or record.value is None:
+        return NO_VALUE
+    if record.statistic == "count":
+        return str(int(record.value))
+    scale, unit = (1.0, "") if record.unit != "s" else (1.0, " s") if record.value >= 1 else (1e3, " ms")
+    value = f"{number(scale * record.value)}{unit}"
+    if not interval or record.low is None or record.high is None:
+        return value
+    return f"{value} [{number(scale * record.low)}, {number(scale * record.high)}]"
+
+
+def counts(record: Record | None) -> str:
+    """Print n_ok/n."""
+    return NO_VALUE if record is None else f"{record.n_ok}/{record.n}"
+
+
+def stage_label(stage: str, timed: bool = False) -> str:
+    """Name a stage in plain words: as a state of the pose, or as a piece of work that takes time."""
+    return (_TIMED if timed else _STAGES).get(stage, stage.replace("_", " "))
+
+
+def measure_label(name: str) -> str:
+    """Name a measure in plain words."""
+    return _MEASURES[name]
+
+
+def pose_grids(records: Sequence[Record]) -> list[Grid]:
+    """Tabulate pose errors after each stage, a grid for each scenario."""
+    note = (
+        "Median with its 95 % bootstrap interval, RMS and 95th percentile of the error; x, y, z: root-median-square "
+        "along the camera axes (x right, y down, z along the boresight), in m. ok: trials behind the line, of all."
+    )
+    heads = ("estimator", "stage", "ok", "position m", "RMS", "95th", "x", "y", "z", "attitude deg", "RMS", "95th")
+    own = [r for r in records if r.measure == "position_error_m" and r.statistic == MEDIAN.name and r.reference == ""]
+    grids = []
+    for scenario in dict.fromkeys(r.scenario for r in own):
+        lines = _pose_lines([r for r in own if r.scenario == scenario])
+        rows = tuple((_who(line), stage_label(line.stage), *_pose_cells(records, line)) for line in lines)
+        grids.append(Grid(f"Pose error, {scenario}", heads, rows, frozenset({0, 1}), note))
+    return grids
+
+
+def _pose_lines(own: Sequence[Record]) -> list[Record]:
+    """Choose the lines of one scenario: the prior, which all share, once; failures at the prior where there are any."""
+    priors = [r for r in own if r.stage == CONTROL]
+    later = [r for r in own if r.stage != CONTROL]
+    failed = {r.estimator for r in later if r.n_ok < r.n}
+    return priors[:1] + [r for r in later if r.stage != FAILURES_AT_PRIOR or r.estimator in failed]
+
+
+def _who(line: Record) -> str:
+    return "" if line.stage == CONTROL else line.estimator
+
+
+def _pose_cells(records: Sequence[Record], line: Record) -> tuple[str, ...]:
+    """Cells of the columns from ``ok`` on."""
+
+    def get(measure: str, statistic: str) -> Record | None:
+        return find(
+            records,
+            scenario=line.scenario,
+            estimator=line.estimator,
+            stage=line.stage,
+            reference=line.reference,
+            measure=measure,
+            statistic=statistic,
+        )
+
+    def magnitude(name: str) -> list[str]:
+        return [
+            value_of(get(name, MEDIAN.name), interval=True),
+            value_of(get(name, RMS.name)),
+            value_of(get(name, P95.name)),
+        ]
+
+    axes = [value_of(get(f"position_error_{axis}_m", ROOT_MEDIAN_SQUARE.name)) for axis in "xyz"]
+    return (counts(line), *magnitude("position_error_m"), *axes, *magnitude("attitude_error_deg"))
+
+
+def reference_grid(records: Sequence[Record]) -> Grid | None:
+    """Tabulate final pose errors against each reference pose; None if there is only the truth."""
+    lines = [r for r in records if r.reference and r.measure == "position_error_m" and r.statistic == MEDIAN.name]
+    heads = ("estimator", "against", "ok", "position m", "RMS", "95th", "x", "y", "z", "attitude deg", "RMS", "95th")
+    note = "No reference pose is exact truth: each error contains the error of the pose that it is measured against."
+    rows = tuple((line.estimator, line.reference, *_pose_cells(records, line)) for line in lines)
+    return Grid("Scored against each reference pose", heads, rows, frozenset({0, 1}), note) if rows else None
+
+
+def comparison_grid(compared: Sequence[ComparedValue]) -> Grid | None:
+    """Tabulate published values beside ours; None if the campaign is compared with nothing."""
+    if not compared:
+        return None
+    heads = (
+        "quantity",
+        "stage",
+        "statistic",
+        "paper",
+        "ours [95 %]",
+        "ok",
+        "tolerance",
+        "verdict",
+        "place in the paper",
+    )
+    several = len({(c.scenario, c.estimator) for c in compared}) > 1
+    rows = tuple(_compared_cells(c, several) for c in compared)
+    return Grid("Beside the published values", heads, rows, frozenset({0, 1, 2, 7, 8}), VERDICT_RULE)
+
+
+def _compared_cells(compared: ComparedValue, several: bool) -> tuple[str, ...]:
+    published, ours = compared.published, compared.ours
+    quantity = measure_label(published.measure)
+    judged = compared.verdict != "context" and published.tolerance is not None
+    return (
+        f"{compared.scenario}, {compared.estimator}: {quantity}" if several else quantity,
+        stage_label(published.stage, timed=published.measure == "seconds"),
+        published.statistic,
+        published.printed,
+        value_of(ours, interval=True),
+        counts(ours),
+        f"± {published.tolerance:g}" if judged else NO_VALUE,
+        compared.verdict,
+        published.place,
+    )
+
+
+def detail_grid(records: Sequence[Record]) -> Grid | None:
+    """Tabulate improvement trial by trial, landmarks and data base; None if nothing of it was measured."""
+    names = [name for name in _MEASURES if not name.startswith(("position_error", "attitude_error", "seconds"))]
+    chosen = [r for r in records if r.measure in names]
+    heads = ("scenario", "estimator", "quantity", "statistic", "value [95 %]", "unit", "ok")
+    rows = tuple(
+        (r.scenario, r.estimator, measure_label(r.measure), r.statistic, value_of(r, interval=True), r.unit, counts(r))
+        for r in chosen
+    )
+    note = "A reduction is the prior's error minus the final error of the same trial: positive where the pose improved."
+    return Grid("Improvement, landmarks and data base", heads, rows, frozenset({0, 1, 2, 3, 5}), note) if rows else None
+
+
+def timing_grid(records: Sequence[Record]) -> Grid | None:
+    """Tabulate wall time by stage; None if no times were stored."""
+    lines = [r for r in records if r.measure == "seconds" and r.statistic == MEDIAN.name]
+    heads = ("scenario", "estimator", "stage", "median [95 %]", "mean", "95th percentile", "trials")
+
+    def other(line: Record, statistic: str) -> str:
+        key = {"scenario": line.scenario, "estimator": line.estimator, "stage": line.stage}
+        return value_of(find(records, **key, measure="seconds", statistic=statistic))
+
+    rows = tuple(
+        (
+            line.scenario,
+            line.estimator or NO_VALUE,
+            stage_label(line.stage, timed=True),
+            value_of(line, interval=True),
+            other(line, MEAN.name),
+            other(line, P95.name),
+            str(line.n_ok),
+        )
+        for line in lines
+    )
+    return Grid("Time per stage of a trial", heads, rows, frozenset({0, 1, 2})) if rows else None
+
+
+def failure_grid(run: RunData) -> Grid | None:
+    """Tabulate failures by reason; None if every trial is ok."""
+    failed = run.rows[run.rows["status"] != "ok"]
+    keys = ["scenario", "estimator", "status", "reason"]
+    tally = failed.value_counts(keys, sort=False).sort_index().sort_values(ascending=False, kind="stable")
+    table = tally.reset_index().astype(str)
+    rows = tuple(table.itertuples(index=False, name=None))
+    heads = ("scenario", "estimator", "status", "reason", "trials")
+    return Grid("Failures by reason", heads, rows, frozenset({0, 1, 2, 3})) if rows else None
