@@ -13,12 +13,14 @@ Conventions, stated once:
 from scenarios.geometry.camera import Camera, pixel_from_opencv, pixel_to_opencv
 from scenarios.geometry.mesh import TriangleMesh
 from scenarios.geometry.pose import FrameMismatchError, Pose, look_at
+from scenarios.geometry.surface import SurfaceHits
 from scenarios.geometry.view import View
 
 __all__ = [
     "Camera",
     "FrameMismatchError",
     "Pose",
+    "SurfaceHits",
     "TriangleMesh",
     "View",
     "look_at",

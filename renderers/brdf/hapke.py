@@ -1,0 +1,129 @@
+"""Hapke's bidirectional reflectance of a rough particulate surface.
+
+Sources: B. Hapke, Bidirectional reflectance spectroscopy 1 (JGR 86, 1981: H function), 3 (Icarus 59, 1984:
+macroscopic roughness), 4 (Icarus 67, 1986: opposition effect) and 5 (Icarus 157, 2002: better H function).
+Equation numbers in the code are those of Hapke (1984) for the roughness.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi, radians
+from typing import Literal
+
+from renderers.brdf.arrays import Array, ArrayMath, cos_azimuth, grazing_safe, sine
+from scenarios.spec.brdf import HapkeSpec
+
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class HapkeParameters:
+    """Parameters as the formula takes them; the numbers may be Dr.Jit values.
+
+    Parameters
+    ----------
+    w
+        Single scattering albedo.
+    b, c
+        Asymmetry of the two Henyey-Greenstein lobes and their balance: c = 1 is all backward, c = -1 all forward.
+    B0, h
+        Amplitude and angular width of the opposition surge.
+    theta_bar_rad
+        Mean slope angle of the macroscopic roughness.
+    H_function
+        Which approximation of Chandrasekhar's H function.
+    """
+
+    w: Array
+    b: Array
+    c: Array
+    B0: Array
+    h: Array
+    theta_bar_rad: Array
+    H_function: Literal["2002", "1981"] = "2002"
+
+    @classmethod
+    def from_spec(cls, spec: HapkeSpec) -> HapkeParameters:
+        """From a scenario's section."""
+        return cls(spec.w, spec.b, spec.c, spec.B0, spec.h, radians(spec.theta_bar_deg), spec.H_function)
+
+
+def hapke(p: HapkeParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
+    """Hapke's BRDF, 1/sr: the bidirectional reflectance r divided by the cosine of incidence.
+
+    The two cases of the roughness correction (i <= e and e <= i) are one when they are written in the smaller
+    angle a and the larger angle b, and the cosine of incidence cancels: reciprocity then holds by construction.
+
+    Parameters
+    ----------
+    p
+        The model's parameters.
+    cos_i, cos_e
+        Cosines of the angles of incidence and emission from the normal.
+    phase_rad
+        Angle g between the direction to the light and the direction to the viewer, 0 to pi.
+    xp
+        The array library of the angles.
+    """
+    cos_i, cos_e = grazing_safe(cos_i, xp), grazing_safe(cos_e, xp)
+    cos_g = xp.cos(phase_rad)
+    cos_psi = cos_azimuth(cos_i, cos_e, cos_g, xp)
+    cos_a, cos_b = xp.maximum(cos_i, cos_e), xp.minimum(cos_i, cos_e)
+    mu_a, mu_b, shadowing = _rough_surface(p.theta_bar_rad, cos_a, cos_b, cos_psi, xp)
+    single = (1.0 + opposition_surge(p, phase_rad, xp)) * phase_function(p, cos_g, xp)
+    multiple = h_function(p, mu_a, xp) * h_function(p, mu_b, xp) - 1.0
+    return p.w / (4.0 * pi) / (mu_a + mu_b) * (single + multiple) * shadowing
+
+
+def phase_function(p: HapkeParameters, cos_g: Array, xp: ArrayMath) -> Array:
+    """Two-lobe Henyey-Greenstein function of the phase angle; its mean over the sphere is 1."""
+    one, square = 1.0 - p.b * p.b, 1.0 + p.b * p.b
+    back = xp.maximum(square - 2.0 * p.b * cos_g, _TINY)
+    forth = xp.maximum(square + 2.0 * p.b * cos_g, _TINY)
+    return 0.5 * one * ((1.0 + p.c) / (back * xp.sqrt(back)) + (1.0 - p.c) / (forth * xp.sqrt(forth)))
+
+
+def opposition_surge(p: HapkeParameters, phase_rad: Array, xp: ArrayMath) -> Array:
+    """B(g) = B0 / (1 + tan(g/2) / h), written without the pole of the tangent at g = pi."""
+    cosine = xp.maximum(xp.cos(0.5 * phase_rad), 0.0)
+    return p.B0 * p.h * cosine / (p.h * cosine + xp.sin(0.5 * phase_rad))
+
+
+def h_function(p: HapkeParameters, x: Array, xp: ArrayMath) -> Array:
+    """Chandrasekhar's H function for isotropic scatterers, in Hapke's approximation of 2002 or 1981."""
+    gamma = xp.sqrt(1.0 - p.w)
+    if p.H_function == "1981":
+        return (1.0 + 2.0 * x) / (1.0 + 2.0 * x * gamma)
+    r0 = (1.0 - gamma) / (1.0 + gamma)
+    return 1.0 / (1.0 - p.w * x * (r0 + 0.5 * (1.0 - 2.0 * r0 * x) * xp.log((1.0 + x) / x)))
+
+
+def _rough_surface(
+    theta_bar_rad: Array, cos_a: Array, cos_b: Array, cos_psi: Array, xp: ArrayMath
+) -> tuple[Array, Array, Array]:
+    """Effective cosines of the angles a <= b, and the shadowing S mu_a mu_b / (mu_a0 mu_b0) of the BRDF.
+
+    A slope of zero is a smooth surface; it is approached to 1e-5 rad, so that its cotangent stays finite.
+    """
+    tan_t = xp.maximum(xp.sin(theta_bar_rad) / xp.cos(theta_bar_rad), 1e-5)
+    chi = 1.0 / xp.sqrt(1.0 + pi * tan_t * tan_t)
+    sin_a, sin_b = sine(cos_a, xp), sine(cos_b, xp)
+    e1_a, e2_a = _roughness_exponentials(cos_a, sin_a, tan_t, xp)
+    e1_b, e2_b = _roughness_exponentials(cos_b, sin_b, tan_t, xp)
+    half = 0.5 * (1.0 - cos_psi)  # sin^2(psi / 2)
+    tilt = tan_t / (2.0 - e1_b - xp.acos(cos_psi) / pi * e1_a)
+    mu_a = chi * (cos_a + sin_a * tilt * (cos_psi * e2_b + half * e2_a))
+    mu_b = chi * (cos_b + sin_b * tilt * (e2_b - half * e2_a))
+    mu_a0 = chi * (cos_a + sin_a * tan_t * e2_a / (2.0 - e1_a))
+    mu_b0 = chi * (cos_b + sin_b * tan_t * e2_b / (2.0 - e1_b))
+    mu_a, mu_b = xp.maximum(mu_a, 1e-6), xp.maximum(mu_b, 1e-6)
+    f = xp.exp(-2.0 * xp.sqrt(half / xp.maximum(1.0 - half, _TINY)))  # exp(-2 tan(psi / 2))
+    visible = chi / (1.0 - f + f * chi * cos_a / mu_a0)
+    return mu_a, mu_b, mu_a / mu_a0 * mu_b / mu_b0 * visible
+
+
+def _roughness_exponentials(cosine: Array, sin: Array, tan_t: Array, xp: ArrayMath) -> tuple[Array, Array]:
+    """E1 and E2 of the 1984 paper for one angle."""
+    k = cosine / (xp.maximum(sin, 1e-9) * tan_t)  # cot(theta_bar) cot(x)
+    return xp.exp(-2.0 / pi * k), xp.exp(-1.0 / pi * k * k)

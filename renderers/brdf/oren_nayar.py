@@ -1,0 +1,88 @@
+"""Rough Lambertian V-cavities: M. Oren and S. K. Nayar, Generalization of Lambert's reflectance model, SIGGRAPH 1994.
+
+The equations are those of section 4.4 of the paper (Gaussian slope distribution), divided by the irradiance
+``E0 cos(theta_i)`` to turn the paper's radiance into a BRDF.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi, radians
+from typing import Literal
+
+from renderers.brdf.arrays import Array, ArrayMath, cos_azimuth, grazing_safe, sine
+from scenarios.spec.brdf import OrenNayarSpec
+
+
+@dataclass(frozen=True, slots=True)
+class OrenNayarParameters:
+    """Parameters as the formula takes them; the numbers may be Dr.Jit values.
+
+    Parameters
+    ----------
+    albedo
+        The paper's rho: reflectance of a cavity's facets.
+    sigma_rad
+        Standard deviation of the facets' slope angle.
+    form
+        The full functional approximation with interreflection, or the qualitative one.
+    """
+
+    albedo: Array
+    sigma_rad: Array
+    form: Literal["full", "qualitative"] = "full"
+
+    @classmethod
+    def from_spec(cls, spec: OrenNayarSpec) -> OrenNayarParameters:
+        """From a scenario's section."""
+        return cls(spec.albedo, radians(spec.sigma_deg), spec.form)
+
+
+def oren_nayar(p: OrenNayarParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
+    """Oren and Nayar's BRDF, 1/sr.
+
+    At slopes above about 45 deg the paper's fit turns slightly negative for grazing forward scattering; it is
+    clipped to 0 there.
+
+    Parameters
+    ----------
+    p
+        Albedo, roughness and form.
+    cos_i, cos_e
+        Cosines of the angles of incidence and emission from the normal.
+    phase_rad
+        Angle between the direction to the light and the direction to the viewer.
+    xp
+        The array library of the angles.
+    """
+    cos_i, cos_e = grazing_safe(cos_i, xp), grazing_safe(cos_e, xp)
+    cos_phi = cos_azimuth(cos_i, cos_e, xp.cos(phase_rad), xp)
+    cos_alpha, cos_beta = xp.minimum(cos_i, cos_e), xp.maximum(cos_i, cos_e)
+    model = _full if p.form == "full" else _qualitative
+    return xp.maximum(model(p, cos_alpha, cos_beta, cos_phi, xp), 0.0)
+
+
+def _full(p: OrenNayarParameters, cos_alpha: Array, cos_beta: Array, cos_phi: Array, xp: ArrayMath) -> Array:
+    """Single scattering plus one interreflection; alpha is the larger of the two angles, beta the smaller."""
+    alpha, beta = xp.acos(cos_alpha), xp.acos(cos_beta)
+    sin_alpha, sin_beta = sine(cos_alpha, xp), sine(cos_beta, xp)
+    s2 = p.sigma_rad * p.sigma_rad
+    beta_cubed = (2.0 * beta / pi) * (2.0 * beta / pi) * (2.0 * beta / pi)
+    product = 4.0 * alpha * beta / (pi * pi)
+    c1 = 1.0 - 0.5 * s2 / (s2 + 0.33)
+    c2 = 0.45 * s2 / (s2 + 0.09) * (sin_alpha - xp.where(cos_phi >= 0.0, 0.0, beta_cubed))
+    c3 = 0.125 * s2 / (s2 + 0.09) * product * product
+    abs_phi = xp.maximum(cos_phi, -cos_phi)
+    tan_mean = (sin_alpha + sin_beta) / (cos_alpha + cos_beta)  # tan((alpha + beta) / 2)
+    first = c1 + cos_phi * c2 * sin_beta / cos_beta + (1.0 - abs_phi) * c3 * tan_mean  # L_r^1
+    second = 0.17 * s2 / (s2 + 0.13) * (1.0 - cos_phi * (2.0 * beta / pi) * (2.0 * beta / pi))  # L_r^2
+    return p.albedo / pi * (first + p.albedo * second)
+
+
+def _qualitative(p: OrenNayarParameters, cos_alpha: Array, cos_beta: Array, cos_phi: Array, xp: ArrayMath) -> Array:
+    """Return the simplified model: the paper's A and B, without C3 and interreflection."""
+    s2 = p.sigma_rad * p.sigma_rad
+    a = 1.0 - 0.5 * s2 / (s2 + 0.33)
+    b = 0.45 * s2 / (s2 + 0.09)
+    tan_beta = sine(cos_beta, xp) / cos_beta
+    return p.albedo / pi * (a + b * xp.maximum(cos_phi, 0.0) * sine(cos_alpha, xp) * tan_beta)

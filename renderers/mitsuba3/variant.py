@@ -1,0 +1,133 @@
+"""Choose the Mitsuba variant that runs on this machine, and load it."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from dataclasses import dataclass
+from typing import Any
+
+from renderers.mitsuba3.llvm import HIDE_VARIABLE, MINIMUM_MAJOR, WHEEL, find_llvm, use_llvm
+from scenarios.errors import BoresightError
+
+CUDA, LLVM, SCALAR = "cuda_ad_mono", "llvm_ad_mono", "scalar_rgb"
+
+_LLVM_ADVICE = (
+    f"for rendering several times faster install a libLLVM of version {MINIMUM_MAJOR} or newer: `pip install {WHEEL}`"
+    f" on Linux x86-64, or the system's package (Debian: libllvm19, macOS: brew install llvm)"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """A Mitsuba variant, why it was chosen, and what would make rendering faster (or an empty string)."""
+
+    name: str
+    why: str
+    advice: str = ""
+
+    @property
+    def is_wavefront(self) -> bool:
+        """Whether arrays of rays are traced at once, rather than one ray at a time."""
+        return self.name != SCALAR
+
+
+def choose_variant(request: str | None = None) -> Variant:
+    """Choose the fastest variant that works, or check the requested one.
+
+    The first call makes Dr.Jit load, with a libLLVM that it can use where there is one.
+
+    Raises
+    ------
+    BoresightError
+        If the requested variant is unknown or does not work here.
+    """
+    if request not in (None, CUDA, LLVM, SCALAR):
+        raise BoresightError(f"the Mitsuba variant {request!r} is unknown: choose {CUDA}, {LLVM} or {SCALAR}")
+    if request == SCALAR:
+        return Variant(SCALAR, "it was asked for")
+    llvm, llvm_why = _llvm_status()
+    if request == LLVM:
+        if not llvm:
+            raise BoresightError(f"the Mitsuba variant {LLVM} does not work here: {llvm_why}; {_LLVM_ADVICE}")
+        return Variant(LLVM, f"it was asked for; {llvm_why}")
+    cuda, cuda_why = _cuda_status()
+    if request == CUDA:
+        if not cuda:
+            raise BoresightError(
+                f"the Mitsuba variant {CUDA} does not work here: {cuda_why};"
+                f" install NVIDIA's driver, or leave the choice of variant to boresight"
+            )
+        return Variant(CUDA, f"it was asked for; {cuda_why}")
+    if cuda:
+        return Variant(CUDA, cuda_why)
+    if llvm:
+        return Variant(LLVM, llvm_why)
+    return Variant(SCALAR, llvm_why, _LLVM_ADVICE)
+
+
+def load_mitsuba(variant: Variant) -> Any:
+    """Return the library ``mitsuba`` with this variant active.
+
+    Mitsuba's active variant is global to the process, so whoever is about to use the library asks here for it.
+    """
+    import mitsuba
+
+    if mitsuba.variant() != variant.name:
+        mitsuba.set_variant(variant.name)
+    return mitsuba
+
+
+def limit_threads(threads: int) -> None:
+    """Let Mitsuba and Dr.Jit use this many threads in this process; give each worker cores / workers.
+
+    Raises
+    ------
+    BoresightError
+        If ``threads`` is below 1.
+    """
+    if threads < 1:
+        raise BoresightError(f"rendering needs at least 1 thread, not {threads}")
+    _load_drjit().set_thread_count(threads)
+
+
+def _load_drjit() -> Any:
+    """Import Dr.Jit, having chosen its libLLVM unless the program imported it earlier."""
+    if "drjit" not in sys.modules:
+        found = find_llvm().found
+        if found is not None:
+            use_llvm(found)
+    import drjit
+
+    return drjit
+
+
+def _llvm_status() -> tuple[bool, str]:
+    """Tell whether Dr.Jit's LLVM backend can be trusted, and why or why not."""
+    drjit = _load_drjit()
+    search = find_llvm()
+    if search.found is None:
+        reasons = "; ".join(f"{item.path}: {item.reason}" for item in search.rejected)
+        return False, f"no usable libLLVM was found ({reasons or f'none is installed, or {HIDE_VARIABLE} is set'})"
+    if not drjit.has_backend(drjit.JitBackend.LLVM):
+        return False, f"Dr.Jit could not start LLVM from {search.found.path}"
+    version = drjit.detail.llvm_version()
+    if version[0] < MINIMUM_MAJOR:
+        return False, f"Dr.Jit was imported before boresight and took LLVM {version[0]}, with which it crashes"
+    return True, f"LLVM {'.'.join(map(str, version))} works ({search.found.path})"
+
+
+def _cuda_status() -> tuple[bool, str]:
+    """Tell whether an NVIDIA GPU with OptiX is there, by asking the driver."""
+    drjit = _load_drjit()
+    count = ctypes.c_int(0)
+    try:
+        driver = ctypes.CDLL("libcuda.so.1")
+        ctypes.CDLL("libnvoptix.so.1")
+    except OSError as error:
+        return False, f"no NVIDIA driver with OptiX ({error})"
+    if driver.cuInit(0) != 0 or driver.cuDeviceGetCount(ctypes.byref(count)) != 0 or count.value == 0:
+        return False, "the NVIDIA driver finds no GPU"
+    if not drjit.has_backend(drjit.JitBackend.CUDA):
+        return False, "Dr.Jit could not start CUDA"
+    return True, f"{count.value} NVIDIA GPU with OptiX"
