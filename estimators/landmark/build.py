@@ -1,0 +1,112 @@
+"""A landmark data base from images whose poses are known: section 2, in two pure steps.
+
+The campaign draws the views, renders the images and lends ``deproject``; nothing here knows a renderer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from estimators.landmark.clustering import Cluster, ClusterOptions, cluster_points
+from estimators.landmark.corners import CornerOptions, detect_corners
+from estimators.landmark.database import LandmarkDatabase
+from estimators.landmark.hull import concave_hull
+from scenarios.errors import BoresightError
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+
+METHOD = "rowell2015-harris"
+METHOD_VERSION = 1
+
+
+class DatabaseOptions(SpecModel):
+    """How a landmark data base is made."""
+
+    images: int = Field(500, ge=1, le=100_000, description="Images rendered, at the range and camera of the scenario")
+    phase_deg_max: float = Field(60.0, gt=0, le=180, description="Largest phase angle of those images")
+    seed: int = Field(0, ge=0, description="Seed of their views")
+    corners: CornerOptions = CornerOptions()
+    clusters: ClusterOptions = ClusterOptions()
+    min_observations: int = Field(24, ge=2, description="A landmark must be seen in at least this many images")
+
+
+def extract_candidates(
+    image: NDArray[np.float32], deproject: Callable[[FloatArray], FloatArray], options: DatabaseOptions
+) -> FloatArray:
+    """Candidate landmarks of one image: its corners, taken back to the surface (section 2.2).
+
+    Parameters
+    ----------
+    image
+        (H, W) noise-free image.
+    deproject
+        Takes pixels (M, 2) to points of the surface (M, 3) in the body frame, m; NaN where a pixel sees the sky.
+    options
+        Of the data base.
+
+    Returns
+    -------
+    (C, 3) points in the body frame, m; corners that see the sky are left out.
+    """
+    corners = detect_corners(image, options.corners)
+    if not len(corners):
+        return np.empty((0, 3))
+    points_m = np.asarray(deproject(corners.uv_px), dtype=np.float64)
+    return points_m[np.isfinite(points_m).all(axis=1)]
+
+
+def database_from_candidates(candidates: Sequence[FloatArray], options: DatabaseOptions) -> LandmarkDatabase:
+    """Cluster the candidates of all images and span the mesh (sections 2.3 and 2.4).
+
+    An image counts once for a landmark, however many of its corners fell into the cluster. Clusters seen in fewer than
+    ``min_observations`` images go before merging: the trace criterion lets a large cluster swallow any small one in
+    reach, so that strays would blow up the good landmarks.
+
+    Parameters
+    ----------
+    candidates
+        (C, 3) points for each image, body frame, m.
+    options
+        Of the data base.
+
+    Raises
+    ------
+    BoresightError
+        If fewer than four landmarks come out, or they lie in one plane.
+    """
+    points_m = np.concatenate([np.empty((0, 3)), *candidates])
+    image_of = np.repeat(np.arange(len(candidates)), [len(points) for points in candidates])
+    clusters = cluster_points(points_m, options.clusters, keep=_seen_in(image_of, options.min_observations))
+    if len(clusters) < 4:
+        raise BoresightError(
+            f"{len(clusters)} landmarks came out of {len(points_m)} corners in {len(candidates)} images; at least 4 are"
+            " needed: use more images, a lower min_observations or a larger seed_radius_m"
+        )
+    hull = concave_hull(np.stack([cluster.mean_m for cluster in clusters]))
+    kept = [clusters[index] for index in hull.kept]
+    return LandmarkDatabase(
+        np.stack([cluster.mean_m for cluster in kept]),
+        np.stack([cluster.covariance_m2 for cluster in kept]),
+        np.array([len(np.unique(image_of[cluster.members])) for cluster in kept]),
+        hull.facets.astype(np.int32),
+        {
+            "method": METHOD,
+            "method_version": METHOD_VERSION,
+            "options": options.model_dump(mode="json"),
+            "images": len(candidates),
+            "candidates": len(points_m),
+            "dropped_by_mesh": len(hull.dropped),
+        },
+    )
+
+
+def _seen_in(image_of: NDArray[np.intp], min_observations: int) -> Callable[[Cluster], bool]:
+    def enough(cluster: Cluster) -> bool:
+        return len(np.unique(image_of[cluster.members])) >= min_observations
+
+    return enough

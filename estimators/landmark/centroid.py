@@ -1,0 +1,133 @@
+"""The translation across the line of sight, from the brightness centroid: section 3.2.2."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from estimators.contract import ImageRenderer
+from estimators.landmark.signal import extract_signal
+from estimators.landmark.stopwatch import Stopwatch
+from scenarios.geometry import Camera, Pose, View
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+Measure = Callable[[Image, Image, FloatArray], tuple[FloatArray, FloatArray]]
+"""(observed signal, rendered signal, projected origin of the body) -> the same point in both images, px."""
+
+_KNOWN_SKY = (0.0, 0.0)
+
+
+class AlignmentOptions(SpecModel):
+    """When the loop of rendering and shifting ends."""
+
+    tolerance_px: float = Field(5.0, gt=0, description="Done when the rendered centroid moves less than this")
+    max_iterations: int = Field(10, ge=1, le=1000)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AlignmentStep:
+    """One turn of the loop.
+
+    Parameters
+    ----------
+    T_cam_body
+        Pose that the mesh was rendered at.
+    rendered
+        (H, W) image of the mesh.
+    observed_px, rendered_px
+        (2,) the point in the observed and in the rendered image that the update brings together.
+    """
+
+    T_cam_body: Pose
+    rendered: Image
+    observed_px: FloatArray
+    rendered_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """The pose after the loop, and how it came about; ``failure`` says why where it could not run."""
+
+    T_cam_body: Pose
+    steps: tuple[AlignmentStep, ...]
+    failure: str = ""
+
+
+def brightness_centroid(signal: Image) -> FloatArray:
+    """Centre of brightness (2,) of an image whose background is 0; the first pixel's centre counts as (0.5, 0.5)."""
+    total = signal.sum(dtype=np.float64)
+    columns = signal.sum(axis=0, dtype=np.float64) @ (np.arange(signal.shape[1]) + 0.5)
+    rows = signal.sum(axis=1, dtype=np.float64) @ (np.arange(signal.shape[0]) + 0.5)
+    return np.array([columns, rows]) / total  # eq. (12)
+
+
+def centroid_pair(observed: Image, rendered: Image, origin_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Take the centroids of both images: the paper's measure. ``origin_px`` is not needed for it."""
+    del origin_px
+    return brightness_centroid(observed), brightness_centroid(rendered)
+
+
+def translation_update(T_cam_body: Pose, observed_px: FloatArray, rendered_px: FloatArray, camera: Camera) -> Pose:
+    """Shift the body in the camera so that the rendered point comes to lie on the observed one."""
+    r_obs, r_sim = camera.unproject(observed_px), camera.unproject(rendered_px)  # eq. (11)
+    distance = float(np.linalg.norm(T_cam_body.translation_m))
+    delta = distance * float(r_obs @ r_sim) * r_obs - distance * r_sim  # eq. (13)
+    return T_cam_body.perturbed(np.zeros(3), delta)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshView:
+    """How the mesh of the landmarks is seen: by which camera and renderer, under which Sun."""
+
+    camera: Camera
+    renderer: ImageRenderer
+    sun_dir_cam: FloatArray
+
+    def render(self, T_cam_body: Pose) -> Image:
+        """Render the mesh; the Sun stays where it is in the camera."""
+        sun_dir_body = T_cam_body.rotation.T @ self.sun_dir_cam
+        return np.asarray(self.renderer.render(View(self.camera, T_cam_body, sun_dir_body)), dtype=np.float32)
+
+
+def align_translation(
+    observed: Image, T_cam_body: Pose, view: MeshView, measure: Measure, options: AlignmentOptions, clock: Stopwatch
+) -> Alignment:
+    """Render the mesh and shift it onto the observed image, until the rendered point holds still.
+
+    Parameters
+    ----------
+    observed
+        (H, W) signal of the observed image, background 0, not black.
+    T_cam_body
+        Where to start.
+    view
+        Camera, renderer and Sun.
+    measure
+        What is brought together: ``centroid_pair`` or ``alignment.correlation_pair``.
+    options
+        When to stop.
+    clock
+        Gets the times ``mesh_rendering`` and ``centroid``.
+    """
+    steps: list[AlignmentStep] = []
+    while len(steps) < options.max_iterations:
+        with clock("mesh_rendering"):
+            rendered = view.render(T_cam_body)
+        with clock("centroid"):
+            signal = extract_signal(rendered, _KNOWN_SKY)
+            if signal.empty:
+                return Alignment(T_cam_body, tuple(steps), "the rendered mesh is out of view or in the dark")
+            origin_px = view.camera.project(T_cam_body.translation_m)
+            observed_px, rendered_px = measure(observed, signal.image, origin_px)
+        steps.append(AlignmentStep(T_cam_body, rendered, observed_px, rendered_px))
+        T_cam_body = translation_update(T_cam_body, observed_px, rendered_px, view.camera)
+        if len(steps) > 1 and np.linalg.norm(rendered_px - steps[-2].rendered_px) < options.tolerance_px:
+            break
+    return Alignment(T_cam_body, tuple(steps))

@@ -1,0 +1,194 @@
+"""Landmarks out of a cloud of candidate points: the two-stage clustering of section 2.3."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
+
+_MIN_DISPERSION_POINTS = 4
+
+
+class ClusterOptions(SpecModel):
+    """Sizes and thresholds of the clustering."""
+
+    seed_radius_m: float = Field(2.0, gt=0, description="Radius of a seed cluster about its centroid")
+    growth_sigma: float = Field(3.0, ge=0, description="Dispersion-weighted distance up to which a cluster grows")
+    merge_sigma: float = Field(9.0, ge=0, description="Distance, weighted by both covariances, at which two compete")
+    sigma_floor_m: float = Field(0.1, gt=0, description="Added to each axis of a dispersion: planar clusters exist")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cluster:
+    """Points that mark one surface feature.
+
+    Parameters
+    ----------
+    members
+        (M,) ascending rows of the cloud.
+    mean_m
+        (3,) centroid.
+    covariance_m2
+        (3, 3) dispersion tensor.
+    """
+
+    members: IndexArray
+    mean_m: FloatArray
+    covariance_m2: FloatArray
+
+    @classmethod
+    def of(cls, points_m: FloatArray, members: IndexArray, sigma_floor_m: float) -> Cluster:
+        """Centroid and dispersion of some rows of the cloud."""
+        ordered = np.sort(members)
+        chosen = points_m[ordered]
+        mean = chosen.mean(axis=0)
+        centred = chosen - mean
+        covariance = centred.T @ centred / max(len(ordered) - 1, 1) + sigma_floor_m**2 * np.eye(3)
+        return cls(ordered, mean, covariance)
+
+    @property
+    def trace_m2(self) -> float:
+        """Total dispersion, whatever the orientation."""
+        return float(np.trace(self.covariance_m2))
+
+
+def seed_clusters(points_m: FloatArray, radius_m: float) -> list[IndexArray]:
+    """Partition the cloud into balls about moving centroids; each entry is the rows of one seed cluster.
+
+    Each point that is still free is taken in turn with the free points within the radius; the centroid moves and
+    takes more, until nothing is added.
+    """
+    tree = cKDTree(points_m)
+    free = np.ones(len(points_m), dtype=bool)
+    clusters = []
+    for start in range(len(points_m)):
+        if not free[start]:
+            continue
+        members = np.array([start], dtype=np.intp)
+        centroid = points_m[start]
+        while True:
+            near = np.asarray(tree.query_ball_point(centroid, radius_m, return_sorted=True), dtype=np.intp)
+            grown = np.union1d(members, near[free[near]])
+            if len(grown) == len(members):
+                break
+            members = grown
+            centroid = points_m[members].mean(axis=0)
+        free[members] = False
+        clusters.append(members)
+    return clusters
+
+
+def grow_clusters(points_m: FloatArray, seeds: list[IndexArray], options: ClusterOptions) -> list[Cluster]:
+    """Let each seed take free points by the distance weighted with its dispersion, until it is stable.
+
+    Seeds of fewer than four points have no dispersion: they dissolve, and their points are the free ones. The
+    most populated cluster chooses first.
+    """
+    tree = cKDTree(points_m)
+    dense = [seed for seed in seeds if len(seed) >= _MIN_DISPERSION_POINTS]
+    free = np.ones(len(points_m), dtype=bool)
+    for seed in dense:
+        free[seed] = False
+    clusters = []
+    for seed in sorted(dense, key=len, reverse=True):
+        cluster = Cluster.of(points_m, seed, options.sigma_floor_m)
+        while (added := _within_reach(points_m, tree, free, cluster, options.growth_sigma)).size:
+            free[added] = False
+            cluster = Cluster.of(points_m, np.concatenate([cluster.members, added]), options.sigma_floor_m)
+        clusters.append(cluster)
+    return clusters
+
+
+def _within_reach(
+    points_m: FloatArray, tree: cKDTree, free: NDArray[np.bool_], cluster: Cluster, sigma: float
+) -> IndexArray:
+    reach_m = sigma * float(np.sqrt(np.linalg.eigvalsh(cluster.covariance_m2)[-1]))
+    near = np.asarray(tree.query_ball_point(cluster.mean_m, reach_m, return_sorted=True), dtype=np.intp)
+    near = near[free[near]]
+    d2 = _squared_distance(points_m[near] - cluster.mean_m, cluster.covariance_m2)
+    return near[d2 < sigma**2]
+
+
+def _squared_distance(offsets_m: FloatArray, covariance_m2: FloatArray) -> FloatArray:
+    weighted = np.linalg.solve(covariance_m2, offsets_m[..., None])[..., 0]
+    d2: FloatArray = np.einsum("...i,...i->...", offsets_m, weighted)
+    return d2
+
+
+def refine_clusters(points_m: FloatArray, clusters: list[Cluster], options: ClusterOptions) -> list[Cluster]:
+    """Merge or prune clusters that lie within ``merge_sigma`` of each other, until none do.
+
+    Two clusters merge where the traces of their dispersions sum to more than the trace of the merged cluster's;
+    where not, the less populated one goes. The most populated cluster meets its neighbours first, nearest first.
+    """
+    while True:
+        refined = _refine_once(points_m, clusters, options)
+        if len(refined) == len(clusters):
+            return refined
+        clusters = refined
+
+
+def _refine_once(points_m: FloatArray, clusters: list[Cluster], options: ClusterOptions) -> list[Cluster]:
+    if len(clusters) < 2:
+        return list(clusters)
+    ordered = sorted(clusters, key=lambda cluster: (-len(cluster.members), int(cluster.members[0])))
+    pool = _Pool(ordered)
+    kept = []
+    for index, first in enumerate(ordered):
+        if not pool.alive[index]:
+            continue
+        pool.alive[index] = False
+        cluster = first
+        while (rival := pool.nearest_rival(cluster, options.merge_sigma)) is not None:
+            pool.alive[rival] = False
+            members = np.concatenate([cluster.members, ordered[rival].members])
+            merged = Cluster.of(points_m, members, options.sigma_floor_m)
+            if cluster.trace_m2 + ordered[rival].trace_m2 > merged.trace_m2:
+                cluster = merged
+        kept.append(cluster)
+    return kept
+
+
+class _Pool:
+    """Clusters that still wait for their turn, searchable by distance."""
+
+    def __init__(self, clusters: list[Cluster]) -> None:
+        self.alive = np.ones(len(clusters), dtype=bool)
+        self._means = np.stack([cluster.mean_m for cluster in clusters])
+        self._covariances = np.stack([cluster.covariance_m2 for cluster in clusters])
+        self._largest_variance = float(np.linalg.eigvalsh(self._covariances)[:, -1].max())
+        self._tree = cKDTree(self._means)
+
+    def nearest_rival(self, cluster: Cluster, sigma: float) -> int | None:
+        """Index of the waiting cluster at the least distance weighted by both covariances, below ``sigma``."""
+        largest = float(np.linalg.eigvalsh(cluster.covariance_m2)[-1]) + self._largest_variance
+        reach_m = sigma * float(np.sqrt(largest))
+        near = np.asarray(self._tree.query_ball_point(cluster.mean_m, reach_m, return_sorted=True), dtype=np.intp)
+        near = near[self.alive[near]]
+        if not near.size:
+            return None
+        d2 = _squared_distance(self._means[near] - cluster.mean_m, self._covariances[near] + cluster.covariance_m2)
+        nearest = int(np.argmin(d2))
+        return int(near[nearest]) if d2[nearest] < sigma**2 else None
+
+
+def cluster_points(points_m: FloatArray, options: ClusterOptions, keep: Callable[[Cluster], bool]) -> list[Cluster]:
+    """Run seeds, growth and refinement on a cloud of (N, 3) candidate points.
+
+    Only clusters for which ``keep`` holds after growth take part in the refinement. The result is sorted by the first
+    member.
+    """
+    if not len(points_m):
+        return []
+    grown = grow_clusters(points_m, seed_clusters(points_m, options.seed_radius_m), options)
+    refined = refine_clusters(points_m, [cluster for cluster in grown if keep(cluster)], options)
+    return sorted(refined, key=lambda cluster: int(cluster.members[0]))

@@ -1,0 +1,158 @@
+"""Harris corners, and the purge of those that look like their own surroundings (sections 2.2 and 3.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from estimators.landmark.signal import extract_signal
+from scenarios.geometry import pixel_from_opencv
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+
+
+class CornerOptions(SpecModel):
+    """How corners are found in an image."""
+
+    detector: Literal["harris"] = "harris"
+    count: int = Field(100, ge=4, le=100_000, description="At most this many corners an image, the strongest first")
+    block_px: int = Field(3, ge=2, le=31, description="Side of the window over which gradients are summed")
+    aperture_px: Literal[1, 3, 5, 7] = Field(3, description="Aperture of the Sobel derivative")
+    k: float = Field(0.04, gt=0, lt=0.25, description="Harris' free parameter")
+    blur_px: float = Field(0.0, ge=0, le=20, description="Gaussian smoothing before the derivatives, against noise")
+    separation_px: int = Field(2, ge=1, le=100, description="No two corners closer than this along both axes")
+    min_relative_strength: float = Field(1e-4, ge=0, lt=1, description="Weakest corner over the strongest in the image")
+    subpixel: bool = Field(True, description="Refine by a parabola through the response at the peak's neighbours")
+    patch_px: int = Field(11, ge=3, le=63, description="Odd side of the patch that is correlated")
+    surroundings_px: int = Field(31, ge=5, le=127, description="Odd side of the window that it is correlated with")
+    self_similarity_max: float = Field(
+        0.8, gt=0, le=1, description="A second correlation peak above this purges the corner; 1 keeps all"
+    )
+
+    @model_validator(mode="after")
+    def _windows(self) -> Self:
+        if self.patch_px % 2 == 0 or self.surroundings_px % 2 == 0:
+            raise ValueError("patch_px and surroundings_px must be odd")
+        if self.patch_px + 4 > self.surroundings_px:
+            raise ValueError("surroundings_px must exceed patch_px by at least 4")
+        return self
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corners:
+    """Corners of one image, the strongest first.
+
+    Parameters
+    ----------
+    uv_px
+        (M, 2) positions, centre of the first pixel at (0.5, 0.5).
+    strength
+        (M,) Harris response on an image scaled to 0..1.
+    """
+
+    uv_px: FloatArray
+    strength: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.uv_px)
+
+
+def detect_corners(image: NDArray[np.float32], options: CornerOptions) -> Corners:
+    """Find the strongest corners that do not repeat nearby; a black image has none.
+
+    The image is brought to a fixed range first, so its unit does not matter.
+
+    Raises
+    ------
+    BoresightError
+        If the image has a wrong shape or is not finite.
+    """
+    signal = extract_signal(image)
+    if signal.empty:
+        return Corners(np.empty((0, 2)), np.empty(0))
+    smooth = cv2.GaussianBlur(signal.image, (0, 0), options.blur_px) if options.blur_px > 0.0 else signal.image
+    response = harris_response(smooth, options)
+    peaks = response_peaks(response, options)
+    kept = distinct_peaks(smooth, peaks, options)
+    rows, columns = kept[:, 0], kept[:, 1]
+    positions = kept[:, ::-1].astype(np.float64)
+    if options.subpixel:
+        positions += _parabola_offset(response, kept)
+    return Corners(pixel_from_opencv(positions), response[rows, columns].astype(np.float64))
+
+
+def harris_response(image: NDArray[np.float32], options: CornerOptions) -> NDArray[np.float32]:
+    """det(M) - k trace(M)**2 of the gradient's structure tensor M at each pixel, (H, W)."""
+    return np.asarray(cv2.cornerHarris(image, options.block_px, options.aperture_px, options.k), dtype=np.float32)
+
+
+def response_peaks(response: NDArray[np.float32], options: CornerOptions) -> NDArray[np.intp]:
+    """(M, 2) rows and columns of the local maxima of the response, the strongest first.
+
+    Peaks so near the edge that their surroundings leave the image are left out.
+    """
+    side = 2 * options.separation_px + 1
+    neighbourhood = cv2.dilate(response, np.ones((side, side), dtype=np.uint8))
+    floor = max(options.min_relative_strength * float(response.max()), 0.0)
+    peak = (response == neighbourhood) & (response > floor)
+    margin = options.surroundings_px // 2
+    peak[:margin] = peak[-margin:] = False
+    peak[:, :margin] = peak[:, -margin:] = False
+    rows, columns = np.nonzero(peak)
+    order = np.argsort(-response[rows, columns], kind="stable")
+    return np.stack([rows, columns], axis=1)[order]
+
+
+def distinct_peaks(image: NDArray[np.float32], peaks: NDArray[np.intp], options: CornerOptions) -> NDArray[np.intp]:
+    """Keep the first ``count`` peaks whose surroundings do not repeat them.
+
+    Corners on the limb look alike all along the limb; they mark the horizon and no place on the body.
+    """
+    kept: list[int] = []
+    for index, (row, column) in enumerate(peaks):
+        if len(kept) == options.count:
+            break
+        if self_similarity(image, int(row), int(column), options) <= options.self_similarity_max:
+            kept.append(index)
+    return peaks[kept]
+
+
+def self_similarity(image: NDArray[np.float32], row: int, column: int, options: CornerOptions) -> float:
+    """Find the highest normalised cross-correlation of a corner's patch with its surroundings, away from itself.
+
+    The main peak is left out: all shifts below half a patch. A patch without contrast counts as similar (1).
+    """
+    half, reach = options.patch_px // 2, options.surroundings_px // 2
+    patch = image[row - half : row + half + 1, column - half : column + half + 1]
+    window = image[row - reach : row + reach + 1, column - reach : column + reach + 1]
+    if np.ptp(patch) == 0.0:
+        return 1.0
+    correlation = cv2.matchTemplate(window, patch, cv2.TM_CCOEFF_NORMED)
+    return float(correlation[_away_from_centre(options.patch_px, options.surroundings_px)].max())
+
+
+def _away_from_centre(patch_px: int, surroundings_px: int) -> NDArray[np.bool_]:
+    shift = np.arange(surroundings_px - patch_px + 1) - (surroundings_px - patch_px) // 2
+    mask: NDArray[np.bool_] = np.hypot(shift[:, None], shift[None, :]) > min(patch_px // 2, shift.max() - 1)
+    return mask
+
+
+def _parabola_offset(response: NDArray[np.float32], peaks: NDArray[np.intp]) -> FloatArray:
+    """Offsets (M, 2) in (u, v), within half a pixel, to the top of a parabola through three responses an axis."""
+    rows, columns = peaks[:, 0], peaks[:, 1]
+    centre = response[rows, columns].astype(np.float64)
+    offsets = []
+    for step_row, step_column in ((0, 1), (1, 0)):
+        before = response[rows - step_row, columns - step_column].astype(np.float64)
+        after = response[rows + step_row, columns + step_column].astype(np.float64)
+        curvature = before - 2.0 * centre + after
+        slope = 0.5 * (before - after)
+        offsets.append(np.divide(slope, curvature, out=np.zeros_like(slope), where=curvature < 0.0))
+    clipped: FloatArray = np.clip(np.stack(offsets, axis=1), -0.5, 0.5)
+    return clipped

@@ -1,0 +1,214 @@
+"""A closed surface through all landmarks: Delaunay tetrahedra, carved to a concave hull (section 2.4).
+
+The paper removes every tetrahedron whose circumcentre lies outside the convex hull. Taken alone that rule can leave
+landmarks buried and surfaces that are not closed. Here tetrahedra are carved off one by one, and only where the solid
+stays a ball: the surface is closed, has Euler characteristic 2 and, with n landmarks on it, 2n - 4 facets.
+
+1. The paper's rule, the largest circumsphere first.
+2. While landmarks are buried: facets bridge a hollow where they are long against their distance to a buried landmark.
+   Of the tetrahedra whose longest edge on the surface exceeds that distance, the one with the longest goes first.
+3. A landmark that cannot be raised is dropped, and the rest is triangulated again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
+
+from scenarios.errors import BoresightError
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
+
+# Row i: the face opposite to corner i, counter-clockwise seen from outside where the volume is positive.
+_FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
+_HULL_TOLERANCE = 1e-9
+_FLAT = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConcaveHull:
+    """A closed triangle surface.
+
+    Parameters
+    ----------
+    kept
+        (N,) ascending rows of the points that are on the surface.
+    facets
+        (2N - 4, 3) indices into ``kept``, counter-clockwise seen from outside, equation (1).
+    dropped
+        Ascending rows of points that could not be raised to the surface (or repeat another point).
+    """
+
+    kept: IndexArray
+    facets: IndexArray
+    dropped: IndexArray
+
+
+def concave_hull(points_m: FloatArray) -> ConcaveHull:
+    """Fit a closed surface with every point on it.
+
+    Parameters
+    ----------
+    points_m
+        (N, 3) landmarks; at least four, not in one plane.
+
+    Raises
+    ------
+    BoresightError
+        If the points do not span a volume.
+    """
+    kept = np.arange(len(points_m))
+    while True:
+        solid = _Solid(points_m[kept])
+        solid.carve_by_circumcentre()
+        solid.raise_buried()
+        on_surface = solid.on_surface()
+        if on_surface.all():
+            return ConcaveHull(kept, solid.surface(), np.setdiff1d(np.arange(len(points_m)), kept))
+        kept = kept[on_surface]
+
+
+def circumspheres(corners_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centres (T, 3) and radii (T,) of the spheres through the corners (T, 4, 3) of tetrahedra; inf where flat."""
+    edges = corners_m[:, 1:] - corners_m[:, :1]
+    flat = np.abs(np.linalg.det(edges)) <= _FLAT * np.linalg.norm(edges, axis=2).prod(axis=1)
+    solvable = np.where(flat[:, None, None], np.eye(3), edges)
+    half_squares = 0.5 * np.einsum("tij,tij->ti", edges, edges)
+    offset = np.linalg.solve(solvable, half_squares[:, :, None])[:, :, 0]
+    offset[flat] = np.inf
+    return corners_m[:, 0] + offset, np.linalg.norm(offset, axis=1)
+
+
+class _Solid:
+    """Delaunay tetrahedra of which some have been carved away; always a ball."""
+
+    def __init__(self, points_m: FloatArray) -> None:
+        self._points = (points_m - points_m.mean(axis=0)) / max(float(np.ptp(points_m)), np.finfo(float).tiny)
+        try:
+            delaunay, hull = Delaunay(self._points), ConvexHull(self._points)
+        except (QhullError, ValueError) as error:
+            raise BoresightError(
+                f"{len(points_m)} landmarks span no volume: a mesh needs at least 4 that are not in one plane;"
+                " use more images or a lower min_observations"
+            ) from error
+        corners = self._points[delaunay.simplices]
+        mirrored = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0.0
+        self._tetrahedra = delaunay.simplices.astype(np.intp)
+        self._neighbours = delaunay.neighbors.astype(np.intp)
+        self._faces = self._tetrahedra[:, _FACES]  # (T, 4, 3)
+        self._faces[mirrored] = self._faces[mirrored][:, :, ::-1]
+        centres, self._radii = circumspheres(corners)
+        height = centres @ hull.equations[:, :3].T + hull.equations[:, 3]
+        self._centre_outside = ~(height <= _HULL_TOLERANCE).all(axis=1)
+        self._alive = np.ones(len(self._tetrahedra), dtype=bool)
+        self._vertex_uses = np.zeros(len(points_m), dtype=np.intp)
+        self._edge_uses: dict[tuple[int, int], int] = {}
+        for face in self.surface():
+            self._use(face, 1)
+
+    def _use(self, face: IndexArray, change: int) -> None:
+        corners = face.tolist()
+        for i, corner in enumerate(corners):
+            edge = _edge(corner, corners[i - 1])
+            self._vertex_uses[corner] += change
+            self._edge_uses[edge] = self._edge_uses.get(edge, 0) + change
+
+    def _open(self) -> NDArray[np.bool_]:
+        """(T, 4): faces of living tetrahedra that lie on the surface."""
+        outside = np.append(~self._alive, True)  # the neighbour -1 is the outside
+        mask: NDArray[np.bool_] = self._alive[:, None] & outside[self._neighbours]
+        return mask
+
+    def surface(self) -> IndexArray:
+        """(F, 3) outward facets, in the order of their tetrahedra."""
+        return self._faces[self._open()]
+
+    def on_surface(self) -> NDArray[np.bool_]:
+        """(N,): points that a surface facet touches."""
+        return self._vertex_uses > 0
+
+    def _open_faces(self, tetrahedron: int) -> IndexArray:
+        across = self._neighbours[tetrahedron]
+        return np.flatnonzero((across < 0) | ~self._alive[across])
+
+    def _removable(self, tetrahedron: int) -> bool:
+        """Whether the solid stays a ball without it.
+
+        With one face on the surface the opposite vertex must be inside; with two, the edge that they do not share.
+        """
+        faces = self._open_faces(tetrahedron)
+        corners = self._tetrahedra[tetrahedron]
+        if len(faces) == 1:
+            return bool(self._vertex_uses[corners[faces[0]]] == 0)
+        if len(faces) == 2:
+            return self._edge_uses.get(_edge(int(corners[faces[0]]), int(corners[faces[1]])), 0) == 0
+        return False
+
+    def _remove(self, tetrahedron: int) -> None:
+        was_open = self._open_faces(tetrahedron)
+        self._alive[tetrahedron] = False
+        for index, face in enumerate(self._faces[tetrahedron]):
+            self._use(face, -1 if index in was_open else 1)
+
+    def carve_by_circumcentre(self) -> None:
+        """Remove tetrahedra whose circumcentre lies outside the convex hull, the largest circumsphere first."""
+        wanted = np.flatnonzero(self._centre_outside)
+        waiting = wanted[np.argsort(-self._radii[wanted], kind="stable")].tolist()
+        progress = True
+        while progress:
+            progress = False
+            for tetrahedron in list(waiting):
+                if self._removable(tetrahedron):
+                    self._remove(tetrahedron)
+                    waiting.remove(tetrahedron)
+                    progress = True
+
+    def raise_buried(self) -> None:
+        """Carve towards buried points until none is left, or none can be reached."""
+        while True:
+            inside = np.unique(self._tetrahedra[self._alive])
+            buried = inside[self._vertex_uses[inside] == 0]
+            if not buried.size:
+                return
+            choice = self._bridge_over(buried)
+            if choice is None:
+                choice = self._nearest_removable(buried)
+            if choice is None:
+                return
+            self._remove(choice)
+
+    def _bridge_over(self, buried: IndexArray) -> int | None:
+        """Find the removable tetrahedron with the longest surface edge among those that reach a buried point."""
+        open_faces = self._open()
+        rows = np.flatnonzero(open_faces.any(axis=1))
+        corners = self._points[self._faces[rows]]  # (R, 4, 3, 3)
+        edges = np.linalg.norm(corners - np.roll(corners, 1, axis=2), axis=3).max(axis=2)
+        longest = np.where(open_faces[rows], edges, 0.0).max(axis=1)
+        weight = open_faces[rows][:, :, None]
+        centre = (corners.mean(axis=2) * weight).sum(axis=1) / weight.sum(axis=1)
+        distance, _ = cKDTree(self._points[buried]).query(centre)
+        bridging = np.flatnonzero(distance <= longest)
+        order = bridging[np.argsort(-longest[bridging], kind="stable")]
+        return next((int(rows[i]) for i in order if self._removable(int(rows[i]))), None)
+
+    def _nearest_removable(self, buried: IndexArray) -> int | None:
+        """Find the removable tetrahedron fewest steps from a buried point; of several, the largest circumsphere."""
+        level = np.flatnonzero(self._alive & np.isin(self._tetrahedra, buried).any(axis=1))
+        seen = ~self._alive
+        while level.size:
+            removable = [t for t in level.tolist() if self._removable(t)]
+            if removable:
+                return max(removable, key=lambda t: float(self._radii[t]))
+            seen[level] = True
+            across = np.unique(self._neighbours[level])
+            across = across[across >= 0]
+            level = across[~seen[across]]
+        return None
+
+
+def _edge(a: int, b: int) -> tuple[int, int]:
+    return (a, b) if a < b else (b, a)

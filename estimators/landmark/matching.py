@@ -1,0 +1,78 @@
+"""Landmarks to corners by proximity: reciprocal nearest neighbours, equation (14)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """Pairs of a landmark and a corner, in ascending order of the landmark.
+
+    Parameters
+    ----------
+    landmark
+        (M,) rows of the data base.
+    corner
+        (M,) rows of the list of corners.
+    d2
+        (M,) covariance-weighted squared distances.
+    """
+
+    landmark: IndexArray
+    corner: IndexArray
+    d2: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.landmark)
+
+    def same_pairs(self, other: Matches) -> bool:
+        """Whether both hold the same pairs, whatever their distances."""
+        return np.array_equal(self.landmark, other.landmark) and np.array_equal(self.corner, other.corner)
+
+
+def weighted_distances(uv_px: FloatArray, covariances_px2: FloatArray, corners_px: FloatArray) -> FloatArray:
+    """d2 (N, M) of each of N projected landmarks to each of M corners."""
+    offset = corners_px[None, :, :] - uv_px[:, None, :]
+    weight = np.linalg.inv(covariances_px2)  # eq. (19)
+    d2: FloatArray = np.einsum("nmi,nij,nmj->nm", offset, weight, offset)  # eq. (14)
+    return d2
+
+
+def match_landmarks(
+    uv_px: FloatArray,
+    covariances_px2: FloatArray,
+    visible: NDArray[np.bool_],
+    corners_px: FloatArray,
+    d2_max: float = 36.0,
+) -> Matches:
+    """Pair each visible landmark with its nearest corner where that corner has no nearer landmark.
+
+    Parameters
+    ----------
+    uv_px, covariances_px2
+        (N, 2) and (N, 2, 2) landmarks in the image.
+    visible
+        (N,) landmarks that may be matched.
+    corners_px
+        (M, 2) observed corners.
+    d2_max
+        Pairs must lie strictly closer than this; 36 is 6 standard deviations.
+    """
+    candidates = np.flatnonzero(visible)
+    if not candidates.size or not len(corners_px):
+        none = np.empty(0, dtype=np.intp)
+        return Matches(none, none, np.empty(0))
+    d2 = weighted_distances(uv_px[candidates], covariances_px2[candidates], corners_px)
+    nearest_corner = d2.argmin(axis=1)
+    nearest_landmark = d2.argmin(axis=0)
+    rows = np.arange(len(candidates))
+    best = d2[rows, nearest_corner]
+    paired = (nearest_landmark[nearest_corner] == rows) & (best < d2_max)
+    return Matches(candidates[paired], nearest_corner[paired], best[paired])

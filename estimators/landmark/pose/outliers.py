@@ -1,0 +1,128 @@
+"""Match, solve, match again, until the set of landmarks holds still: section 3.4.3."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from estimators.landmark.database import LandmarkDatabase
+from estimators.landmark.matching import Matches, match_landmarks
+from estimators.landmark.pose.epnp import solve_epnp
+from estimators.landmark.pose.levenberg_marquardt import MarquardtOptions, PoseFit, pose_covariance, refine_pose
+from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
+from estimators.landmark.projection import Projection, project_landmarks
+from estimators.landmark.visibility import visible_landmarks
+from scenarios.geometry import Camera, Pose
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+
+
+class PoseOptions(SpecModel):
+    """How the pose is worked out of the matches."""
+
+    method: Literal["both", "closed-form", "non-linear"] = Field(
+        "both", description="EPnP and then Levenberg-Marquardt, or one of them alone"
+    )
+    marquardt: MarquardtOptions = MarquardtOptions()
+    match_d2_max: float = Field(36.0, gt=0, description="Largest weighted squared distance of a match")
+    max_rounds: int = Field(10, ge=1, le=1000, description="Rounds of matching and solving")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Round:
+    """One round of matching and solving.
+
+    Parameters
+    ----------
+    projection
+        All landmarks, seen from the pose that the round began with.
+    visible
+        (N,) landmarks that could be seen from there.
+    matches
+        The pairs.
+    closed_form
+        The pose by EPnP; None where it was not asked for or found none.
+    fit
+        The pose after the round; None where there were too few pairs or no solution.
+    """
+
+    projection: Projection
+    visible: NDArray[np.bool_]
+    matches: Matches
+    closed_form: Pose | None = None
+    fit: PoseFit | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseSolution:
+    """All rounds, and the fit of the last; ``failure`` says why there is none."""
+
+    rounds: tuple[Round, ...]
+    stable: bool = False
+    failure: str = ""
+    fit: PoseFit | None = field(default=None)
+
+
+def solve_matches(problem: PoseProblem, start: Pose, options: PoseOptions) -> tuple[Pose | None, PoseFit | None]:
+    """Solve once: the closed-form pose (where asked for) and the fit.
+
+    Where EPnP finds no pose in front of the camera, the refinement begins at ``start`` instead.
+    """
+    closed_form = None if options.method == "non-linear" else solve_epnp(problem)
+    if options.method == "closed-form":
+        if closed_form is None:
+            return None, None
+        fit = PoseFit(closed_form, problem.chi2(closed_form), pose_covariance(problem, closed_form), 0)
+    else:
+        fit = refine_pose(problem, closed_form or start, options.marquardt)
+    usable = np.isfinite(fit.chi2) and np.isfinite(fit.covariance).all()
+    return closed_form, fit if usable else None
+
+
+def solve_pose(
+    database: LandmarkDatabase, camera: Camera, start: Pose, corners_px: FloatArray, options: PoseOptions
+) -> PoseSolution:
+    """Recognise landmarks among the corners and solve for the pose.
+
+    Parameters
+    ----------
+    database
+        Landmarks and mesh.
+    camera, start
+        The camera, and the pose that landmarks are first predicted from.
+    corners_px
+        (M, 2) corners of the image.
+    options
+        Method, threshold and the greatest number of rounds.
+    """
+    mesh = database.mesh()
+    pose = start
+    rounds: list[Round] = []
+    for _ in range(options.max_rounds):
+        projection = project_landmarks(database, camera, pose)
+        visible = visible_landmarks(mesh, camera, pose)
+        matches = match_landmarks(
+            projection.uv_px, projection.covariances_px2, visible, corners_px, options.match_d2_max
+        )
+        if rounds and rounds[-1].fit is not None and matches.same_pairs(rounds[-1].matches):
+            return PoseSolution(tuple(rounds), True, "", rounds[-1].fit)
+        rounds.append(Round(projection, visible, matches))
+        if len(matches) < MIN_LANDMARKS:
+            return PoseSolution(tuple(rounds), False, f"{len(matches)} landmarks recognised, {MIN_LANDMARKS} needed")
+        problem = PoseProblem(
+            database.means_m[matches.landmark],
+            corners_px[matches.corner],
+            np.linalg.inv(projection.covariances_px2[matches.landmark]),
+            camera,
+        )
+        closed_form, fit = solve_matches(problem, pose, options)
+        rounds[-1] = Round(projection, visible, matches, closed_form, fit)
+        if fit is None:
+            return PoseSolution(tuple(rounds), False, f"{len(matches)} recognised landmarks fix no pose")
+        pose = fit.T_cam_body
+    return PoseSolution(tuple(rounds), False, "", rounds[-1].fit)

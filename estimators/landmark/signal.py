@@ -1,0 +1,95 @@
+"""What in an image is body and what is background: shared by corners, centroid and alignment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.errors import BoresightError
+
+_CORNER_FRACTION = 1 / 16
+_MIN_SIDE_PX = 16
+_MIN_SIGNAL_PX = 16
+_FULL_SCALE_PERCENTILE = 99.0
+_MAD_TO_SIGMA = 1.4826
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signal:
+    """An image without its background.
+
+    Parameters
+    ----------
+    image
+        (H, W) float32; 0 where nothing rises above the background, 1 at the body's bright level (the 99th
+        percentile of its pixels), whatever unit the image came in.
+    background
+        Level that was subtracted, in the image's unit.
+    noise
+        Standard deviation of the background, in the image's unit.
+    """
+
+    image: NDArray[np.float32]
+    background: float
+    noise: float
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing rises above the background: a black image."""
+        return not self.image.any()
+
+
+def background_level(image: NDArray[np.float32]) -> tuple[float, float]:
+    """Level and standard deviation of the dark sky.
+
+    The four corners of the image are looked at and the darkest is taken: the body would have to reach into all
+    four to spoil it. Median and median absolute deviation, so that stars and hot pixels do not count.
+    """
+    height, width = image.shape
+    rows, columns = max(4, round(height * _CORNER_FRACTION)), max(4, round(width * _CORNER_FRACTION))
+    blocks = [image[r, c] for r in (slice(rows), slice(-rows, None)) for c in (slice(columns), slice(-columns, None))]
+    medians = [float(np.median(block)) for block in blocks]
+    darkest = int(np.argmin(medians))
+    level = medians[darkest]
+    return level, float(_MAD_TO_SIGMA * np.median(np.abs(blocks[darkest] - level)))
+
+
+def extract_signal(
+    image: NDArray[np.float32],
+    sky: tuple[float, float] | None = None,
+    threshold_sigma: float = 5.0,
+    threshold_fraction: float = 0.02,
+) -> Signal:
+    """Subtract the background and scale the rest to a fixed range.
+
+    Parameters
+    ----------
+    image
+        (H, W) any linear measure of radiance.
+    sky
+        Level and standard deviation of the background, where they are known; measured in the image if None.
+    threshold_sigma
+        Pixels less than this many standard deviations above the background become 0.
+    threshold_fraction
+        So do pixels below this fraction of the body's bright level, which removes haze and quantisation.
+
+    Raises
+    ------
+    BoresightError
+        If the image is not two-dimensional or holds NaN or infinity.
+    """
+    if image.ndim != 2 or min(image.shape) < _MIN_SIDE_PX:
+        raise BoresightError(f"an image must be (H, W) with at least {_MIN_SIDE_PX} pixels a side, not {image.shape}")
+    if not np.isfinite(image).all():
+        raise BoresightError(f"the image holds {int((~np.isfinite(image)).sum())} pixels that are NaN or infinite")
+    level, noise = background_level(image) if sky is None else sky
+    rise = image.astype(np.float32) - np.float32(level)
+    bright = rise[rise > max(threshold_sigma * noise, 0.0)]
+    if bright.size < _MIN_SIGNAL_PX:
+        return Signal(np.zeros_like(rise), level, noise)
+    full_scale = float(np.percentile(bright, _FULL_SCALE_PERCENTILE))
+    floor = max(threshold_sigma * noise, threshold_fraction * full_scale)
+    scaled = np.where(rise > floor, rise / np.float32(full_scale), np.float32(0.0))
+    return Signal(scaled.astype(np.float32), level, noise)
