@@ -110,7 +110,7 @@ def _what(detail: ErrorDetails, spot: _Spot) -> str:
 def _fault(kind: str, context: Mapping[str, Any], field: FieldInfo | None, message: str) -> str:
     """Say what is wrong with a value, to be read after the value itself."""
     if kind == "union_tag_invalid":
-        return f"is not {context['expected_tags']}"
+        return f"is not one of {context['expected_tags']}"
     if kind == "literal_error":
         return f"is not {context['expected']}"
     if kind == "string_pattern_mismatch":

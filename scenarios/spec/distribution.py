@@ -85,8 +85,8 @@ class Uniform3(SpecModel):
 
     def draw(self, rng: np.random.Generator) -> FloatArray:
         """Draw (3,) values."""
-        low, high = np.array(self.uniform).T
-        return rng.uniform(low, high)
+        bounds = np.array(self.uniform, dtype=np.float64)
+        return rng.uniform(bounds[:, 0], bounds[:, 1])
 
     @property
     def second_moments(self) -> FloatArray:

@@ -1,0 +1,69 @@
+"""One grey image file as an array."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import cv2
+import numpy as np
+from astropy.io import fits
+from numpy.typing import NDArray
+
+from scenarios.errors import BoresightError
+
+FITS_SUFFIXES = (".fits", ".fit", ".fts")
+BITMAP_SUFFIXES = (".png", ".tif", ".tiff")
+
+
+def read_image(path: Path) -> NDArray[np.float32]:
+    """Read a grey PNG, TIFF (8 or 16 bit) or FITS image.
+
+    Returns
+    -------
+    ndarray
+        (H, W) float32 in the units of the file, rows in the order of the file.
+
+    Raises
+    ------
+    BoresightError
+        If the file is missing, damaged, of another format, in colour, or holds values that are not finite.
+    """
+    if not path.is_file():
+        raise BoresightError(f"{path}: no such image")
+    suffix = path.suffix.lower()
+    if suffix in FITS_SUFFIXES:
+        image = _read_fits(path)
+    elif suffix in BITMAP_SUFFIXES:
+        image = _read_bitmap(path)
+    else:
+        raise BoresightError(f"{path}: not a format that is read: {', '.join((*BITMAP_SUFFIXES, *FITS_SUFFIXES))}")
+    if image.ndim != 2:
+        raise BoresightError(f"{path}: a grey image has rows and columns alone, this one has shape {image.shape}")
+    values = np.ascontiguousarray(image, dtype=np.float32)
+    bad = ~np.isfinite(values)
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise BoresightError(f"{path}: {int(bad.sum())} pixels are not finite, the first in row {row}, column {column}")
+    return values
+
+
+def _read_bitmap(path: Path) -> NDArray[np.generic]:
+    try:
+        image = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except (cv2.error, OSError) as error:
+        raise BoresightError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
+    if image is None:
+        raise BoresightError(f"{path}: not a readable {path.suffix[1:].upper()} image")
+    return np.asarray(image)
+
+
+def _read_fits(path: Path) -> NDArray[np.generic]:
+    try:
+        with warnings.catch_warnings(action="ignore"), fits.open(path, memmap=False) as units:
+            image = next((unit.data for unit in units if unit.is_image and unit.data is not None), None)
+    except (OSError, TypeError, ValueError, IndexError, KeyError) as error:
+        raise BoresightError(f"{path}: not a readable FITS file: {error}") from error
+    if image is None:
+        raise BoresightError(f"{path}: holds no image")
+    return np.asarray(image)

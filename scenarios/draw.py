@@ -1,0 +1,145 @@
+"""What chance decides in a trial: where the camera and the Sun are, and how wrong the prior pose is."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Pose, View, look_at
+from scenarios.spec.distribution import Vector3
+from scenarios.spec.scenario import ScenarioSpec
+from scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
+
+FloatArray = NDArray[np.float64]
+_ALL_LATITUDES_RAD = (-0.5 * np.pi, 0.5 * np.pi)
+
+
+class Stream(IntEnum):
+    """What a random stream is for. Only ever append: the numbers are part of every seed."""
+
+    TRUTH = 0
+    POSE_ERROR = 1
+    DETECTOR = 2
+    ESTIMATOR = 3
+    DATABASE = 4
+
+
+def generator(seed: int, stream: Stream, trial: int) -> np.random.Generator:
+    """Return the generator of one stream of one trial.
+
+    The address (seed, stream, trial) is all that it depends on: neither the order of trials nor the content of
+    the scenario, so that scenarios and estimators are compared on the same draws.
+    """
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(stream), trial)))
+
+
+def draw_view(spec: ScenarioSpec, camera: Camera, rng: np.random.Generator) -> View:
+    """Draw the true view of a trial.
+
+    Raises
+    ------
+    BoresightError
+        If the scenario has no viewpoint section: its views come from a table of real images.
+    """
+    if spec.viewpoint is None:
+        raise BoresightError(
+            f"{spec.name}: viewpoint: missing, so there is no view to draw; real images have their own"
+        )
+    return draw_lit_view(spec.viewpoint, spec.lighting, camera, rng)
+
+
+def draw_lit_view(viewpoint: ViewpointSpec, lighting: LightingSpec, camera: Camera, rng: np.random.Generator) -> View:
+    """Draw a camera that looks at the body's origin, and a Sun for it.
+
+    The direction of the camera is uniform over the area of the latitude band. The Sun stands at a phase angle
+    from that direction, seen from the body's origin, at an azimuth that is uniform about it.
+    """
+    south_rad, north_rad = np.radians(viewpoint.latitude_deg.uniform)
+    camera_dir_body = draw_direction((south_rad, north_rad), rng)
+    roll_rad = np.radians(viewpoint.roll_deg.draw(rng))
+    T_cam_body = look_at(viewpoint.range_m * camera_dir_body, float(roll_rad))
+    phase_rad = draw_phase(lighting, rng)
+    azimuth_rad = rng.uniform(0.0, 2.0 * np.pi)
+    across_cam = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
+    towards_camera_cam = np.array([0.0, 0.0, -1.0])
+    sun_dir_cam = np.cos(phase_rad) * towards_camera_cam + np.sin(phase_rad) * across_cam
+    return View(camera, T_cam_body, T_cam_body.inverse().rotate(sun_dir_cam))
+
+
+def draw_direction(latitudes_rad: tuple[float, float], rng: np.random.Generator) -> FloatArray:
+    """Draw a unit vector, (3,), uniform over the area between two latitudes."""
+    south, north = np.sin(latitudes_rad)
+    z = rng.uniform(south, north)
+    longitude_rad = rng.uniform(0.0, 2.0 * np.pi)
+    radius = np.sqrt(1.0 - z * z)
+    return np.array([radius * np.cos(longitude_rad), radius * np.sin(longitude_rad), z])
+
+
+def draw_phase(lighting: LightingSpec, rng: np.random.Generator) -> float:
+    """Draw a phase angle, rad: uniform in its cosine (the solid angle) or in itself."""
+    low, high = np.radians(lighting.phase_deg.uniform)
+    if lighting.measure == "angle":
+        return float(rng.uniform(low, high))
+    return float(np.arccos(rng.uniform(np.cos(high), np.cos(low))))
+
+
+def degrade(T_cam_body: Pose, spec: PoseErrorSpec, camera: Camera, rng: np.random.Generator) -> Pose:
+    """Degrade a true pose: shift its translation in camera axes and turn its attitude, independently.
+
+    This is the error of Rowell et al. (2015), section 4.2: the translation is T of equation (4), so that the
+    body moves in the image by the shift alone, and the camera's position in the body frame is wrong by the shift
+    and by the attitude error times the range.
+    """
+    range_m = float(np.linalg.norm(T_cam_body.translation_m))
+    shift_m = _shift(spec, range_m, camera, rng)
+    return T_cam_body.perturbed(_rotation_vector(spec.attitude, rng), shift_m)
+
+
+def prior_covariance(spec: PoseErrorSpec, range_m: float, camera: Camera) -> FloatArray:
+    """Return the (6, 6) second moment of the error that ``degrade`` adds, [rotation_rad, translation_m] in camera axes.
+
+    Parameters
+    ----------
+    spec
+        The pose-error section.
+    range_m
+        Distance from the camera to the body's origin: scales errors that are given in pixel sizes.
+    camera
+        The camera, for the same.
+    """
+    attitude = spec.attitude
+    if attitude.rotation_vector_deg is not None:
+        rotation_deg2 = attitude.rotation_vector_deg.second_moments
+    else:
+        angle = attitude.angle_deg
+        rotation_deg2 = np.full(3, 0.0 if angle is None else angle.second_moment / 3.0)
+    position, scale_m = _position(spec, range_m, camera)
+    rotation_rad2 = rotation_deg2 * np.radians(1.0) ** 2
+    return np.diag(np.concatenate([rotation_rad2, position.second_moments * scale_m**2]))
+
+
+def _shift(spec: PoseErrorSpec, range_m: float, camera: Camera, rng: np.random.Generator) -> FloatArray:
+    position, scale_m = _position(spec, range_m, camera)
+    return position.draw(rng) * scale_m
+
+
+def _position(spec: PoseErrorSpec, range_m: float, camera: Camera) -> tuple[Vector3, float]:
+    """Return the law of the shift, and the metres of one of its units."""
+    if spec.position_cam_m is not None:
+        return spec.position_cam_m, 1.0
+    if spec.position_cam_px is not None:
+        return spec.position_cam_px, range_m * camera.pixel_angle_rad
+    raise BoresightError("pose_error: give either position_cam_m or position_cam_px")
+
+
+def _rotation_vector(spec: AttitudeErrorSpec, rng: np.random.Generator) -> FloatArray:
+    """Draw a rotation vector, (3,), rad, in camera axes."""
+    if spec.rotation_vector_deg is not None:
+        return np.radians(spec.rotation_vector_deg.draw(rng))
+    if spec.angle_deg is not None:
+        angle_rad = np.radians(spec.angle_deg.draw(rng))
+        return np.asarray(angle_rad * draw_direction(_ALL_LATITUDES_RAD, rng))
+    raise BoresightError("pose_error.attitude: give either angle_deg or rotation_vector_deg")
