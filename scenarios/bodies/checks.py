@@ -1,0 +1,132 @@
+"""What a shape must be before anything is rendered from it: closed, outward, in metres, about its origin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from scenarios.bodies.readers import RawShape
+from scenarios.bodies.topology import FloatArray, IndexArray, directed_edge_keys, is_closed
+from scenarios.errors import BoresightError
+from scenarios.geometry import TriangleMesh
+
+METRES = {"m": 1.0, "km": 1000.0}
+
+
+def checked_mesh(
+    shape: RawShape, where: Path, unit: str, expected_diameter_m: tuple[float, float]
+) -> tuple[TriangleMesh, tuple[str, ...]]:
+    """Turn the numbers of a file into a sound mesh in metres.
+
+    Mended, with a note: vertices that no face uses, coincident vertices of an open mesh, facets with a repeated
+    vertex, a closed mesh that is inside out as a whole. Everything else that is wrong is refused.
+
+    Parameters
+    ----------
+    shape
+        Vertices and faces in the unit of the file.
+    where
+        The file, for messages.
+    unit
+        ``m`` or ``km``: the unit of the file.
+    expected_diameter_m
+        Least and greatest longest side of the body's box.
+
+    Returns
+    -------
+    The mesh, and one note for each thing that was mended or is worth knowing.
+
+    Raises
+    ------
+    BoresightError
+        The extent does not fit, the mesh is open or inconsistently wound, or the origin lies outside.
+    """
+    vertices, faces, notes = _tidied(shape.vertices * METRES[unit], shape.faces)
+    _check_extent(vertices, where, unit, expected_diameter_m)
+    _check_closed(faces, where)
+    mesh = TriangleMesh(vertices, faces.astype(np.int32))
+    if mesh.volume_m3 < 0.0:
+        mesh = TriangleMesh(vertices, mesh.faces[:, ::-1])
+        notes.append("the facets faced inward: all were turned")
+    flat = int(np.count_nonzero(~mesh.normals.any(axis=1)))
+    if flat:
+        notes.append(f"{flat} facets have no area")
+    _check_origin(mesh, where)
+    return mesh, tuple(notes)
+
+
+def _tidied(vertices: FloatArray, faces: IndexArray) -> tuple[FloatArray, IndexArray, list[str]]:
+    notes = []
+    if not is_closed(faces):
+        welded, group = np.unique(vertices, axis=0, return_inverse=True)
+        if len(welded) < len(vertices):
+            notes.append(f"{len(vertices) - len(welded)} coincident vertices were joined")
+            vertices, faces = welded, group.reshape(-1)[faces]
+    repeated = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+    if repeated.any():
+        notes.append(f"{int(repeated.sum())} facets with a repeated vertex were left out")
+        faces = faces[~repeated]
+    used, renumbered = np.unique(faces, return_inverse=True)
+    if len(used) < len(vertices):
+        notes.append(f"{len(vertices) - len(used)} vertices that no facet uses were left out")
+        vertices, faces = vertices[used], renumbered.reshape(-1, 3)
+    return vertices, faces, notes
+
+
+def _check_extent(vertices_m: FloatArray, where: Path, unit: str, expected_m: tuple[float, float]) -> None:
+    extent = np.ptp(vertices_m, axis=0) if len(vertices_m) else np.zeros(3)
+    low, high = expected_m
+    longest = float(extent.max())
+    if low <= longest <= high:
+        return
+    other = {"m": "km", "km": "m"}[unit]
+    fits = low <= longest * METRES[other] / METRES[unit] <= high
+    hint = f"is the file in {other}? set body.unit: {other}" if fits else "check body.unit and body.expected_diameter_m"
+    size = " x ".join(f"{side:.4g}" for side in extent)
+    raise BoresightError(
+        f"{where}: with body.unit {unit} the body is {size} m,"
+        f" outside body.expected_diameter_m [{low:g}, {high:g}]; {hint}"
+    )
+
+
+def _check_closed(faces: IndexArray, where: Path) -> None:
+    if not len(faces):
+        raise BoresightError(f"{where}: every facet repeats a vertex; the shape has no surface")
+    if is_closed(faces):
+        return
+    forward, backward = directed_edge_keys(faces)
+    lonely = ~np.isin(forward, backward)
+    _, count = np.unique(forward, return_counts=True)
+    if lonely.any():
+        facet = int(np.argmax(lonely)) // 3
+        raise BoresightError(
+            f"{where}: the mesh is not closed: {int(lonely.sum())} facet edges have no partner in the opposite"
+            f" direction, the first at facet {facet + 1}; mend the holes and the winding in the shape file"
+        )
+    raise BoresightError(
+        f"{where}: {int((count > 1).sum())} edges are shared by more than two facets; remove doubled facets"
+    )
+
+
+def _check_origin(mesh: TriangleMesh, where: Path) -> None:
+    turns = winding_number(mesh, np.zeros(3))
+    if abs(turns - 1.0) > 0.5:
+        centre = mesh.vertices_m.mean(axis=0)
+        raise BoresightError(
+            f"{where}: the origin lies outside the body (winding number {turns:.2f}); move the shape so that its"
+            f" centre, now at {np.array2string(centre, precision=3)} m, is the origin"
+        )
+
+
+def winding_number(mesh: TriangleMesh, point_m: FloatArray) -> float:
+    """How often a closed mesh wraps a point: 1 inside, 0 outside.
+
+    The sum of the facets' signed solid angles over 4 pi (van Oosterom and Strackee 1983, equation 8).
+    """
+    a, b, c = np.moveaxis(mesh.corners_m - point_m, 1, 0)
+    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+    triple = np.einsum("fi,fi->f", a, np.cross(b, c))
+    dots = [np.einsum("fi,fi->f", p, q) for p, q in ((a, b), (b, c), (c, a))]
+    half = np.arctan2(triple, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)  # eq. (8)
+    return float(half.sum() / (2.0 * np.pi))

@@ -1,0 +1,98 @@
+"""The detail stage: a smooth refinement of a coarse shape, with boulders, craters, roughness and albedo on it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scenarios.bodies.detail.features import boulder_heights, crater_heights
+from scenarios.bodies.detail.noise import Band, fractal_field
+from scenarios.bodies.detail.placement import Ground
+from scenarios.bodies.detail.subdivide import interpolating_control, refine, rounds_for, smoothed
+from scenarios.bodies.topology import FloatArray, IntArray, find_edges, unit, vertex_normals
+from scenarios.errors import BoresightError
+from scenarios.geometry import TriangleMesh
+from scenarios.spec.body import AlbedoSpec, DetailSpec
+
+__all__ = ["DETAIL_VERSION", "add_detail"]
+
+DETAIL_VERSION = 1
+"""Part of every detailed body's key: raise it when the same spec gives another mesh."""
+
+_MAX_SMOOTHING_ROUNDS = 100
+_ALBEDO_HURST = 0.5
+_ALBEDO_OCTAVES = 5
+_ALBEDO_RANGE = (0.2, 2.0)
+
+
+def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tuple[str, ...]]:
+    """Refine a closed mesh and displace its vertices; the same seed gives the same body, bit for bit.
+
+    The refined surface is Loop's, fitted so that it passes through the coarse vertices (see
+    `interpolating_control`). Vertices then move along one direction each, the coarse surface's normal smoothed
+    over twice the height of the relief, by the sum of boulders, craters and roughness. Being a height field, the
+    relief has no overhangs. Features smaller than two edges of the refined mesh are left out.
+
+    Parameters
+    ----------
+    mesh
+        The coarse shape, closed and outward.
+    spec
+        What to add.
+
+    Returns
+    -------
+    The detailed mesh, and one note for each kind of feature of which some were left out.
+    """
+    if mesh.albedo is not None and spec.albedo is not None:
+        raise BoresightError("detail.albedo: the shape has an albedo of its own; remove the key")
+    ground, faces, coarse_albedo = _refined(mesh, spec)
+    boulders, craters, roughness, albedo = np.random.SeedSequence(spec.seed).spawn(4)
+    heights = np.zeros(len(ground.points_m))
+    omitted = {}
+    if spec.craters is not None:
+        relief, omitted["craters"] = crater_heights(spec.craters, ground, craters)
+        heights += relief
+    if spec.boulders is not None:
+        relief, omitted["boulders"] = boulder_heights(spec.boulders, ground, boulders)
+        heights += relief
+    if spec.roughness is not None:
+        band = Band(spec.roughness.max_wavelength_m, spec.roughness.min_wavelength_m, spec.roughness.hurst)
+        relief, omitted["octaves of roughness"] = fractal_field(ground.points_m, band, ground.resolution_m, roughness)
+        heights += spec.roughness.rms_m * relief
+    points_m = ground.points_m + heights[:, None] * ground.up
+    factor = coarse_albedo if spec.albedo is None else _albedo(spec.albedo, ground, albedo)
+    notes = tuple(
+        f"{count} {what} are smaller than two facet edges ({ground.resolution_m:.3g} m) and were left out"
+        for what, count in omitted.items()
+        if count
+    )
+    return TriangleMesh(points_m, faces.astype(np.int32), factor), notes
+
+
+def _refined(mesh: TriangleMesh, spec: DetailSpec) -> tuple[Ground, IntArray, FloatArray | None]:
+    """Smooth surface with its directions of displacement, its faces, and the refined albedo where there is one."""
+    coarse_m, coarse_faces = mesh.vertices_m, mesh.faces
+    edges = find_edges(coarse_faces)
+    coarse_edge_m = float(np.linalg.norm(np.diff(coarse_m[edges.ends], axis=1), axis=-1).mean())
+    smoothing = min(_MAX_SMOOTHING_ROUNDS, int(np.ceil((2.0 * _relief_m(spec) / coarse_edge_m) ** 2)))
+    up = unit(smoothed(vertex_normals(coarse_m, coarse_faces), edges, smoothing))
+    rounds = rounds_for(len(coarse_faces), spec.facets)
+    control = interpolating_control(coarse_m, coarse_faces) if rounds else coarse_m
+    columns = [control, up] if mesh.albedo is None else [control, up, mesh.albedo[:, None]]
+    fine, faces = refine(np.hstack(columns), coarse_faces, rounds)
+    ground = Ground(fine[:, :3], unit(fine[:, 3:6]), coarse_edge_m / 2**rounds, coarse_m, coarse_faces)
+    return ground, faces, None if mesh.albedo is None else fine[:, 6]
+
+
+def _relief_m(spec: DetailSpec) -> float:
+    """Greatest height or depth that the features of a spec reach."""
+    boulders = spec.boulders.max_diameter_m * spec.boulders.height_ratio if spec.boulders else 0.0
+    craters = spec.craters.max_diameter_m * spec.craters.depth_ratio if spec.craters else 0.0
+    return max(boulders, craters, 3.0 * spec.roughness.rms_m if spec.roughness else 0.0)
+
+
+def _albedo(spec: AlbedoSpec, ground: Ground, seed: np.random.SeedSequence) -> FloatArray:
+    shortest_m = spec.wavelength_m / 2 ** (_ALBEDO_OCTAVES - 1)
+    band = Band(spec.wavelength_m, shortest_m, _ALBEDO_HURST)
+    field, _ = fractal_field(ground.points_m, band, ground.resolution_m, seed)
+    return np.clip(1.0 + spec.sigma * field, *_ALBEDO_RANGE)

@@ -1,0 +1,128 @@
+"""Boulders and craters as heights over the smooth surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scenarios.bodies.detail.placement import (
+    Ground,
+    Patches,
+    find_patches,
+    power_law_diameters,
+    tangent_axes,
+)
+from scenarios.bodies.topology import FloatArray, IndexArray
+from scenarios.spec.body import BoulderSpec, CraterSpec
+
+_SIDES = 7
+_TOPS = 3
+_WALL = 0.6  # share of the half-width over which a boulder rises; with height_ratio 0.35 its foot is at 67 deg
+_RIM_WIDTH = 0.4  # in crater radii: a rim rounded by rubble, not a knife edge
+_CRATER_REACH = 3.0  # the ejecta blanket ends at this many radii
+
+
+def boulder_heights(spec: BoulderSpec, ground: Ground, seed: np.random.SeedSequence) -> tuple[FloatArray, int]:
+    """Heights (V,) of angular blocks that stand on the surface; where two overlap the higher one shows.
+
+    Returns
+    -------
+    The heights, and the number of boulders that are too small for the mesh and were left out.
+    """
+    places, diameters_m, kept, rng = _scatter(spec, ground, seed)
+    blocks = _draw_blocks(spec, ground, places, diameters_m, rng)
+    heights = np.zeros(len(ground.points_m))
+    for patches in find_patches(ground, places[:kept], 0.5 * diameters_m[:kept]):
+        np.maximum.at(heights, patches.vertex, blocks.heights_m(patches))
+    return heights, spec.count - kept
+
+
+def crater_heights(spec: CraterSpec, ground: Ground, seed: np.random.SeedSequence) -> tuple[FloatArray, int]:
+    """Heights (V,) of bowls with raised rims; where several overlap they add up.
+
+    Returns
+    -------
+    The heights, and the number of craters that are too small for the mesh and were left out.
+    """
+    places, diameters_m, kept, _ = _scatter(spec, ground, seed)
+    heights = np.zeros(len(ground.points_m))
+    for patches in find_patches(ground, places[:kept], 0.5 * _CRATER_REACH * diameters_m[:kept]):
+        diameter_m = diameters_m[patches.feature]
+        radii = np.linalg.norm(patches.offset_m, axis=1) / (0.5 * diameter_m)
+        heights += np.bincount(patches.vertex, diameter_m * _crater_profile(radii, spec), len(heights))
+    return heights, spec.count - kept
+
+
+def _scatter(
+    spec: BoulderSpec | CraterSpec, ground: Ground, seed: np.random.SeedSequence
+) -> tuple[IndexArray, FloatArray, int, np.random.Generator]:
+    """Draw places and diameters, largest first, and count those that the mesh can carry."""
+    rng = np.random.default_rng(seed)
+    diameters_m = power_law_diameters(spec.count, spec.min_diameter_m, spec.max_diameter_m, spec.exponent, rng)
+    places = ground.draw_places(spec.count, rng)
+    return places, diameters_m, int(np.count_nonzero(diameters_m >= ground.resolution_m)), rng
+
+
+def _crater_profile(radii: FloatArray, spec: CraterSpec) -> FloatArray:
+    """Height over diameter: a paraboloid inside, an inverse-cube ejecta blanket outside, blended at the rim."""
+    bowl = spec.rim_ratio - spec.depth_ratio * (1.0 - radii**2)
+    end = _CRATER_REACH**-3
+    blanket = spec.rim_ratio * (np.maximum(radii, 1.0) ** -3 - end) / (1.0 - end)
+    outside = np.clip((radii - 1.0) / _RIM_WIDTH + 0.5, 0.0, 1.0)
+    outside = outside * outside * (3.0 - 2.0 * outside)
+    return (1.0 - outside) * bowl + outside * np.maximum(blanket, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Blocks:
+    """Blocks with a rounded polygonal footprint, steep walls and a top of several tilted planes.
+
+    Parameters
+    ----------
+    axes_per_m
+        (N, 2, 3) two directions across the surface, over the half-widths along them.
+    sides
+        (N, 7, 2) outward directions of the footprint's sides over their distances.
+    tops
+        (N, 3, 3) planes (constant, slope, slope) over the footprint; the lowest one counts.
+    height_m
+        (N,) height of the block.
+    """
+
+    axes_per_m: FloatArray
+    sides: FloatArray
+    tops: FloatArray
+    height_m: FloatArray
+
+    def heights_m(self, patches: Patches) -> FloatArray:
+        """Height of the block over each pair's vertex."""
+        block = patches.feature
+        x, y = (np.einsum("ni,ni->n", self.axes_per_m[block, k], patches.offset_m) for k in range(2))
+        # The norm with exponent 8 rounds the polygon's corners; the circle in it bounds the footprint.
+        norm = (x * x + y * y) ** 4
+        for k in range(_SIDES):
+            side = np.maximum(self.sides[block, k, 0] * x + self.sides[block, k, 1] * y, 0.0)
+            norm += ((side * side) ** 2) ** 2
+        rise = np.clip((1.0 - norm**0.125) / _WALL, 0.0, 1.0)
+        tops = (self.tops[block, k, 0] + self.tops[block, k, 1] * x + self.tops[block, k, 2] * y for k in range(_TOPS))
+        top = np.minimum.reduce(list(tops))
+        heights_m: FloatArray = self.height_m[block] * rise * (2.0 - rise) * np.maximum(top, 0.0)
+        return heights_m
+
+
+def _draw_blocks(
+    spec: BoulderSpec, ground: Ground, places: IndexArray, diameters_m: FloatArray, rng: np.random.Generator
+) -> _Blocks:
+    count = len(diameters_m)
+    first, second = tangent_axes(ground.up[places], rng.uniform(0.0, 2.0 * np.pi, count))
+    narrow = rng.uniform(0.65, 1.0, (count, 1))
+    axes = np.stack([first, second / narrow], axis=1) / (0.5 * diameters_m)[:, None, None]
+    angle = 2.0 * np.pi * (np.arange(_SIDES) + rng.uniform(-0.35, 0.35, (count, _SIDES))) / _SIDES
+    distance = rng.uniform(0.7, 1.0, (count, _SIDES))
+    sides = np.stack([np.cos(angle), np.sin(angle)], axis=-1) / distance[..., None]
+    tops = np.concatenate(
+        [rng.uniform(0.8, 1.1, (count, _TOPS, 1)), rng.uniform(-0.5, 0.5, (count, _TOPS, 2))], axis=-1
+    )
+    height_m = spec.height_ratio * diameters_m * rng.uniform(0.4, 1.6, count)
+    return _Blocks(axes, sides, tops, height_m)

@@ -1,0 +1,70 @@
+"""Band-limited random fields in space: sums of octaves of smooth lattice noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+from scipy.spatial.transform import Rotation
+
+from scenarios.bodies.topology import FloatArray
+
+_LATTICE = 96
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Octaves of wavelength ``longest_m / 2**k`` down to ``shortest_m``, amplitudes ~ wavelength**hurst."""
+
+    longest_m: float
+    shortest_m: float
+    hurst: float
+
+    @property
+    def wavelengths_m(self) -> FloatArray:
+        """The octaves, longest first."""
+        count = 1 + int(np.floor(np.log2(self.longest_m / self.shortest_m) + 1e-9))
+        return self.longest_m / np.exp2(np.arange(count, dtype=np.float64))
+
+    @property
+    def amplitudes(self) -> FloatArray:
+        """RMS of each octave; their squares add up to 1."""
+        amplitude = self.wavelengths_m**self.hurst
+        return amplitude / np.linalg.norm(amplitude)
+
+
+def fractal_field(
+    points_m: FloatArray, band: Band, resolution_m: float, seed: np.random.SeedSequence
+) -> tuple[FloatArray, int]:
+    """Sum the octaves of a band at points (N, 3).
+
+    Octaves below ``resolution_m`` cannot be carried by the mesh and are left out; those that stay do not
+    depend on it, so that a body keeps its hills when it gets more facets.
+
+    Returns
+    -------
+    The field (N,), of RMS 1 if all octaves are there, and the number of octaves left out.
+    """
+    field = np.zeros(len(points_m))
+    omitted = 0
+    octaves = zip(band.wavelengths_m, band.amplitudes, seed.spawn(len(band.wavelengths_m)), strict=True)
+    for wavelength_m, amplitude, stream in octaves:
+        if wavelength_m < resolution_m:
+            omitted += 1
+            continue
+        octave = _lattice_noise(points_m * (2.0 / wavelength_m), np.random.default_rng(stream))
+        field += amplitude * (octave - octave.mean()) / octave.std()
+    return field, omitted
+
+
+def _lattice_noise(points: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Cubic B-spline of random values at points (N, 3) in lattice steps; it repeats after 96 steps.
+
+    Each octave lies turned and shifted at random, so that the repetitions of different octaves never meet.
+    """
+    lattice = rng.standard_normal((_LATTICE,) * 3, dtype=np.float32)
+    turn = Rotation.random(rng=rng).as_matrix()
+    # einsum and not BLAS: its sums do not depend on the number of threads.
+    coordinates = np.einsum("ij,nj->in", turn, points) + rng.uniform(0.0, _LATTICE, (3, 1))
+    return map_coordinates(lattice, coordinates, order=3, mode="grid-wrap", prefilter=False, output=np.float64)

@@ -1,0 +1,127 @@
+"""Bodies that come with the package, made from formulas."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+import trimesh
+
+from scenarios.bodies import cubegrid
+from scenarios.bodies.detail.noise import Band, fractal_field
+from scenarios.bodies.detail.subdivide import smoothed
+from scenarios.bodies.topology import FloatArray, IndexArray, find_edges, unit, vertex_normals
+from scenarios.geometry import TriangleMesh
+
+__all__ = ["EMBEDDED", "contact_binary", "sphere"]
+
+EMBEDDED_VERSION = 1
+"""Part of every embedded body's key: raise it when a formula gives another mesh."""
+
+_BOX_M = np.array([560.0, 305.0, 243.0])
+_GRID = 32
+_PROJECTIONS = 6
+_RELAXATIONS = 12
+_LUMPS = Band(longest_m=180.0, shortest_m=22.0, hurst=1.0)
+_LUMPS_RMS_M = 5.0
+_LUMPS_SEED = 25143
+_STEP_M = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class _Lobe:
+    """An ellipsoid: centre and semi-axes in metres, turned by ``yaw_deg`` about z and ``pitch_deg`` about y."""
+
+    centre_m: tuple[float, float, float]
+    semi_axes_m: tuple[float, float, float]
+    yaw_deg: float = 0.0
+    pitch_deg: float = 0.0
+
+    def distance_m(self, points_m: FloatArray) -> FloatArray:
+        """Signed distance of points (N, 3), to first order in the distance: negative inside."""
+        yaw, pitch = np.radians([self.yaw_deg, self.pitch_deg])
+        x, y, z = (points_m - self.centre_m).T
+        x, y = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
+        x, z = np.cos(pitch) * x - np.sin(pitch) * z, np.cos(pitch) * z + np.sin(pitch) * x
+        a, b, c = self.semi_axes_m
+        norm = np.sqrt((x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2)
+        slope = np.sqrt((x / a**2) ** 2 + (y / b**2) ** 2 + (z / c**2) ** 2)
+        distance_m: FloatArray = (norm - 1.0) * norm / np.maximum(slope, 1e-12)
+        return distance_m
+
+
+# A long body and a smaller head that leans against it, as on (25143) Itokawa, with shoulders that break the symmetry.
+_LOBES = (
+    _Lobe((-60.0, 0.0, 0.0), (205.0, 135.0, 112.0), yaw_deg=6.0, pitch_deg=4.0),
+    _Lobe((185.0, 35.0, 10.0), (98.0, 100.0, 88.0), yaw_deg=-25.0),
+    _Lobe((-150.0, -35.0, 18.0), (95.0, 90.0, 85.0)),
+    _Lobe((-20.0, 60.0, -25.0), (110.0, 75.0, 70.0), yaw_deg=-20.0),
+    _Lobe((215.0, -10.0, -20.0), (60.0, 65.0, 60.0)),
+)
+_BLEND_M = 25.0
+
+
+def _surface_distance(points_m: FloatArray) -> FloatArray:
+    """Signed distance of points (N, 3) to the smooth union of the lobes."""
+    distances = np.stack([lobe.distance_m(points_m) for lobe in _LOBES])
+    nearest = distances.min(axis=0)
+    union_m: FloatArray = nearest - _BLEND_M * np.log(np.exp((nearest - distances) / _BLEND_M).sum(axis=0))
+    return union_m
+
+
+def _projected(points_m: FloatArray) -> FloatArray:
+    """Move points (N, 3) onto the surface along the gradient of the distance."""
+    for _ in range(_PROJECTIONS):
+        steps = _STEP_M * np.eye(3)
+        gradient = np.stack(
+            [_surface_distance(points_m + step) - _surface_distance(points_m - step) for step in steps], axis=1
+        ) / (2.0 * _STEP_M)
+        square = np.maximum(np.einsum("ni,ni->n", gradient, gradient), 1e-3)
+        points_m = points_m - (_surface_distance(points_m) / square)[:, None] * gradient
+    return points_m
+
+
+def _cube_mesh(q: int) -> tuple[FloatArray, IndexArray]:
+    """Directions (6 q**2 + 2, 3) and faces (12 q**2, 3) of a cube blown up to a unit sphere."""
+    first, group = cubegrid.weld(q)
+    directions = unit(np.tan(np.pi / 4.0 * (2.0 * cubegrid.lattice(q)[first] / q - 1.0)))
+    quads = group[cubegrid.quads(q)]
+    return directions, np.stack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
+
+
+def contact_binary() -> TriangleMesh:
+    """Make an Itokawa-like body of 560 x 305 x 243 m: two lobes with a concave neck, 12,288 facets.
+
+    An ellipsoid of even triangles is laid, along the gradient, on the zero of the smooth union of a few
+    ellipsoids; then it gets lumps and hollows, always the same, and is scaled to the box. The origin is the
+    centre of volume.
+    """
+    directions, faces = _cube_mesh(_GRID)
+    edges = find_edges(faces)
+    points_m = _projected(directions * (0.5 * _BOX_M))
+    for _ in range(_RELAXATIONS):
+        points_m = _projected(smoothed(points_m, edges, 1))
+    lumps, _ = fractal_field(points_m, _LUMPS, 0.0, np.random.SeedSequence(_LUMPS_SEED))
+    points_m = points_m + _LUMPS_RMS_M * lumps[:, None] * vertex_normals(points_m, faces)
+    points_m = points_m * (_BOX_M / np.ptp(points_m, axis=0))
+    return TriangleMesh(points_m - _centre_of_volume(points_m, faces), faces.astype(np.int32))
+
+
+def sphere() -> TriangleMesh:
+    """Make a sphere of 250 m radius from an icosahedron: 5,120 facets."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=250.0)
+    return TriangleMesh(np.array(ball.vertices), np.array(ball.faces))
+
+
+def _centre_of_volume(points_m: FloatArray, faces: IndexArray) -> FloatArray:
+    a, b, c = (points_m[faces[:, k]] for k in range(3))
+    volumes = np.einsum("fi,fi->f", a, np.cross(b, c))
+    centre_m: FloatArray = np.einsum("f,fi->i", volumes, a + b + c) / (4.0 * volumes.sum())
+    return centre_m
+
+
+EMBEDDED: Mapping[str, Callable[[], TriangleMesh]] = MappingProxyType(
+    {"contact-binary": contact_binary, "sphere": sphere}
+)

@@ -1,0 +1,176 @@
+"""From the body section of a scenario to a mesh."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from scenarios.bodies.checks import checked_mesh
+from scenarios.bodies.detail import DETAIL_VERSION, add_detail
+from scenarios.bodies.embedded import EMBEDDED, EMBEDDED_VERSION
+from scenarios.bodies.readers import READER_VERSION, read_shape
+from scenarios.cache import Cache, default_cache
+from scenarios.errors import BoresightError
+from scenarios.geometry import TriangleMesh
+from scenarios.spec.body import BodySpec
+
+DATA_VARIABLE = "BORESIGHT_DATA"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """A body ready for rendering.
+
+    Parameters
+    ----------
+    mesh
+        The surface in metres, body frame, closed and outward.
+    name
+        The shape's file name, or the name of the embedded body.
+    source
+        Path of the shape file, or ``embedded``.
+    sha256
+        Digest of everything that determines the mesh: see `body_digest`.
+    notes
+        What was mended in the shape or left out of the detail.
+    """
+
+    mesh: TriangleMesh
+    name: str
+    source: str
+    sha256: str
+    notes: tuple[str, ...] = ()
+
+
+def load_body(spec: BodySpec, search_dirs: Sequence[Path] = (), cache: Cache | None = None) -> Body:
+    """Read or make the shape, check it, and add the detail.
+
+    Parameters
+    ----------
+    spec
+        The body section.
+    search_dirs
+        Folders in which a relative shape file is looked for, before those under BORESIGHT_DATA.
+    cache
+        Where detailed bodies are kept; the user's cache by default.
+
+    Raises
+    ------
+    BoresightError
+        The shape is not found or is not sound, or the spec says what has no meaning for it.
+    """
+    path = _shape_path(spec, search_dirs)
+    digest = body_digest(spec, search_dirs)
+    source = "embedded" if path is None else str(path)
+    name = spec.shape if path is None else path.name
+    if spec.detail is None:
+        mesh, notes = _coarse(spec, path)
+    else:
+        mesh, notes = _detailed(spec, path, digest, cache or default_cache())
+    return Body(mesh, name, source, digest, notes)
+
+
+def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
+    """Digest (hexadecimal SHA-256) of what determines the mesh, without making it.
+
+    It covers the bytes of the shape file (not its place) or the name of the embedded body, the keys that change
+    how it is read, the detail, and the versions of the code. Shading and the expected diameter are not in it:
+    they do not change the mesh.
+    """
+    path = _shape_path(spec, search_dirs)
+    content = {
+        "shape": spec.shape if path is None else hashlib.sha256(_bytes(path)).hexdigest(),
+        "reading": None if path is None else [spec.unit, spec.format, spec.longitude, path.suffix.lower()],
+        "detail": None if spec.detail is None else spec.detail.model_dump(mode="json"),
+        "versions": [READER_VERSION, EMBEDDED_VERSION, DETAIL_VERSION],
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def find_data_file(name: str, search_dirs: Sequence[Path], folder: str, key: str) -> Path:
+    """Find a file: as given if absolute, else in ``search_dirs``, then under BORESIGHT_DATA.
+
+    Parameters
+    ----------
+    name
+        The file as the scenario names it.
+    search_dirs
+        Folders to try first.
+    folder
+        Folder under BORESIGHT_DATA to try before BORESIGHT_DATA itself.
+    key
+        The scenario's key, for the error.
+
+    Raises
+    ------
+    BoresightError
+        Listing where it was looked for.
+    """
+    data = os.environ.get(DATA_VARIABLE)
+    folders = [*search_dirs, *([Path(data).expanduser() / folder, Path(data).expanduser()] if data else [])]
+    given = Path(name).expanduser()
+    candidates = [given] if given.is_absolute() else [place / given for place in folders]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    looked = ", ".join(str(candidate) for candidate in candidates) or "nowhere"
+    advice = "check the path" if data or given.is_absolute() else f"or set {DATA_VARIABLE} to the folder of the data"
+    raise BoresightError(f"{key}: {name} was not found; looked for {looked}; {advice}")
+
+
+def _shape_path(spec: BodySpec, search_dirs: Sequence[Path]) -> Path | None:
+    """Path of the shape file, or None for an embedded body."""
+    if spec.shape not in EMBEDDED:
+        known = ", ".join(EMBEDDED)
+        return find_data_file(spec.shape, search_dirs, "shapes", f"body.shape (a file, or one of {known})")
+    for key in ("unit", "format", "longitude"):
+        if getattr(spec, key) != BodySpec.model_fields[key].default:
+            raise BoresightError(
+                f"body.{key}: {getattr(spec, key)} has no meaning for the embedded body {spec.shape}; remove the key"
+            )
+    return None
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise BoresightError(f"{path}: cannot read the shape file: {error.strerror or error}") from error
+
+
+def _coarse(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:
+    if path is None:
+        return EMBEDDED[spec.shape](), ()
+    shape = read_shape(path, spec.format, west_longitudes=spec.longitude == "west")
+    return checked_mesh(shape, path, spec.unit, spec.expected_diameter_m)
+
+
+def _detailed(spec: BodySpec, path: Path | None, digest: str, cache: Cache) -> tuple[TriangleMesh, tuple[str, ...]]:
+    """Take the detailed mesh from the cache, or make it; the coarse shape is checked in either case."""
+    detail = spec.detail
+    if detail is None:
+        return _coarse(spec, path)
+    coarse, notes = _coarse(spec, path)
+
+    def build(folder: Path) -> None:
+        mesh, detail_notes = add_detail(coarse, detail)
+        np.save(folder / "vertices_m.npy", mesh.vertices_m)
+        np.save(folder / "faces.npy", mesh.faces)
+        if mesh.albedo is not None:
+            np.save(folder / "albedo.npy", mesh.albedo)
+        (folder / "notes.json").write_text(json.dumps(detail_notes))
+
+    folder = cache.folder("bodies", digest, build)
+    albedo_file = folder / "albedo.npy"
+    mesh = TriangleMesh(
+        np.load(folder / "vertices_m.npy", mmap_mode="r"),
+        np.load(folder / "faces.npy", mmap_mode="r"),
+        np.load(albedo_file, mmap_mode="r") if albedo_file.is_file() else None,
+    )
+    return mesh, (*notes, *json.loads((folder / "notes.json").read_text()))

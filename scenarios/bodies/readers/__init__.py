@@ -1,0 +1,76 @@
+"""Shape readers: from a file to vertices and faces, or one clear line about what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from scenarios.bodies.readers.grid import read_grid
+from scenarios.bodies.readers.icq import read_icq
+from scenarios.bodies.readers.meshfile import read_obj, read_ply
+from scenarios.bodies.readers.plates import read_plates
+from scenarios.bodies.readers.source import RawShape, ShapeFile
+
+__all__ = ["READERS", "READER_VERSION", "RawShape", "ShapeFile", "detect_format", "read_shape"]
+
+READER_VERSION = 1
+"""Part of every body's key: raise it when the same file gives another mesh."""
+
+READERS: Mapping[str, Callable[[ShapeFile], RawShape]] = MappingProxyType(
+    {
+        "obj": read_obj,
+        "ply": read_ply,
+        "pds-plates": read_plates,
+        "pds-grid": lambda source: read_grid(source, west=False),
+        "pds-grid-west": lambda source: read_grid(source, west=True),
+        "icq": read_icq,
+    }
+)
+_SNIFFED_BYTES = 4096
+
+
+def read_shape(path: Path, file_format: str = "auto", *, west_longitudes: bool = False) -> RawShape:
+    """Read a shape file in the unit that its numbers have.
+
+    Parameters
+    ----------
+    path
+        The file.
+    file_format
+        ``obj``, ``ply``, ``pds-plates``, ``pds-grid``, ``icq``, or ``auto`` to look at the file.
+    west_longitudes
+        Whether the longitudes of a ``pds-grid`` grow westward.
+
+    Raises
+    ------
+    BoresightError
+        The file is missing or is not a shape of that format; ``west_longitudes`` for a format without longitudes.
+    """
+    source = ShapeFile.open(path)
+    name = detect_format(source) if file_format == "auto" else file_format
+    if west_longitudes:
+        if name != "pds-grid":
+            raise source.fault(f"body.longitude: west has no meaning for a file of format {name}; remove it")
+        name = "pds-grid-west"
+    return READERS[name](source)
+
+
+def detect_format(source: ShapeFile) -> str:
+    """Tell the format from the first bytes and, for OBJ and ICQ, from the suffix."""
+    head = source.data[:_SNIFFED_BYTES]
+    suffix = source.path.suffix.lower()
+    if head.startswith(b"ply"):
+        return "ply"
+    if suffix in (".obj", ".icq", ".ply"):
+        return suffix[1:]
+    rows = [line.split() for line in head.splitlines() if line.strip() and not line.startswith(b"#")]
+    widths = [len(row) for row in rows[:2]]
+    if rows and rows[0][0] == b"v":
+        return "pds-plates"
+    by_widths = {(1, 3): "icq", (1, 4): "pds-plates", (3, 3): "pds-grid"}
+    if tuple(widths) not in by_widths:
+        raise source.fault(
+            "cannot tell the format of this shape; set body.format to one of obj, ply, pds-plates, pds-grid, icq"
+        )
+    return by_widths[widths[0], widths[1]]

@@ -1,0 +1,125 @@
+"""What every shape reader needs: the file's bytes or lines, tables of numbers, and errors that name the place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.errors import BoresightError
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+class RawShape(NamedTuple):
+    """A shape as its file states it.
+
+    Attributes
+    ----------
+    vertices
+        (V, 3) positions in the unit of the file, body frame.
+    faces
+        (F, 3) vertex indices from 0.
+    """
+
+    vertices: FloatArray
+    faces: IndexArray
+
+
+class ShapeFile:
+    """The content of a shape file, with errors that name it.
+
+    Parameters
+    ----------
+    path
+        Where the file lies; named in every error.
+    data
+        Its bytes.
+    """
+
+    def __init__(self, path: Path, data: bytes) -> None:
+        self.path = path
+        self.data = data
+
+    @classmethod
+    def open(cls, path: Path) -> ShapeFile:
+        """Read the whole file; a missing, unreadable or empty one is refused."""
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise BoresightError(f"{path}: cannot read the shape file: {error.strerror or error}") from error
+        if not data.strip():
+            raise BoresightError(f"{path}: the shape file is empty; give a file with vertices and faces")
+        return cls(path, data)
+
+    def lines(self) -> list[str]:
+        """Decode the lines of a text file; line n of the file is item n - 1."""
+        if b"\0" in self.data:
+            raise self.fault("a text format was expected, but the file is binary; check body.format")
+        try:
+            return self.data.decode("utf-8").splitlines()
+        except UnicodeDecodeError as error:
+            line = self.data.count(b"\n", 0, error.start) + 1
+            raise self.fault("a text format was expected, but this is not text; check body.format", line) from error
+
+    def fault(self, what: str, line: int | None = None) -> BoresightError:
+        """Word an error about this file, with the line number (from 1) where there is one."""
+        place = f"{self.path}:{line}" if line else str(self.path)
+        return BoresightError(f"{place}: {what}")
+
+    def table(self, lines: Sequence[str], rows: Sequence[int], columns: tuple[int, ...]) -> FloatArray:
+        """Parse the given columns of the given lines (both from 0) to (len(rows), len(columns)) finite numbers.
+
+        Raises
+        ------
+        BoresightError
+            Naming the first line where a column is missing, is no number or is not finite.
+        """
+        if not rows:
+            return np.empty((0, len(columns)))
+        try:
+            values = np.loadtxt((lines[i] for i in rows), usecols=columns, comments=None, ndmin=2)
+        except ValueError as error:
+            raise self._first_bad(lines, rows, columns) from error
+        if len(values) != len(rows) or not np.isfinite(values).all():
+            raise self._first_bad(lines, rows, columns)
+        return values
+
+    def _first_bad(self, lines: Sequence[str], rows: Iterable[int], columns: tuple[int, ...]) -> BoresightError:
+        for i in rows:
+            words = lines[i].split()
+            if len(words) <= max(columns):
+                return self.fault(f"expected {max(columns) + 1} columns, found {len(words)}; is the file cut?", i + 1)
+            for column in columns:
+                if not _is_finite_number(words[column]):
+                    return self.fault(f"{words[column][:40]!r} is not a finite number", i + 1)
+        return self.fault("the table cannot be read as numbers; check body.format")
+
+    def shape(self, vertices: FloatArray, faces: FloatArray | IndexArray) -> RawShape:
+        """Check that the numbers make a shape: some faces, finite vertices, indices (from 0) that exist."""
+        if not len(vertices) or not len(faces):
+            raise self.fault(f"{len(vertices)} vertices and {len(faces)} faces; a shape needs both")
+        if vertices.ndim != 2 or vertices.shape[1] != 3:
+            raise self.fault(f"vertices have {vertices.shape[-1]} coordinates, not 3")
+        if not np.isfinite(vertices).all():
+            first = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
+            raise self.fault(f"vertex {first + 1} is not finite: {vertices[first].tolist()}")
+        bad = (faces < 0) | (faces >= len(vertices)) | (faces != np.floor(faces))
+        if bad.any():
+            first = int(np.flatnonzero(bad.any(axis=1))[0])
+            raise self.fault(
+                f"face {first + 1} of {len(faces)} names a vertex that does not exist"
+                f" (index {faces[first][bad[first]][0]:g} from 0, {len(vertices)} vertices)"
+            )
+        return RawShape(np.asarray(vertices, dtype=np.float64), faces.astype(np.int64))
+
+
+def _is_finite_number(word: str) -> bool:
+    try:
+        return bool(np.isfinite(float(word)))
+    except ValueError:
+        return False

@@ -1,0 +1,71 @@
+"""Vertex and edge bookkeeping of triangle meshes, as whole-array operations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.integer]
+IndexArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """The undirected edges of a mesh.
+
+    Parameters
+    ----------
+    ends
+        (E, 2) vertex indices, the smaller first.
+    of_face
+        (F, 3) the edge from corner k to corner k + 1 of each face.
+    """
+
+    ends: IndexArray
+    of_face: IndexArray
+
+
+def directed_edge_keys(faces: IntArray) -> tuple[IndexArray, IndexArray]:
+    """One number for each half-edge (F * 3,), in its own direction and in the opposite one."""
+    start = faces.astype(np.int64)
+    end = np.roll(start, -1, axis=1)
+    stride = int(start.max()) + 1
+    return (start * stride + end).ravel(), (end * stride + start).ravel()
+
+
+def find_edges(faces: IntArray) -> Edges:
+    """Give each undirected edge of a mesh its number."""
+    forward, backward = directed_edge_keys(faces)
+    key, of_face = np.unique(np.minimum(forward, backward), return_inverse=True)
+    stride = int(faces.max()) + 1
+    return Edges(np.stack([key // stride, key % stride], axis=1), of_face.reshape(-1, 3))
+
+
+def is_closed(faces: IntArray) -> bool:
+    """Whether each edge belongs to exactly two faces that run along it in opposite directions."""
+    forward, backward = (np.sort(keys) for keys in directed_edge_keys(faces))
+    return bool((forward == backward).all() and (forward[1:] != forward[:-1]).all())
+
+
+def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """(V, 3) unit normals at the vertices: mean of the faces around, weighted by their area."""
+    corner = vertices[faces[:, 0]]
+    area = np.cross(vertices[faces[:, 1]] - corner, vertices[faces[:, 2]] - corner)
+    return unit(sum_at_vertices(faces, area, len(vertices)))
+
+
+def sum_at_vertices(faces: IntArray, per_face: FloatArray, n_vertices: int) -> FloatArray:
+    """Add a quantity (F, k) of each face to its three vertices: (V, k)."""
+    corners = np.ascontiguousarray(faces.T).ravel()
+    columns = [np.bincount(corners, np.tile(column, 3), n_vertices) for column in per_face.T]
+    return np.stack(columns, axis=1)
+
+
+def unit(vectors: FloatArray) -> FloatArray:
+    """Vectors (..., 3) scaled to length 1; a zero vector stays zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    scaled: FloatArray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
+    return scaled

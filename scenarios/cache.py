@@ -1,0 +1,211 @@
+"""A folder of things that are expensive to build, kept by content key.
+
+Entries are folders ``ROOT/KIND/KEY`` with a manifest of their files' digests. An entry appears whole (built
+aside, then renamed) or not at all; one that is damaged is dropped and built again. Where nothing can be
+written the entry is built in a temporary folder of this process, and a warning is logged.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import hashlib
+import json
+import logging
+import os
+import re
+import shutil
+import tempfile
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import platformdirs
+
+from scenarios.errors import BoresightError
+
+_log = logging.getLogger(__name__)
+
+_MANIFEST = "manifest.json"
+_STALE_S = 24 * 3600.0
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+
+
+@dataclass(frozen=True, slots=True)
+class CacheEntry:
+    """One kept thing: its kind, its key, its folder, its size and when it was last used (seconds since 1970)."""
+
+    kind: str
+    key: str
+    path: Path
+    size_bytes: int
+    used_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Cache:
+    """A cache under one folder.
+
+    Parameters
+    ----------
+    root
+        The folder; made when first needed.
+    limit_bytes
+        After each build the entries that were not used for longest are removed until the rest fits.
+    """
+
+    root: Path
+    limit_bytes: int
+
+    def folder(self, kind: str, key: str, build: Callable[[Path], None]) -> Path:
+        """Return the folder of an entry, built by ``build(empty_folder)`` if it is not there or is damaged.
+
+        Safe when several processes ask for the same key at once: each builds aside, the first to finish wins.
+
+        Parameters
+        ----------
+        kind, key
+            Name of the entry: letters, digits and ``._-``. The key must stand for everything that the content
+            depends on.
+        build
+            Writes the entry's files into the folder that it is given.
+        """
+        for name in (kind, key):
+            if not _NAME.fullmatch(name):
+                raise BoresightError(f"cache entry {kind}/{key}: a name has only letters, digits and . _ -")
+        final = self.root / kind / key
+        if self._is_sound(final):
+            return final
+        _discard(final)
+        try:
+            aside = self._aside()
+        except OSError as error:
+            return self._uncached(error, build)
+        try:
+            build(aside)
+            _write_manifest(aside)
+            self._publish(aside, final)
+        except OSError as error:
+            return self._uncached(error, build)
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+        self._evict(keep=final)
+        return final
+
+    def entries(self) -> tuple[CacheEntry, ...]:
+        """List the entries, least recently used first."""
+        found = []
+        for manifest in self.root.glob(f"*/*/{_MANIFEST}"):
+            path = manifest.parent
+            if path.parent.name.startswith("."):
+                continue
+            with contextlib.suppress(OSError):
+                size = sum(file.stat().st_size for file in _files(path))
+                found.append(CacheEntry(path.parent.name, path.name, path, size, manifest.stat().st_mtime))
+        return tuple(sorted(found, key=lambda entry: (entry.used_s, entry.path)))
+
+    def size_bytes(self) -> int:
+        """Add up the sizes of all entries."""
+        return sum(entry.size_bytes for entry in self.entries())
+
+    def clear(self) -> int:
+        """Remove every entry and every left-over of a killed build; return the number of entries."""
+        entries = self.entries()
+        for entry in entries:
+            _discard(entry.path)
+        for leftover in self._workshop().glob("*"):
+            shutil.rmtree(leftover, ignore_errors=True)
+        return len(entries)
+
+    def _workshop(self) -> Path:
+        return self.root / ".building"
+
+    def _aside(self) -> Path:
+        self._workshop().mkdir(parents=True, exist_ok=True)
+        for leftover in self._workshop().iterdir():
+            with contextlib.suppress(OSError):
+                if time.time() - leftover.stat().st_mtime > _STALE_S:
+                    shutil.rmtree(leftover, ignore_errors=True)
+        aside = self._workshop() / uuid.uuid4().hex
+        aside.mkdir()
+        return aside
+
+    def _is_sound(self, folder: Path) -> bool:
+        try:
+            digests = json.loads((folder / _MANIFEST).read_text())["sha256"]
+            sound: bool = {str(file.relative_to(folder)): _sha256(file) for file in _files(folder)} == digests
+        except (OSError, ValueError, KeyError, TypeError):
+            return False
+        if sound:
+            with contextlib.suppress(OSError):
+                os.utime(folder / _MANIFEST)
+        return sound
+
+    def _publish(self, aside: Path, final: Path) -> None:
+        """Rename into place; what another process has put there meanwhile stays."""
+        final.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            aside.rename(final)
+        except OSError:
+            if not self._is_sound(final):
+                raise
+
+    def _uncached(self, error: OSError, build: Callable[[Path], None]) -> Path:
+        _log.warning("%s cannot be written (%s): working without the cache", self.root, error.strerror or error)
+        try:
+            folder = Path(tempfile.mkdtemp(prefix="boresight-"))
+            atexit.register(shutil.rmtree, folder, ignore_errors=True)
+            build(folder)
+        except OSError as second:
+            raise BoresightError(
+                f"{second.filename or tempfile.gettempdir()}: cannot write ({second.strerror or second});"
+                " free some space or set BORESIGHT_CACHE to a folder that can be written"
+            ) from second
+        return folder
+
+    def _evict(self, keep: Path) -> None:
+        entries = self.entries()
+        total = sum(entry.size_bytes for entry in entries)
+        for entry in entries:
+            if total <= self.limit_bytes:
+                return
+            if entry.path != keep:
+                _discard(entry.path)
+                total -= entry.size_bytes
+
+
+def default_cache() -> Cache:
+    """Open the user's cache: $BORESIGHT_CACHE, else the platform's place; $BORESIGHT_CACHE_GB large, else 4 GB."""
+    place = os.environ.get("BORESIGHT_CACHE") or platformdirs.user_cache_dir("boresight")
+    limit = os.environ.get("BORESIGHT_CACHE_GB") or "4"
+    try:
+        limit_bytes = int(float(limit) * 1e9)
+    except (ValueError, OverflowError):
+        limit_bytes = -1
+    if limit_bytes < 0:
+        raise BoresightError(f"BORESIGHT_CACHE_GB: {limit!r} is not a size in GB; give a number of 0 or more")
+    return Cache(Path(place).expanduser(), limit_bytes)
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    return (file for file in sorted(folder.rglob("*")) if file.is_file() and file.name != _MANIFEST)
+
+
+def _sha256(file: Path) -> str:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _write_manifest(folder: Path) -> None:
+    digests = {str(file.relative_to(folder)): _sha256(file) for file in _files(folder)}
+    (folder / _MANIFEST).write_text(json.dumps({"sha256": digests}))
+
+
+def _discard(folder: Path) -> None:
+    """Remove an entry so that no other process ever sees half of it."""
+    doomed = folder.with_name(f".{folder.name}.{uuid.uuid4().hex}")
+    with contextlib.suppress(OSError):
+        folder.rename(doomed)
+        shutil.rmtree(doomed, ignore_errors=True)
