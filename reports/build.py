@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -10,14 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
-from rich.console import Group
-from rich.table import Table
-from rich.text import Text
 
 from reports.content import Content, NamedFigure, draw_figures, read_content
 from reports.figures.style import save_figure
 from reports.html import html_page, reproduce_command
-from reports.tables import Grid, comparison_grid, pose_grids
 from scenarios.errors import BoresightError
 
 
@@ -36,7 +31,7 @@ class ReportFiles:
     figures
         PNG and PDF of each figure.
     content
-        For `console_table`.
+        For `reports.console.console_table`.
     """
 
     folder: Path
@@ -74,7 +69,7 @@ def write_report(run: Path, out: Path | None = None) -> ReportFiles:
     try:
         names = _write_all(content, work)
         for name in names:
-            os.replace(work / name, folder / name)
+            (work / name).replace(folder / name)
     except OSError as error:
         raise BoresightError(
             f"{folder}: the report cannot be written: {error.strerror}; choose another --out"
@@ -126,18 +121,3 @@ def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:
     parts += [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in figures]
     parts += [f"To make this again: `{reproduce_command(content)}`", *manifest.credits]
     return "\n\n".join(parts) + "\n"
-
-
-def console_table(content: Content) -> Group:
-    """Build what the terminal shows at the end of a run: pose errors, and verdicts where values are published."""
-    grids = [*pose_grids(content.records), comparison_grid(content.compared)]
-    return Group(*(_rich(grid) for grid in grids if grid is not None))
-
-
-def _rich(grid: Grid) -> Table:
-    table = Table(title=grid.title, title_justify="left", header_style="bold")
-    for i, column in enumerate(grid.columns):
-        table.add_column(column, justify="left" if i in grid.text else "right")
-    for row in grid.rows:
-        table.add_row(*(Text(cell) for cell in row))
-    return table

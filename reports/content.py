@@ -119,7 +119,7 @@ def _notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
     yield (
         "Position error is the difference of camera positions in the body frame, its components turned into the true"
         " camera's axes. Failed trials have no error: statistics after a stage are over the trials that reached it,"
-        " beside their number, and the line with failures at their prior counts every trial."
+        " beside their number, and the line 'failures at prior' counts every trial."
     )
     if (run.rows["image"] != "").any():
         yield (

@@ -17,7 +17,7 @@ _STAGES = {
     "centroid": "after centroiding",
     "recognition": "after recognition",
     "final": "final",
-    FAILURES_AT_PRIOR: "all trials, failures at their prior",
+    FAILURES_AT_PRIOR: "failures at prior",
     "database": "data base",
 }
 _TIMED = {
@@ -64,6 +64,13 @@ class Grid:
     rows: tuple[tuple[str, ...], ...]
     text: frozenset[int] = frozenset({0})
     note: str = ""
+
+    def keep(self, *columns: str) -> Grid:
+        """Keep only the named columns."""
+        chosen = [self.columns.index(name) for name in columns]
+        rows = tuple(tuple(row[i] for i in chosen) for row in self.rows)
+        text = frozenset(new for new, old in enumerate(chosen) if old in self.text)
+        return Grid(self.title, columns, rows, text, self.note)
 
     def markdown(self) -> str:
         """Write as a Markdown table under its heading."""
@@ -119,7 +126,8 @@ def pose_grids(records: Sequence[Record]) -> list[Grid]:
     """Tabulate pose errors after each stage, a grid for each scenario."""
     note = (
         "Median with its 95 % bootstrap interval, RMS and 95th percentile of the error; x, y, z: root-median-square "
-        "along the camera axes (x right, y down, z along the boresight), in m. ok: trials behind the line, of all."
+        "along the camera axes (x right, y down, z along the boresight), in m. ok: trials behind the line, of all. "
+        "Failures at prior: every trial, a failed one with the error of its prior."
     )
     heads = ("estimator", "stage", "ok", "position m", "RMS", "95th", "x", "y", "z", "attitude deg", "RMS", "95th")
     own = [r for r in records if r.measure == "position_error_m" and r.statistic == MEDIAN.name and r.reference == ""]
@@ -195,6 +203,18 @@ def comparison_grid(compared: Sequence[ComparedValue]) -> Grid | None:
     several = len({(c.scenario, c.estimator) for c in compared}) > 1
     rows = tuple(_compared_cells(c, several) for c in compared)
     return Grid("Beside the published values", heads, rows, frozenset({0, 1, 2, 7, 8}), VERDICT_RULE)
+
+
+def verdict_grid(compared: Sequence[ComparedValue]) -> Grid | None:
+    """Tabulate the same in few columns, without times; None if the campaign is compared with nothing."""
+    several = len({(c.scenario, c.estimator) for c in compared}) > 1
+    rows = []
+    for item in compared:
+        if item.published.measure != "seconds":
+            quantity, stage, statistic, paper, ours, _, _, verdict, _ = _compared_cells(item, several)
+            rows.append((f"{quantity}, {stage}, {statistic}", paper, ours, verdict))
+    heads = ("quantity", "paper", "ours [95 %]", "verdict")
+    return Grid("Beside the published values", heads, tuple(rows), frozenset({0, 3})) if rows else None
 
 
 def _compared_cells(compared: ComparedValue, several: bool) -> tuple[str, ...]:

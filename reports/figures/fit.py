@@ -77,17 +77,19 @@ def draw_fit_panels(fit: Fit, title: str, credit_lines: Sequence[str] = ()) -> F
     credit_lines
         Credits of a real image.
     """
-    figure, (first, second, third) = new_figure(3, width_in=10.5, height_in=4.3)
+    (left, right), (top, bottom) = _window(fit)
+    height_in = 1.25 + 3.35 * min((bottom - top) / (right - left), 2.0)
+    figure, (first, second, third) = new_figure(3, width_in=10.5, height_in=height_in)
     for axes, image in ((first, fit.image), (second, fit.mesh_image), (third, fit.image)):
         _draw_image(axes, image)
     _draw_initial(first, fit)
     _draw_final(third, fit)
-    window = _window(fit)
     names = ("(a) initial fit", "(b) mesh rendered for the first iteration", "(c) converged fit")
     for axes, name in zip((first, second, third), names, strict=True):
         axes.set_title(name)
-        axes.set(xlim=window[0], ylim=window[1][::-1], xticks=[], yticks=[])
+        axes.set(xlim=(left, right), ylim=(bottom, top), xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
+    _add_legend(figure, fit.matched)
     figure.suptitle(title, fontsize=10)
     add_credits(figure, credit_lines)
     return figure
@@ -108,12 +110,6 @@ def _draw_initial(axes: Axes, fit: Fit) -> None:
     marks = ((fit.observed_centroid_px, "black"), (fit.rendered_centroid_px, VERMILION))
     for (u, v), colour in marks:
         axes.plot(u, v, "o", markersize=6, color=colour, markeredgecolor="white", markeredgewidth=0.9, zorder=5)
-    handles = [
-        _dot("o", "black", "white", "observed centroid"),
-        _dot("o", VERMILION, "white", "rendered centroid"),
-        Line2D([], [], color=SKY, label=f"{MATCH_SIGMAS:g}-sigma search"),
-    ]
-    _legend(axes, handles)
 
 
 def _draw_final(axes: Axes, fit: Fit) -> None:
@@ -121,11 +117,6 @@ def _draw_final(axes: Axes, fit: Fit) -> None:
     free, matched = fit.corners_px[~fit.matched], fit.corners_px[fit.matched]
     axes.plot(*free.T, "D", markersize=3.4, markerfacecolor="none", markeredgecolor=VERMILION, markeredgewidth=0.8)
     axes.plot(*matched.T, "D", markersize=4.2, color=VERMILION, markeredgecolor="white", markeredgewidth=0.5)
-    handles = [
-        _dot("D", "none", VERMILION, f"corner ({len(fit.corners_px)})"),
-        _dot("D", VERMILION, "white", f"matched landmark ({len(matched)})"),
-    ]
-    _legend(axes, handles)
 
 
 def _draw_edges(axes: Axes, overlay: Overlay) -> None:
@@ -154,12 +145,17 @@ def _dot(marker: str, face: str, edge: str, label: str) -> Line2D:
     return Line2D([], [], marker=marker, color="none", markerfacecolor=face, markeredgecolor=edge, label=label)
 
 
-def _legend(axes: Axes, handles: Sequence[Line2D]) -> None:
-    legend = axes.legend(
-        handles=list(handles), loc="lower left", frameon=True, framealpha=0.6, facecolor="black", edgecolor="none"
-    )
-    for text in legend.get_texts():
-        text.set_color("white")
+def _add_legend(figure: Figure, matched: NDArray[np.bool_]) -> None:
+    """Explain the marks below the panels, where they hide nothing."""
+    handles = [
+        _dot("o", "black", "black", "observed centroid"),
+        _dot("o", VERMILION, VERMILION, "rendered centroid"),
+        Line2D([], [], color=SKY, label=f"{MATCH_SIGMAS:g}-sigma search"),
+        Line2D([], [], color=ORANGE, label="mesh"),
+        _dot("D", "none", VERMILION, f"corner, not matched ({np.count_nonzero(~matched)})"),
+        _dot("D", VERMILION, VERMILION, f"corner matched with a landmark ({np.count_nonzero(matched)})"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), columnspacing=1.2, handlelength=1.4)
 
 
 def _window(fit: Fit) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from scipy.stats import chi2
 
 from reports.figures.style import (
@@ -15,8 +16,9 @@ from reports.figures.style import (
     VERMILION,
     FloatArray,
     add_credits,
+    beyond_text,
     new_figure,
-    note_beyond,
+    raise_top,
     shared_edges,
     step_histogram,
     styled,
@@ -46,6 +48,7 @@ def draw_landmark_errors(
     edges = _draw_sample(right, chi_square, "", "chi-square of the landmark error", "frequency")
     x = np.linspace(0.0, edges[-1], 400)
     theory = f"chi-square, {DEGREES_OF_FREEDOM} degrees of freedom"
+    raise_top(right, 1)
     right.plot(x, chi2.pdf(x, DEGREES_OF_FREEDOM), color=VERMILION, linestyle="--", linewidth=1.4, label=theory)
     right.legend(loc="upper right")
     figure.suptitle(title, fontsize=9.5)
@@ -58,10 +61,11 @@ def _draw_sample(axes: Axes, sample: FloatArray, unit: str, label: str, frequenc
     median = float(np.median(sample))
     name = f"observed: median {median:.3g} {unit}".rstrip() + f" (n = {len(sample)})"
     beyond = step_histogram(axes, sample, edges, label=name, **_FILL)
-    axes.axvline(median, color=BLUE, linewidth=0.9, linestyle=":")
+    axes.axvline(median, ymax=0.85, color=BLUE, linewidth=0.9, linestyle=":")
+    label += beyond_text(beyond, float(edges[-1]), unit)
     axes.set(xlabel=label, ylabel=frequency, xlim=(0, edges[-1]))
+    raise_top(axes, 1)
     axes.legend(loc="upper right")
-    note_beyond(axes, beyond, float(edges[-1]), unit)
     return edges
 
 
@@ -92,7 +96,8 @@ def draw_landmark_counts(
         label = f"median of the paper {published_median:.3g}"
         axes.axvline(published_median, color=GREY, linestyle="--", linewidth=1.4, label=label)
     axes.set(xlabel="recognised landmarks an image", ylabel="images")
-    axes.set_ylim(0, axes.get_ylim()[1] * 1.18)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    raise_top(axes, 2)
     axes.legend(loc="upper right")
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)

@@ -19,8 +19,9 @@ from reports.figures.style import (
     SERIES_COLOURS,
     FloatArray,
     add_credits,
+    beyond_text,
     new_figure,
-    note_beyond,
+    raise_top,
     shared_edges,
     step_histogram,
     styled,
@@ -58,11 +59,11 @@ def draw_pose_errors(
         samples = {name: _finite(errors[column]) for name, errors in stages.items()}
         if column == "attitude_error_deg":
             samples = _without_repeats(samples)
-        _draw_stages(axes, samples, list(stages), unit)
+        beyond = _draw_stages(axes, samples, list(stages), unit)
         for (name, wanted), value in (published or {}).items():
             if wanted == column and name in samples:
                 _mark_published(axes, value, _line(list(stages).index(name), len(stages))["color"])
-        axes.set(xlabel=label, ylabel=frequency)
+        axes.set(xlabel=label + beyond, ylabel=frequency)
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
     return figure
@@ -91,7 +92,8 @@ def _line(index: int, count: int) -> dict[str, Any]:
     return {"color": (ORANGE, GREEN)[(index - 1) % 2], "linestyle": "-.", "linewidth": 1.4}
 
 
-def _draw_stages(axes: Axes, samples: Mapping[str, FloatArray], order: Sequence[str], unit: str) -> None:
+def _draw_stages(axes: Axes, samples: Mapping[str, FloatArray], order: Sequence[str], unit: str) -> str:
+    """Draw the histograms and return what to add to the axis label."""
     edges = shared_edges(list(samples.values()))
     beyond = 0
     for name, sample in samples.items():
@@ -100,12 +102,12 @@ def _draw_stages(axes: Axes, samples: Mapping[str, FloatArray], order: Sequence[
         if len(sample):
             median = float(np.median(sample))
             label = f"{name}: median {median:.3g} {unit} (n = {len(sample)})"
-            axes.axvline(median, ymax=0.93, color=line["color"], linewidth=0.9, linestyle=":")
+            axes.axvline(median, ymax=0.8, color=line["color"], linewidth=0.9, linestyle=":")
         beyond += step_histogram(axes, sample, edges, label=label, **line)
     axes.set_xlim(0, edges[-1])
-    axes.set_ylim(0, axes.get_ylim()[1] * (1.1 + 0.09 * len(samples)))
+    raise_top(axes, len(samples))
     axes.legend(loc="upper right")
-    note_beyond(axes, beyond, float(edges[-1]), unit)
+    return beyond_text(beyond, float(edges[-1]), unit)
 
 
 def _mark_published(axes: Axes, value: float, colour: str) -> None:
@@ -145,10 +147,11 @@ def draw_cumulative_errors(
         limit = float(shared_edges(list(samples.values()))[-1])
         for i, (name, sample) in enumerate(samples.items()):
             n = estimators[name][1]
-            share = np.arange(1, len(sample) + 1) / n
+            shown = sample[sample <= limit]
+            share = np.arange(len(shown) + 1) / n
             axes.step(
-                np.concatenate([[0.0], sample, [limit]]),
-                np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]]),
+                np.concatenate([[0.0], shown, [limit]]),
+                np.append(share, share[-1]),
                 where="post",
                 color=GREY if name == "prior" else SERIES_COLOURS[i % len(SERIES_COLOURS)],
                 linestyle=LINE_STYLES[i % len(LINE_STYLES)],

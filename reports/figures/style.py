@@ -110,8 +110,11 @@ def step_histogram(axes: Axes, sample: FloatArray, edges: FloatArray, **line: An
     return int(np.count_nonzero(sample > edges[-1]))
 
 
-def note_beyond(axes: Axes, beyond: int, limit: float, unit: str) -> None:
-    """Say in the corner how many values the axis leaves out."""
-    if beyond:
-        text = f"{beyond} beyond {limit:g} {unit}".strip()
-        axes.text(0.99, 0.02, text, transform=axes.transAxes, ha="right", va="bottom", fontsize=7, color=GREY)
+def beyond_text(beyond: int, limit: float, unit: str) -> str:
+    """Say, as an addition to the axis label, how many values the axis leaves out."""
+    return f"  ({beyond} beyond {limit:g}{f' {unit}' if unit else ''})" if beyond else ""
+
+
+def raise_top(axes: Axes, lines: int) -> None:
+    """Leave room above the data for a legend of ``lines`` lines."""
+    axes.set_ylim(0, axes.get_ylim()[1] * (1.02 + 0.085 * lines))

@@ -1,0 +1,32 @@
+"""What the terminal shows at the end of a run; it fits 80 columns."""
+
+from __future__ import annotations
+
+from rich import box
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from reports.content import Content
+from reports.measures import CONTROL
+from reports.tables import Grid, pose_grids, verdict_grid
+
+
+def console_table(content: Content) -> Group:
+    """Build the table of pose errors, and the verdicts where values are published."""
+    several = len({r.estimator for r in content.records if r.estimator and r.stage != CONTROL}) > 1
+    columns = (*(["estimator"] if several else []), "stage", "ok", "position m", "x", "y", "z", "attitude deg")
+    grids = [*(grid.keep(*columns) for grid in pose_grids(content.records)), verdict_grid(content.compared)]
+    return Group(*(_rich(grid) for grid in grids if grid is not None))
+
+
+def _rich(grid: Grid) -> Table:
+    """Lay a grid out: numbers keep to one line, texts may wrap."""
+    table = Table(title=grid.title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    table.show_edge, table.padding = False, 0
+    for i, column in enumerate(grid.columns):
+        is_text = i in grid.text
+        table.add_column(column, justify="left" if is_text else "right", no_wrap=not is_text, overflow="fold")
+    for row in grid.rows:
+        table.add_row(*(Text(cell) for cell in row))
+    return table
