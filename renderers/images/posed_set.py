@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from renderers.images.pixels import read_image
 from renderers.images.table import PoseTable, read_table
-from scenarios.data_files import find_data
+from scenarios.bodies import find_data_file
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, View
 from scenarios.spec.images import ImageSetSpec
@@ -44,17 +44,15 @@ class PosedImageSet:
         camera
             The camera that took them.
         search_dirs
-            Folders where a relative ``folder`` is looked for before ``$BORESIGHT_DATA`` and its ``images``.
+            Folders where a relative ``folder`` is looked for before ``$BORESIGHT_DATA/images`` and ``$BORESIGHT_DATA``.
 
         Raises
         ------
         BoresightError
-            If the folder, the table or an image is missing, or the table is wrong.
+            If the table or an image is missing, or the table is wrong.
         """
-        folder = find_data(spec.folder, search_dirs, "images", "images.folder")
-        if not folder.is_dir():
-            raise BoresightError(f"images.folder: {folder} is not a folder")
-        path = folder / spec.table
+        path = find_data_file(f"{spec.folder}/{spec.table}", search_dirs, "images", "images.folder")
+        folder = path.parent
         table = read_table(path, (spec.truth, *spec.also_score))
         missing = [name for name in table.files if not (folder / name).is_file()]
         if missing:

@@ -63,8 +63,8 @@ def parse_yaml(text: str, source: str, *, place: str | None = None) -> Entry:
         raise BoresightError(f"{place or source + line}: not valid YAML: {what}") from error
     except YAMLError as error:
         raise BoresightError(f"{place or source}: not valid YAML: {' '.join(str(error).split())}") from error
-    except (AttributeError, AssertionError, IndexError, TypeError, ValueError) as error:
-        # The parser meets some malformed directives and escapes with such errors of its own.
+    except ValueError as error:
+        # An escape beyond Unicode ("\\U00110000") leaves the parser as chr()'s own error.
         raise BoresightError(f"{place or source}: not valid YAML: {error}") from error
 
 

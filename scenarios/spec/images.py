@@ -15,7 +15,7 @@ class ImageSetSpec(SpecModel):
     prose: ClassVar = frozenset({"credit"})
 
     folder: str = Field(description="Folder of the images (beside the scenario file, or under BORESIGHT_DATA)")
-    table: str = Field("poses.csv", description="Table of poses in that folder")
+    table: str = Field("poses.csv", pattern=r"^[^/\\]+$", description="Table of poses in that folder")
     first_row: Literal["top", "bottom"] = Field(
         "top", description="Where the first stored row belongs; FITS images are often stored bottom up"
     )
