@@ -10,10 +10,13 @@ from pathlib import Path
 
 import pandas as pd
 
+from reports.console import console_table
 from reports.content import Content, NamedFigure, draw_figures, read_content
 from reports.figures.style import save_figure
 from reports.html import html_page, reproduce_command
 from scenarios.errors import BoresightError
+
+__all__ = ["ReportFiles", "console_table", "markdown", "write_report"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,7 +27,7 @@ class ReportFiles:
     ----------
     folder
         Holds all files.
-    page, markdown
+    html, markdown
         ``report.html`` and ``report.md``.
     tables
         ``table.csv`` (every measured number beside the published one), ``timings.csv``, ``failures.csv``.
@@ -35,7 +38,7 @@ class ReportFiles:
     """
 
     folder: Path
-    page: Path
+    html: Path
     markdown: Path
     tables: tuple[Path, ...]
     figures: tuple[Path, ...]

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from rich import box
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from reports.content import Content
+from reports.content import Content, read_content
 from reports.measures import CONTROL
 from reports.tables import Grid, pose_grids, verdict_grid
 
 
-def console_table(content: Content) -> Group:
-    """Build the table of pose errors, and the verdicts where values are published."""
+def console_table(run: Path | Content) -> Group:
+    """Build the table of pose errors, and the verdicts where values are published.
+
+    Parameters
+    ----------
+    run
+        A run folder, or the content of a report that was just written.
+    """
+    content = read_content(run) if isinstance(run, Path) else run
     several = len({r.estimator for r in content.records if r.estimator and r.stage != CONTROL}) > 1
     columns = (*(["estimator"] if several else []), "stage", "ok", "position m", "x", "y", "z", "attitude deg")
     grids = [*(grid.keep(*columns) for grid in pose_grids(content.records)), verdict_grid(content.compared)]

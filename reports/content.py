@@ -64,7 +64,7 @@ class Content:
     def grids(self) -> list[Grid]:
         """List the tables of the report, in order."""
         optional = (
-            reference_grid(self.records),
+            reference_grid(self.records, self.run),
             comparison_grid(self.compared),
             detail_grid(self.records),
             timing_grid(self.records),
@@ -103,13 +103,8 @@ def read_content(folder: Path) -> Content:
     return Content(run, records, comparison, compared, tuple(_notes(run, comparison)))
 
 
-def finished_trials(run: RunData) -> int:
-    """Count the trials that every scenario and estimator has finished."""
-    return int(run.rows.groupby(["scenario", "estimator"])["trial"].nunique().min())
-
-
 def _notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
-    done, total = finished_trials(run), run.manifest.trials
+    done, total = run.progress()
     if done < total:
         yield f"The run is not finished: {done} of {total} trials."
     yield (

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 
 from jinja2 import Environment, StrictUndefined
 
-from reports.content import Content, NamedFigure, finished_trials
+from reports.content import Content, NamedFigure
 from reports.figures.style import render
 
 
@@ -30,13 +30,13 @@ def html_page(content: Content, figures: Sequence[NamedFigure]) -> str:
     return template.render(
         css=files.joinpath("page.css").read_text(encoding="utf-8"),
         manifest=manifest,
-        done=finished_trials(content.run),
+        progress=content.run.progress(),
         facts=_facts(content),
         notes=content.notes,
         grids=content.grids(),
         figures=[(figure, base64.b64encode(render(figure.figure, "png")).decode()) for figure in figures],
         resolved={
-            "scenarios": json.dumps(manifest.scenarios, indent=2, ensure_ascii=False),
+            "scenarios": json.dumps(dict(manifest.scenarios), indent=2, ensure_ascii=False),
             "estimators": json.dumps(manifest.estimators, indent=2, ensure_ascii=False),
         },
         command=reproduce_command(content),
@@ -52,9 +52,10 @@ def reproduce_command(content: Content) -> str:
 def _facts(content: Content) -> list[tuple[str, str]]:
     """Say how the run was made, as names and values."""
     manifest = content.run.manifest
+    done, total = content.run.progress()
     facts = [
         ("Campaign", manifest.name),
-        ("Trials", f"{finished_trials(content.run)} of {manifest.trials}"),
+        ("Trials", f"{done} of {total}"),
         ("Seed", str(manifest.seed)),
         ("Created", manifest.created),
         ("Commit", manifest.commit),
@@ -64,8 +65,6 @@ def _facts(content: Content) -> list[tuple[str, str]]:
     return [(name, value) for name, value in facts if value]
 
 
-def _listed(mapping: object) -> str:
+def _listed(mapping: Mapping[str, object]) -> str:
     """Write a mapping on one line."""
-    if not isinstance(mapping, dict):
-        return str(mapping)
-    return ", ".join(f"{str(name).replace('_', ' ')} {value}" for name, value in mapping.items())
+    return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in mapping.items())

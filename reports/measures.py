@@ -232,10 +232,16 @@ def landmark_measures(run: RunData) -> list[Record]:
 
 
 def database_measures(run: RunData) -> list[Record]:
-    """Count the landmarks and facets of each data base."""
+    """Count the landmarks and facets of each data base.
+
+    A single data base of a run with a single estimator beside the control belongs to it, even if it does not say so.
+    """
     records = []
+    pairs = [pair for pair in run.pairs() if pair[1] != CONTROL]
+    only = pairs[0] if len(pairs) == len(run.manifest.products) == 1 else ("", "")
     for product in run.manifest.products:
-        subject = _Subject(product.scenario, product.estimator, "database", 1)
+        scenario, estimator = (product.scenario, product.estimator) if product.scenario else only
+        subject = _Subject(scenario, estimator, "database", 1)
         for name, count in (("database_landmarks", product.n_landmarks), ("database_facets", product.n_facets)):
             if count is not None:
                 records.append(subject.record(name, "count", Measured(count, count, count), 1))

@@ -30,13 +30,16 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
 
 
 class Product(BaseModel):
-    """What is known of a product that was built before the trials, such as a landmark data base."""
+    """What is known of a product that was built before the trials, such as a landmark data base.
+
+    ``scenario`` and ``estimator`` say whose it is; empty where it is not said.
+    """
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
     kind: str
-    scenario: str
-    estimator: str
+    scenario: str = ""
+    estimator: str = ""
     n_landmarks: int | None = None
     n_facets: int | None = None
     seconds: float | None = None
@@ -57,8 +60,8 @@ class Manifest(BaseModel):
     trials: int
     created: str = ""
     commit: str = ""
-    scenarios: Any
-    estimators: Any
+    scenarios: Mapping[str, Any]
+    estimators: tuple[Any, ...]
     versions: Mapping[str, Any]
     machine: Mapping[str, Any]
     credits: tuple[str, ...]
@@ -97,6 +100,16 @@ class RunData:
     def pairs(self) -> list[tuple[str, str]]:
         """List (scenario, estimator) in the order in which the rows name them."""
         return list(self.rows[["scenario", "estimator"]].drop_duplicates().itertuples(index=False, name=None))
+
+    def progress(self) -> tuple[int, int]:
+        """Count the trials that are stored and those that were asked for, over all scenarios."""
+        done = len(self.rows[["scenario", "trial"]].drop_duplicates())
+        return done, self.manifest.trials * len(self.manifest.scenarios)
+
+    def truth_name(self, scenario: str) -> str:
+        """Name the pose that the rows are scored against: that of a real image set, or ``truth``."""
+        images = self.manifest.scenarios.get(scenario, {}).get("images") or {}
+        return str(images.get("truth", "truth"))
 
 
 def select(table: pd.DataFrame, scenario: str, estimator: str) -> pd.DataFrame:

@@ -25,6 +25,7 @@ _TIMED = {
     "centroid": "brightness centroid",
     "feature_extraction": "feature extraction",
     "recognition": "recognition and pose estimation",
+    "image": "image (rendered or read)",
 }
 _MEASURES = {
     "position_error_m": "position error",
@@ -176,12 +177,16 @@ def _pose_cells(records: Sequence[Record], line: Record) -> tuple[str, ...]:
     return (counts(line), *magnitude("position_error_m"), *axes, *magnitude("attitude_error_deg"))
 
 
-def reference_grid(records: Sequence[Record]) -> Grid | None:
-    """Tabulate final pose errors against each reference pose; None if there is only the truth."""
-    lines = [r for r in records if r.reference and r.measure == "position_error_m" and r.statistic == MEDIAN.name]
+def reference_grid(records: Sequence[Record], run: RunData) -> Grid | None:
+    """Tabulate final pose errors against the truth and each further reference; None if there is only the truth."""
+    medians = [r for r in records if r.measure == "position_error_m" and r.statistic == MEDIAN.name]
+    ends = {(r.scenario, r.estimator, r.stage) for r in medians if r.reference}
+    lines = [r for r in medians if (r.scenario, r.estimator, r.stage) in ends]
     heads = ("estimator", "against", "ok", "position m", "RMS", "95th", "x", "y", "z", "attitude deg", "RMS", "95th")
     note = "No reference pose is exact truth: each error contains the error of the pose that it is measured against."
-    rows = tuple((line.estimator, line.reference, *_pose_cells(records, line)) for line in lines)
+    rows = tuple(
+        (line.estimator, line.reference or run.truth_name(line.scenario), *_pose_cells(records, line)) for line in lines
+    )
     return Grid("Scored against each reference pose", heads, rows, frozenset({0, 1}), note) if rows else None
 
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from reports.figures.style import ORANGE, SKY, VERMILION, FloatArray, add_credits, new_figure, styled
+from reports.figures.style import ORANGE, SKY, VERMILION, FloatArray, new_figure, styled
 
 MATCH_SIGMAS = 6.0
 
@@ -89,9 +89,8 @@ def draw_fit_panels(fit: Fit, title: str, credit_lines: Sequence[str] = ()) -> F
         axes.set_title(name)
         axes.set(xlim=(left, right), ylim=(bottom, top), xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
-    _add_legend(figure, fit.matched)
+    _add_legend(figure, fit.matched, credit_lines)
     figure.suptitle(title, fontsize=10)
-    add_credits(figure, credit_lines)
     return figure
 
 
@@ -145,8 +144,8 @@ def _dot(marker: str, face: str, edge: str, label: str) -> Line2D:
     return Line2D([], [], marker=marker, color="none", markerfacecolor=face, markeredgecolor=edge, label=label)
 
 
-def _add_legend(figure: Figure, matched: NDArray[np.bool_]) -> None:
-    """Explain the marks below the panels, where they hide nothing."""
+def _add_legend(figure: Figure, matched: NDArray[np.bool_], credit_lines: Sequence[str]) -> None:
+    """Explain the marks and print the credits below the panels, where they hide nothing."""
     handles = [
         _dot("o", "black", "black", "observed centroid"),
         _dot("o", VERMILION, VERMILION, "rendered centroid"),
@@ -155,7 +154,15 @@ def _add_legend(figure: Figure, matched: NDArray[np.bool_]) -> None:
         _dot("D", "none", VERMILION, f"corner, not matched ({np.count_nonzero(~matched)})"),
         _dot("D", VERMILION, VERMILION, f"corner matched with a landmark ({np.count_nonzero(matched)})"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), columnspacing=1.2, handlelength=1.4)
+    figure.legend(
+        handles=handles,
+        loc="outside lower center",
+        ncols=len(handles),
+        columnspacing=1.2,
+        handlelength=1.4,
+        title="; ".join(credit_lines) or None,
+        title_fontsize=7,
+    )
 
 
 def _window(fit: Fit) -> tuple[tuple[float, float], tuple[float, float]]:
