@@ -11,8 +11,7 @@ import trimesh
 
 from scenarios.bodies import cubegrid
 from scenarios.bodies.detail.noise import Band, fractal_field
-from scenarios.bodies.detail.subdivide import smoothed
-from scenarios.bodies.topology import FloatArray, IndexArray, find_edges, unit, vertex_normals
+from scenarios.bodies.topology import FloatArray, IndexArray, unit, vertex_normals
 from scenarios.geometry import TriangleMesh
 
 __all__ = ["EMBEDDED", "contact_binary", "sphere"]
@@ -22,12 +21,10 @@ EMBEDDED_VERSION = 1
 
 _BOX_M = np.array([560.0, 305.0, 243.0])
 _GRID = 32
-_PROJECTIONS = 6
-_RELAXATIONS = 12
+_BISECTIONS = 50
 _LUMPS = Band(longest_m=180.0, shortest_m=22.0, hurst=1.0)
 _LUMPS_RMS_M = 5.0
 _LUMPS_SEED = 25143
-_STEP_M = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +51,15 @@ class _Lobe:
 
 # A long body and a smaller head that leans against it, as on (25143) Itokawa, with shoulders that break the symmetry.
 _LOBES = (
-    _Lobe((-60.0, 0.0, 0.0), (205.0, 135.0, 112.0), yaw_deg=6.0, pitch_deg=4.0),
-    _Lobe((185.0, 35.0, 10.0), (98.0, 100.0, 88.0), yaw_deg=-25.0),
+    _Lobe((-70.0, 0.0, 0.0), (190.0, 135.0, 112.0), yaw_deg=6.0, pitch_deg=4.0),
+    _Lobe((190.0, 40.0, 10.0), (98.0, 98.0, 86.0), yaw_deg=-25.0),
     _Lobe((-150.0, -35.0, 18.0), (95.0, 90.0, 85.0)),
-    _Lobe((-20.0, 60.0, -25.0), (110.0, 75.0, 70.0), yaw_deg=-20.0),
-    _Lobe((215.0, -10.0, -20.0), (60.0, 65.0, 60.0)),
+    _Lobe((-40.0, 60.0, -25.0), (105.0, 75.0, 70.0), yaw_deg=-20.0),
+    _Lobe((225.0, -5.0, -20.0), (60.0, 65.0, 60.0)),
 )
 _BLEND_M = 25.0
+# Every ray from here leaves the union once: the shape is a graph over directions.
+_NECK_M = np.array([90.0, 15.0, 0.0])
 
 
 def _surface_distance(points_m: FloatArray) -> FloatArray:
@@ -71,16 +70,14 @@ def _surface_distance(points_m: FloatArray) -> FloatArray:
     return union_m
 
 
-def _projected(points_m: FloatArray) -> FloatArray:
-    """Move points (N, 3) onto the surface along the gradient of the distance."""
-    for _ in range(_PROJECTIONS):
-        steps = _STEP_M * np.eye(3)
-        gradient = np.stack(
-            [_surface_distance(points_m + step) - _surface_distance(points_m - step) for step in steps], axis=1
-        ) / (2.0 * _STEP_M)
-        square = np.maximum(np.einsum("ni,ni->n", gradient, gradient), 1e-3)
-        points_m = points_m - (_surface_distance(points_m) / square)[:, None] * gradient
-    return points_m
+def _on_surface(directions: FloatArray) -> FloatArray:
+    """Points (N, 3) where rays from the neck along unit ``directions`` leave the body, by bisection."""
+    inner, outer = np.zeros(len(directions)), np.full(len(directions), _BOX_M[0])
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (inner + outer)
+        inside = _surface_distance(_NECK_M + middle[:, None] * directions) < 0.0
+        inner, outer = np.where(inside, middle, inner), np.where(inside, outer, middle)
+    return _NECK_M + inner[:, None] * directions
 
 
 def _cube_mesh(q: int) -> tuple[FloatArray, IndexArray]:
@@ -94,15 +91,12 @@ def _cube_mesh(q: int) -> tuple[FloatArray, IndexArray]:
 def contact_binary() -> TriangleMesh:
     """Make an Itokawa-like body of 560 x 305 x 243 m: two lobes with a concave neck, 12,288 facets.
 
-    An ellipsoid of even triangles is laid, along the gradient, on the zero of the smooth union of a few
+    An ellipsoid of even triangles is stretched, along rays from the neck, to the smooth union of a few
     ellipsoids; then it gets lumps and hollows, always the same, and is scaled to the box. The origin is the
     centre of volume.
     """
     directions, faces = _cube_mesh(_GRID)
-    edges = find_edges(faces)
-    points_m = _projected(directions * (0.5 * _BOX_M))
-    for _ in range(_RELAXATIONS):
-        points_m = _projected(smoothed(points_m, edges, 1))
+    points_m = _on_surface(unit(directions * _BOX_M))
     lumps, _ = fractal_field(points_m, _LUMPS, 0.0, np.random.SeedSequence(_LUMPS_SEED))
     points_m = points_m + _LUMPS_RMS_M * lumps[:, None] * vertex_normals(points_m, faces)
     points_m = points_m * (_BOX_M / np.ptp(points_m, axis=0))

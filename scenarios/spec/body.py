@@ -16,7 +16,7 @@ class BoulderSpec(SpecModel):
     min_diameter_m: float = Field(gt=0)
     max_diameter_m: float = Field(gt=0)
     exponent: float = Field(3.0, gt=0, lt=10, description="Slope of the cumulative size distribution")
-    height_ratio: float = Field(0.35, gt=0, le=1, description="Mean height over diameter, what is buried left out")
+    height_ratio: float = Field(0.35, gt=0, le=1, description="Typical height over diameter of the part above ground")
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -124,5 +124,5 @@ def _draw_blocks(
     tops = np.concatenate(
         [rng.uniform(0.8, 1.1, (count, _TOPS, 1)), rng.uniform(-0.5, 0.5, (count, _TOPS, 2))], axis=-1
     )
-    height_m = spec.height_ratio * diameters_m * rng.uniform(0.4, 1.6, count)
+    height_m = spec.height_ratio * diameters_m * rng.uniform(0.6, 1.4, count)
     return _Blocks(axes, sides, tops, height_m)
