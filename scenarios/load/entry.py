@@ -56,9 +56,14 @@ def nested(keys: Iterable[str], entry: Entry) -> Entry:
     return entry
 
 
+def printable(text: str) -> str:
+    """Escape what would break a line or steer a terminal."""
+    return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
+
+
 def describe(entry: Entry) -> str:
     """Write a value as YAML would in one line, shortened where it is long."""
-    text = _inline(entry)
+    text = printable(_inline(entry))
     return text if len(text) <= 60 else text[:57] + "..."
 
 

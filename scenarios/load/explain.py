@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from scenarios.load.entry import Entry, describe
+from scenarios.load.entry import Entry, describe, printable
 from scenarios.load.merge import Models, field_models
 from scenarios.spec.base import SpecModel
 
@@ -52,7 +52,7 @@ def _line(detail: ErrorDetails, root: Entry, model: type[SpecModel]) -> str:
         loc = (*loc, _TAG, "kind")
     spot = _locate(loc, root, model)
     what = _what(detail, spot)
-    return f"{spot.entry.place}: {spot.key}: {what}" if spot.key else f"{spot.entry.place}: {what}"
+    return printable(f"{spot.entry.place}: {spot.key}: {what}" if spot.key else f"{spot.entry.place}: {what}")
 
 
 def _locate(loc: tuple[int | str, ...], root: Entry, model: type[SpecModel]) -> _Spot:
@@ -138,7 +138,7 @@ def _unknown(spot: _Spot) -> str:
 
 def _wrong_length(kind: str, context: Mapping[str, Any]) -> str:
     bound = context["min_length"] if kind == "too_short" else context["max_length"]
-    return f"needs at {'least' if kind == 'too_short' else 'most'} {bound} values, not {context['actual_length']}"
+    return f"has {context['actual_length']} values, not at {'least' if kind == 'too_short' else 'most'} {bound}"
 
 
 def _interval(field: FieldInfo | None, context: Mapping[str, Any]) -> str:

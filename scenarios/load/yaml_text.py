@@ -20,7 +20,7 @@ from ruamel.yaml.events import (
 )
 
 from scenarios.errors import BoresightError
-from scenarios.load.entry import Entry, Scalar
+from scenarios.load.entry import Entry, Scalar, printable
 
 MAX_VALUES = 20_000
 MAX_DEPTH = 40
@@ -59,13 +59,14 @@ def parse_yaml(text: str, source: str, *, place: str | None = None) -> Entry:
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f":{mark.line + 1}" if mark is not None else ""
-        what = " ".join(str(error.problem or error.context).split())
-        raise BoresightError(f"{place or source + line}: not valid YAML: {what}") from error
-    except YAMLError as error:
-        raise BoresightError(f"{place or source}: not valid YAML: {' '.join(str(error).split())}") from error
-    except ValueError as error:
-        # An escape beyond Unicode ("\\U00110000") leaves the parser as chr()'s own error.
-        raise BoresightError(f"{place or source}: not valid YAML: {error}") from error
+        raise _invalid(place or source + line, error.problem or error.context) from error
+    except (YAMLError, ValueError) as error:
+        # An escape beyond Unicode ("\\U00110000") leaves the parser as chr()'s own ValueError.
+        raise _invalid(place or source, error) from error
+
+
+def _invalid(place: str, what: object) -> BoresightError:
+    return BoresightError(printable(f"{place}: not valid YAML: {' '.join(str(what).split())}"))
 
 
 def resolve_scalar(text: str) -> Scalar:
@@ -140,7 +141,7 @@ class _Builder:
             key = event.value
             place = self._at(event)
             if key in section:
-                raise BoresightError(f"{place}: {key}: duplicate key, first given at {section[key].place}")
+                raise self._error(event, f"{key}: duplicate key, first given at {section[key].place}")
             section[key] = self._build(next(self._events), place)
         return section
 
@@ -166,4 +167,4 @@ class _Builder:
         return self._place or f"{self._source}:{event.start_mark.line + 1}"
 
     def _error(self, event: Any, what: str) -> BoresightError:
-        return BoresightError(f"{self._at(event)}: {what}")
+        return BoresightError(printable(f"{self._at(event)}: {what}"))

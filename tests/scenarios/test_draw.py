@@ -1,0 +1,271 @@
+"""Draws against the laws that a scenario states.
+
+Every statistical test has a false-alarm level of 1e-4 under the law; seeds are fixed, so that a pass repeats.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from scenarios.draw import Stream, degrade, draw_lit_view, draw_view, generator, prior_covariance
+from scenarios.errors import BoresightError
+from scenarios.geometry import look_at
+from scenarios.load import load_scenario
+from scenarios.spec.distribution import Normal, Normal3, Uniform, Uniform3
+from scenarios.spec.world import AttitudeErrorSpec, LightingSpec, PoseErrorSpec, ViewpointSpec
+
+FALSE_ALARM = 1e-4
+N = 4000
+
+
+@pytest.fixture(scope="module")
+def paper():
+    return load_scenario("itokawa-2km-lambert").spec
+
+
+@pytest.fixture(scope="module")
+def views(paper):
+    return [draw_view(paper, paper.camera.camera(), generator(1, Stream.TRUTH, trial)) for trial in range(N)]
+
+
+def assert_follows(sample, law) -> None:
+    assert stats.kstest(sample, law.cdf).pvalue > FALSE_ALARM
+
+
+def uniform(low, high):
+    return stats.uniform(low, high - low)
+
+
+# --- streams ---------------------------------------------------------------------------------------------------------
+
+
+def test_streams_keep_their_numbers():
+    assert [(s.name, s.value) for s in Stream][:5] == [
+        ("TRUTH", 0), ("POSE_ERROR", 1), ("DETECTOR", 2), ("ESTIMATOR", 3), ("DATABASE", 4),
+    ]  # fmt: skip
+
+
+def test_a_stream_is_its_address():
+    """The numbers that numpy documents for a spawned seed sequence, and no two addresses alike."""
+    expected = np.random.default_rng(np.random.SeedSequence(5).spawn(3)[2].spawn(8)[7]).random(4)
+    assert np.array_equal(generator(5, Stream.DETECTOR, 7).random(4), expected)
+    firsts = {generator(s, k, t).random() for s in (0, 1) for k in Stream for t in range(50)}
+    assert len(firsts) == 2 * len(Stream) * 50
+
+
+# --- views -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_camera_is_uniform_over_the_sphere(views):
+    positions = np.array([v.T_cam_body.camera_position_m for v in views])
+    assert np.allclose(np.linalg.norm(positions, axis=1), 2000.0, rtol=1e-12)
+    for axis in range(3):
+        # Archimedes: each coordinate of a uniform point of a sphere is uniform.
+        assert_follows(positions[:, axis] / 2000.0, uniform(-1, 1))
+    assert_follows(np.arctan2(positions[:, 1], positions[:, 0]), uniform(-np.pi, np.pi))
+
+
+def test_the_boresight_points_at_the_origin(views):
+    assert np.allclose([v.T_cam_body.translation_m for v in views], [0.0, 0.0, 2000.0], atol=1e-9)
+
+
+def test_the_roll_is_uniform(views):
+    rolls = []
+    for view in views:
+        upright = look_at(view.T_cam_body.camera_position_m)
+        turn = Rotation.from_matrix(view.T_cam_body.rotation @ upright.rotation.T).as_rotvec()
+        assert np.allclose(turn[:2], 0.0, atol=1e-6)
+        rolls.append(turn[2])
+    assert_follows(np.abs(rolls), uniform(0, np.pi))
+    assert stats.binomtest(int(np.sum(np.array(rolls) > 0)), N).pvalue > FALSE_ALARM
+
+
+def test_the_sun_is_uniform_over_the_cap_of_phase_angles(views):
+    phases = np.array([v.phase_angle_rad for v in views])
+    assert np.degrees(phases.max()) <= 60.0
+    assert_follows(np.cos(phases), uniform(0.5, 1.0))
+    azimuths = []
+    for view in views:
+        sun_cam = view.T_cam_body.rotate(view.sun_dir_body)
+        azimuths.append(np.arctan2(sun_cam[1], sun_cam[0]))
+    assert_follows(np.array(azimuths), uniform(-np.pi, np.pi))
+
+
+def test_the_phase_may_be_uniform_in_the_angle(paper):
+    lighting = LightingSpec(phase_deg=Uniform(uniform=(20, 90)), measure="angle")
+    camera, viewpoint = paper.camera.camera(), paper.viewpoint
+    drawn = [draw_lit_view(viewpoint, lighting, camera, generator(2, Stream.TRUTH, t)) for t in range(N)]
+    assert_follows(np.degrees([v.phase_angle_rad for v in drawn]), uniform(20, 90))
+
+
+def test_a_latitude_band_is_uniform_over_its_area(paper):
+    viewpoint = ViewpointSpec(range_m=10, latitude_deg=Uniform(uniform=(-10, 30)))
+    drawn = [
+        draw_lit_view(viewpoint, LightingSpec(), paper.camera.camera(), generator(3, Stream.TRUTH, t)) for t in range(N)
+    ]
+    sines = np.array([v.T_cam_body.camera_position_m[2] for v in drawn]) / 10
+    assert_follows(sines, uniform(np.sin(np.radians(-10)), 0.5))
+
+
+def test_a_fixed_phase_and_roll_are_kept(paper):
+    viewpoint = ViewpointSpec(range_m=10, roll_deg=Uniform(uniform=(30, 30)))
+    lighting = LightingSpec(phase_deg=Uniform(uniform=(40, 40)))
+    view = draw_lit_view(viewpoint, lighting, paper.camera.camera(), np.random.default_rng(0))
+    assert np.degrees(view.phase_angle_rad) == pytest.approx(40, abs=1e-9)
+    upright = look_at(view.T_cam_body.camera_position_m, np.radians(30))
+    assert view.T_cam_body.angle_to(upright) < 1e-7
+
+
+def test_real_images_have_no_view_to_draw():
+    spec = load_scenario("navcam67p-real").spec
+    with pytest.raises(BoresightError, match="viewpoint: missing"):
+        draw_view(spec, spec.camera.camera(), np.random.default_rng(0))
+
+
+# --- pose errors -----------------------------------------------------------------------------------------------------
+
+
+def errors_of(spec, true_poses, camera, seed=1):
+    """Rotation vectors (N, 3) rad and shifts (N, 3) m, worked out with scipy from the poses alone."""
+    priors = [degrade(T, spec, camera, generator(seed, Stream.POSE_ERROR, t)) for t, T in enumerate(true_poses)]
+    turns = [
+        Rotation.from_matrix(p.rotation @ T.rotation.T).as_rotvec() for p, T in zip(priors, true_poses, strict=True)
+    ]
+    shifts = [p.translation_m - T.translation_m for p, T in zip(priors, true_poses, strict=True)]
+    return np.array(turns), np.array(shifts)
+
+
+def test_the_error_of_the_paper_follows_its_law(paper, views):
+    turns, shifts = errors_of(paper.pose_error, [v.T_cam_body for v in views], paper.camera.camera())
+    for axis, bound in enumerate((50, 50, 5)):
+        assert_follows(shifts[:, axis], uniform(-bound, bound))
+    angles = np.linalg.norm(turns, axis=1)
+    assert_follows(np.degrees(angles), uniform(0, 2))
+    for axis in range(3):
+        assert_follows(turns[:, axis] / angles, uniform(-1, 1))
+    # Attitude and translation are independent: no correlation beyond 4 sigma.
+    assert np.abs(np.corrcoef(turns.T, shifts.T)[:3, 3:]).max() < 4 / np.sqrt(N)
+
+
+def test_the_prior_error_of_the_paper_is_reproduced(paper, views):
+    """Rowell et al. (2015), section 4.2: 1.00 deg, 45.3 m and (27.1, 27.4, 2.45) m of 6000 images before recognition.
+
+    The intervals are four standard errors of a median of 4000.
+    """
+    camera = paper.camera.camera()
+    poses = [v.T_cam_body for v in views]
+    priors = [degrade(T, paper.pose_error, camera, generator(1, Stream.POSE_ERROR, t)) for t, T in enumerate(poses)]
+    pairs = list(zip(priors, poses, strict=True))
+    angles = np.degrees([p.angle_to(T) for p, T in pairs])
+    errors = np.array([T.rotate(p.camera_position_m - T.camera_position_m) for p, T in pairs])
+    assert np.median(angles) == pytest.approx(1.0, abs=4 * 2 / np.sqrt(12) * 1.8 / np.sqrt(N))
+    assert np.median(np.linalg.norm(errors, axis=1)) == pytest.approx(45.3, abs=1.7)
+    medians = np.sqrt(np.median(errors**2, axis=0))
+    assert medians == pytest.approx([27.1, 27.4, 2.45], abs=1.5)
+    assert medians[2] == pytest.approx(2.5, abs=0.17)
+
+
+@pytest.mark.parametrize(
+    "pose_error",
+    [
+        PoseErrorSpec(position_cam_m=Uniform3(uniform=((-50, 50), (-20, 60), (1, 5)))),
+        PoseErrorSpec(
+            position_cam_m=Normal3(normal=(30, 20, 3)), attitude=AttitudeErrorSpec(angle_deg=Normal(normal=1.5))
+        ),
+        PoseErrorSpec(
+            position_cam_px=Normal3(normal=(9, 7, 1)),
+            attitude=AttitudeErrorSpec(rotation_vector_deg=Normal3(normal=(1, 0.5, 0.1))),
+        ),
+        PoseErrorSpec(
+            position_cam_px=Uniform3(uniform=((-40, 40), (-40, 40), (-4, 4))),
+            attitude=AttitudeErrorSpec(rotation_vector_deg=Uniform3(uniform=((-1, 1), (0, 1), (-2, 2)))),
+        ),
+    ],
+)
+def test_the_prior_covariance_is_the_second_moment_of_the_errors(paper, pose_error):
+    camera, pose = paper.camera.camera(), look_at(np.array([300.0, -900.0, 1200.0]))
+    range_m = float(np.linalg.norm(pose.translation_m))
+    turns, shifts = errors_of(pose_error, [pose] * N, camera)
+    sample = np.hstack([turns, shifts])
+    covariance = prior_covariance(pose_error, range_m, camera)
+    mean_squares = np.diag(covariance)
+    # Standard error of a mean square from the sample's own fourth moments; 4.5 sigma for six of them.
+    error = (sample**2).std(axis=0) / np.sqrt(N)
+    assert (np.abs((sample**2).mean(axis=0) - mean_squares) < 4.5 * error).all()
+    assert np.array_equal(covariance, np.diag(mean_squares))
+
+
+def test_errors_in_pixels_move_the_body_by_pixels():
+    spec = load_scenario("navcam67p-real").spec
+    camera = spec.camera.camera()
+    pose = look_at(np.array([0.0, -1.0e5, 0.0]))
+    fixed = PoseErrorSpec(
+        position_cam_px=Uniform3(uniform=((40, 40), (-7, -7), (0, 0))),
+        attitude=AttitudeErrorSpec(angle_deg=Normal(normal=0)),
+    )
+    prior = degrade(pose, fixed, camera, np.random.default_rng(0))
+    moved = camera.project(prior.translation_m) - camera.project(pose.translation_m)
+    assert moved == pytest.approx([40, -7], abs=1e-9)
+
+
+def test_an_attitude_error_turns_the_body_about_its_origin():
+    pose = look_at(np.array([0.0, -1000.0, 0.0]))
+    spec = PoseErrorSpec(
+        position_cam_m=Normal3(normal=(0, 0, 0)),
+        attitude=AttitudeErrorSpec(rotation_vector_deg=Uniform3(uniform=((0, 0), (3, 3), (0, 0)))),
+    )
+    prior = degrade(pose, spec, load_scenario("quickstart").spec.camera.camera(), np.random.default_rng(0))
+    assert np.array_equal(prior.translation_m, pose.translation_m)
+    turned = Rotation.from_euler("y", 3, degrees=True).as_matrix() @ pose.rotation
+    assert np.allclose(prior.rotation, turned, atol=1e-12)
+
+
+# --- no dispersion is silently dropped -------------------------------------------------------------------------------
+
+CHANGES = {
+    "viewpoint.range_m": "viewpoint.range_m=1999",
+    "viewpoint.roll_deg": "viewpoint.roll_deg.uniform=[0, 10]",
+    "viewpoint.latitude_deg": "viewpoint.latitude_deg.uniform=[0, 10]",
+    "lighting.phase_deg": "lighting.phase_deg.uniform=[0, 61]",
+    "lighting.measure": "lighting.measure=angle",
+    "pose_error.position_cam_m": "pose_error.position_cam_m.uniform=[[-50, 50], [-50, 50], [-6, 5]]",
+    "pose_error.position_cam_px": "pose_error.position_cam_px.uniform=[[-50, 50], [-50, 50], [-5, 5]]",
+    "pose_error.attitude.angle_deg": "pose_error.attitude.angle_deg.uniform=[-2, 3]",
+    "pose_error.attitude.rotation_vector_deg": "pose_error.attitude.rotation_vector_deg.normal=[1, 1, 1]",
+    "camera.width_px": "camera.width_px=511",
+    "camera.height_px": "camera.height_px=511",
+    "camera.fov_deg": "camera.fov_deg=18.4",
+    "camera.focal_px": "camera.focal_px=[1589, 1600]",
+    "camera.principal_point_px": "camera.principal_point_px=[250, 256]",
+}
+ONE_CHOICE = {"viewpoint.kind", "pose_error.attitude.axis"}
+
+
+def outcome(overrides=()):
+    """What a trial starts from: where a body-fixed point is in the image, Sun, prior, its covariance."""
+    spec = load_scenario("itokawa-2km-lambert", overrides).spec
+    camera = spec.camera.camera()
+    view = draw_view(spec, camera, generator(1, Stream.TRUTH, 0))
+    prior = degrade(view.T_cam_body, spec.pose_error, camera, generator(1, Stream.POSE_ERROR, 0))
+    point = camera.project(view.T_cam_body.transform(np.array([30.0, 60.0, 90.0])))
+    size = [camera.width_px, camera.height_px]
+    covariance = prior_covariance(spec.pose_error, 2000.0, camera).ravel()
+    return np.concatenate([point, size, view.sun_dir_body, prior.rotation.ravel(), prior.translation_m, covariance])
+
+
+@pytest.mark.parametrize("key", CHANGES)
+def test_each_key_alone_changes_the_draw(key):
+    assert not np.array_equal(outcome([CHANGES[key]]), outcome())
+
+
+def test_no_key_of_these_sections_goes_untested():
+    spec = load_scenario("itokawa-2km-lambert").spec
+    sections = {
+        "viewpoint": ViewpointSpec, "lighting": LightingSpec, "pose_error": PoseErrorSpec,
+        "pose_error.attitude": AttitudeErrorSpec, "camera": type(spec.camera),
+    }  # fmt: skip
+    keys = {f"{name}.{key}" for name, model in sections.items() for key in model.model_fields}
+    assert keys - set(sections) == set(CHANGES) | ONE_CHOICE

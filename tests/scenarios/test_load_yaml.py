@@ -1,0 +1,141 @@
+"""YAML text to entries: the core schema of YAML 1.2, places, and hostile input."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from ruamel.yaml import YAML
+
+from scenarios.errors import BoresightError
+from scenarios.load.entry import describe, entry_of
+from scenarios.load.files import CATALOG
+from scenarios.load.yaml_text import MAX_VALUES, parse_yaml, resolve_scalar
+
+QUICKSTART = (CATALOG / "quickstart.yaml").read_text(encoding="utf-8")
+
+
+def test_every_key_and_item_knows_its_line():
+    root = parse_yaml("a: 1\nb:\n  c: [1,\n    2]\n  d: {e: 5}\n", "x.yaml")
+    section = root.section
+    assert section["a"].place == "x.yaml:1"
+    assert section["b"].place == "x.yaml:2"
+    assert section["b"].section["c"].place == "x.yaml:3"
+    assert section["b"].section["c"].value[1].place == "x.yaml:4"
+    assert section["b"].section["d"].section["e"].place == "x.yaml:5"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "~", "null", "Null", "true", "False", "TRUE", "0", "-7", "+12", "007", "0o17", "0x1F", "1.5", "-.5", "3.",
+        "3.1e6", "1e3", "-2E-3", ".inf", "-.INF", "+.inf", "yes", "no", "on", "1_000", "12:30", "abc", "1e", "0x",
+        "2014-08-05", "..", "+", "nul", "tRue", "1.2.3",
+    ],
+)  # fmt: skip
+def test_scalars_resolve_as_in_yaml_1_2(text):
+    """Against ruamel.yaml's own resolver, except where that one leaves the core schema: underscores and dates."""
+    ours = resolve_scalar(text)
+    if text in {"1_000", "2014-08-05"}:
+        assert ours == text
+        return
+    theirs = YAML(typ="safe", pure=True).load(f"value: {text}")["value"]
+    assert type(ours) is type(theirs)
+    assert ours == theirs
+
+
+def test_not_a_number_resolves():
+    assert all(math.isnan(resolve_scalar(text)) for text in (".nan", ".NaN", ".NAN"))
+
+
+def test_quoted_scalars_are_texts():
+    assert parse_yaml("a: '20'\nb: \"true\"\nc: |\n  3\n", "x").plain() == {"a": "20", "b": "true", "c": "3\n"}
+
+
+def test_plain_agrees_with_ruamel_on_the_catalogue():
+    for path in CATALOG.glob("*.yaml"):
+        text = path.read_text(encoding="utf-8")
+        assert parse_yaml(text, path.name).plain() == YAML(typ="safe", pure=True).load(text)
+
+
+def test_an_alias_repeats_its_anchor():
+    root = parse_yaml("a: &x {k: [1, 2]}\nb: *x\n", "x.yaml")
+    assert root.plain() == {"a": {"k": [1, 2]}, "b": {"k": [1, 2]}}
+    assert root.section["b"].place == "x.yaml:2"
+
+
+def test_an_alias_bomb_is_refused_before_it_is_expanded():
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
+    with pytest.raises(BoresightError, match=rf"x\.yaml:\d+: more than {MAX_VALUES} values"):
+        parse_yaml("\n".join(lines), "x.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("a: 1\nb: 2\na: 3\n", "x.yaml:3: a: duplicate key, first given at x.yaml:1"),
+        ("a:\n  b: 1\n  b: 2\n", "x.yaml:3: b: duplicate key, first given at x.yaml:2"),
+        (
+            "a: !!python/object/apply:os.system [ls]\n",
+            "x.yaml:1: the tag tag:yaml.org,2002:python/object/apply:os.syst",
+        ),
+        ("a: !!int 3\n", "x.yaml:1: the tag tag:yaml.org,2002:int is not read here"),
+        ("a: 1\n---\nb: 2\n", "x.yaml:2: a second YAML document starts here"),
+        ("a: 1\n? [1, 2]\n: 3\n", "x.yaml:2: a key must be a word"),
+        ("a: *b\n", "x.yaml:1: the alias *b has no anchor before it"),
+        ("a: &b [*b]\n", "x.yaml:1: the alias *b has no anchor before it"),
+        ("a: [1, 2\nb: 3\n", "x.yaml:2: not valid YAML"),
+        ("a: 'x\n", "x.yaml:2: not valid YAML"),
+        ("a:\n\t- 1\n", "x.yaml:2: not valid YAML"),
+        ("a: \x00", "x.yaml: not valid YAML"),
+        ('a: "\\U00110000"', "x.yaml: not valid YAML"),
+        ("[" * 5000, "x.yaml:1: values are nested more than 40 deep"),
+    ],
+)
+def test_what_is_refused_is_named_in_one_line(text, line):
+    with pytest.raises(BoresightError) as caught:
+        parse_yaml(text, "x.yaml")
+    assert str(caught.value).startswith(line)
+    assert "\n" not in str(caught.value)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.text(alphabet=st.sampled_from("ab1.:-[]{}&*!|>'\"%#?,@`~ \n\t\\\x00é\u2028"), max_size=60))
+@example("%YAML 9.9\n--- a")
+@example("%TAG ! tag:x,2000:\n--- !y z")
+@example("&a &b c")
+def test_any_text_gives_entries_or_one_line(text):
+    _entries_or_one_line(text)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.data())
+def test_a_damaged_scenario_gives_entries_or_one_line(data):
+    start = data.draw(st.integers(0, len(QUICKSTART)))
+    length = data.draw(st.integers(0, 20))
+    patch = data.draw(
+        st.text(max_size=8) | st.sampled_from(["{", "[", "*a", "&a ", "!!x ", "'", '"', "\n", ": ", "- "])
+    )
+    _entries_or_one_line(QUICKSTART[:start] + patch + QUICKSTART[start + length :])
+
+
+def _entries_or_one_line(text):
+    try:
+        root = parse_yaml(text, "x.yaml")
+    except BoresightError as error:
+        assert str(error).startswith("x.yaml")
+        assert len(str(error).splitlines()) == 1
+    else:
+        assert root.place.startswith("x.yaml:")
+
+
+def test_values_are_described_in_one_short_line():
+    assert describe(entry_of({"a": [1, 2.5, None], "b": True}, "p")) == "{a: [1, 2.5, null], b: true}"
+    assert len(describe(entry_of(list(range(100)), "p"))) == 60
+
+
+def test_whole_floats_become_integers_and_others_stay():
+    assert repr(parse_yaml("[3.1e6, 0.5, 1e300, .inf]", "x").plain()) == "[3100000, 0.5, 1e+300, inf]"
