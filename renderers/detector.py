@@ -89,6 +89,6 @@ def blurred(image: FloatArray, sigma_px: float) -> FloatArray:
 
 def point_spread(sigma_px: float) -> FloatArray:
     """Return the (2 n + 1,) discrete Gaussian of standard deviation ``sigma_px``, of sum 1, out to 6 sigma."""
-    reach = int(np.ceil(6.0 * sigma_px)) + 2
+    reach = int(np.ceil(6.0 * sigma_px)) + 4
     weights = ive(np.abs(np.arange(-reach, reach + 1)), sigma_px**2)
     return np.asarray(weights / weights.sum(), dtype=np.float64)

@@ -1,0 +1,366 @@
+"""Posed image sets: formats, the table, its faults, and the conventions on real images."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from astropy.io import fits
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from renderers.images import PosedImageSet, read_image
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera
+from scenarios.load import load_scenario
+from scenarios.spec.images import ImageSetSpec
+
+CAMERA = Camera.from_fov(24, 16, 0.1)
+DATA = Path(os.environ.get("BORESIGHT_DATA", "/nonexistent"))
+NAVCAM = DATA / "images" / "rosetta_navcam_67p"
+SHAPE = DATA / "shapes" / "67p-16k.obj"
+MSI = DATA / "images" / "near_msi" / "m0126865998f4_2p_iof.fit"
+
+
+def needs(path: Path) -> pytest.MarkDecorator:
+    return pytest.mark.skipif(not path.exists(), reason=f"{path.name} is absent: set BORESIGHT_DATA")
+
+
+def row(name, **changes):
+    """A table row whose poses were made with scipy."""
+    quat = Rotation.from_euler("xyz", [100, 20, -30], degrees=True).as_quat(scalar_first=True)
+    cells = {"file": name, "time_s": 1.5e9, "sun_body_x": 0, "sun_body_y": 3, "sun_body_z": 4}
+    for prefix, shift in (("ref", 0), ("label", 5)):
+        cells |= {f"{prefix}_q{axis}": repr(float(q)) for axis, q in zip("wxyz", quat, strict=True)}
+        cells |= {f"{prefix}_t{axis}_m": t + shift for axis, t in zip("xyz", (10, -20, 5000), strict=True)}
+    return cells | changes
+
+
+def pixels(dtype=np.uint8):
+    """Every pixel different, so that no flip or shift goes unseen."""
+    return np.arange(16 * 24).reshape(16, 24).astype(dtype)
+
+
+def write_set(folder: Path, rows, images=("a.png",)) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in images:
+        cv2.imwrite(str(folder / name), pixels())
+    with (folder / "poses.csv").open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, fieldnames=list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return folder
+
+
+def open_set(folder: Path, camera=CAMERA, **keys) -> PosedImageSet:
+    return PosedImageSet.open(ImageSetSpec(folder=str(folder), **{"also_score": ("label",), **keys}), camera)
+
+
+# --- what is read ----------------------------------------------------------------------------------------------------
+
+
+def test_a_set_gives_images_times_views_in_the_order_of_the_table(tmp_path):
+    names = ["b.png", "a.png"]
+    images = open_set(write_set(tmp_path, [row(names[0]), row(names[1], time_s=7)], names))
+    assert len(images) == 2
+    assert images.names == ("b.png", "a.png")
+    assert [images.time_s(i) for i in range(2)] == [1.5e9, 7.0]
+    assert images.image(0).dtype == np.float32
+    assert np.array_equal(images.image(0), pixels())
+    images.check_images()
+
+
+def test_views_follow_the_columns(tmp_path):
+    images = open_set(write_set(tmp_path, [row("a.png")]))
+    view = images.view(0)
+    expected = Rotation.from_euler("xyz", [100, 20, -30], degrees=True).as_matrix()
+    assert np.allclose(view.T_cam_body.rotation, expected, atol=1e-12)
+    assert view.T_cam_body.translation_m.tolist() == [10, -20, 5000]
+    assert view.sun_dir_body.tolist() == [0, 0.6, 0.8]
+    assert images.view(0, "label").T_cam_body.translation_m.tolist() == [15, -15, 5005]
+    assert open_set(tmp_path, truth="label", also_score=()).view(0).T_cam_body.translation_m[0] == 15
+    with pytest.raises(BoresightError, match="no poses 'other' were read, only ref, label"):
+        images.view(0, "other")
+
+
+@pytest.mark.parametrize(("name", "dtype"), [("a.png", "u1"), ("a.png", "u2"), ("a.tif", "u1"), ("a.tiff", "u2")])
+def test_bitmaps_keep_their_values(tmp_path, name, dtype):
+    image = pixels(dtype) * (100 if dtype == "u2" else 1)
+    cv2.imwrite(str(tmp_path / name), image)
+    assert np.array_equal(read_image(tmp_path / name), image)
+
+
+@pytest.mark.parametrize("dtype", ["u1", ">i2", "u2", ">f4", "f8"])
+def test_fits_images_keep_their_values(tmp_path, dtype):
+    fits.PrimaryHDU(pixels(dtype)).writeto(tmp_path / "a.fit")
+    assert np.array_equal(read_image(tmp_path / "a.fit"), pixels(dtype))
+
+
+def test_an_image_may_be_in_an_extension_and_scaled(tmp_path):
+    scaled = fits.ImageHDU(pixels("i2"))
+    scaled.header["BSCALE"], scaled.header["BZERO"] = 0.5, 7.0
+    fits.HDUList([fits.PrimaryHDU(), scaled]).writeto(tmp_path / "a.fits")
+    assert np.array_equal(read_image(tmp_path / "a.fits"), pixels("f4") * 0.5 + 7)
+
+
+def test_bottom_up_images_are_turned_over(tmp_path):
+    folder = write_set(tmp_path, [row("a.png")])
+    assert np.array_equal(open_set(folder, first_row="bottom").image(0), pixels()[::-1])
+
+
+def test_another_table_may_be_named(tmp_path):
+    folder = write_set(tmp_path, [row("a.png")])
+    (folder / "poses.csv").rename(folder / "better.csv")
+    assert len(open_set(folder, table="better.csv")) == 1
+
+
+def test_a_folder_is_sought_beside_the_scenario_then_under_the_data(tmp_path, monkeypatch):
+    beside, data = tmp_path / "scene", tmp_path / "data"
+    write_set(data / "images" / "set", [row("a.png", time_s=1)])
+    spec = ImageSetSpec(folder="set")
+    monkeypatch.delenv("BORESIGHT_DATA", raising=False)
+    with pytest.raises(BoresightError, match=r"images\.folder: set/poses\.csv .*BORESIGHT_DATA"):
+        PosedImageSet.open(spec, CAMERA, (beside,))
+    monkeypatch.setenv("BORESIGHT_DATA", str(data))
+    assert PosedImageSet.open(spec, CAMERA, (beside,)).time_s(0) == 1
+    write_set(beside / "set", [row("a.png", time_s=2)])
+    assert PosedImageSet.open(spec, CAMERA, (beside,)).time_s(0) == 2
+
+
+def test_an_almost_unit_quaternion_is_normalised(tmp_path):
+    quat = {f"ref_q{axis}": 0.5002 for axis in "wxyz"}
+    rotation = open_set(write_set(tmp_path, [row("a.png", **quat)])).view(0).T_cam_body.rotation
+    assert np.allclose(rotation, [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-12)
+
+
+# --- what is refused -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"ref_qw": "nan"}, r"poses\.csv:2: ref_qw: 'nan' is not a finite number"),
+        ({"label_tx_m": ""}, r"poses\.csv:2: label_tx_m: '' is not a finite number"),
+        ({"time_s": "noon"}, r"poses\.csv:2: time_s: 'noon' is not a finite number"),
+        ({"sun_body_x": "inf"}, r"poses\.csv:2: sun_body_x: 'inf' is not a finite number"),
+        (
+            {"sun_body_y": 0, "sun_body_z": 0},
+            r"poses\.csv:2: sun_body_x, _y, _z: \[0\.0, 0\.0, 0\.0\] has no direction",
+        ),
+        ({"ref_qw": 2}, r"poses\.csv:2: ref_qw, _qx, _qy, _qz: the length is 2\.\d+, not 1 within 0\.001"),
+        ({"ref_tz_m": -5}, r"poses\.csv:2: ref_tz_m: -5 puts the body behind the camera"),
+        ({"file": ""}, r"poses\.csv:2: file: no file name"),
+        ({"file": "../a.png"}, r"poses\.csv:2: file: '\.\./a\.png' leads out of the folder"),
+        ({"file": "x/../../a.png"}, r"poses\.csv:2: file: .* leads out of the folder"),
+        ({"file": "/etc/passwd"}, r"poses\.csv:2: file: '/etc/passwd' leads out of the folder"),
+        ({"file": "C:\\a.png"}, r"poses\.csv:2: file: .* leads out of the folder"),
+        ({"file": "..\\a.png"}, r"poses\.csv:2: file: .* leads out of the folder"),
+        ({"file": "b.png"}, r"poses\.csv: file: b\.png is not in .* \(1 missing in all\)"),
+    ],
+)
+def test_a_wrong_cell_is_named_with_file_line_and_column(tmp_path, changes, line):
+    folder = write_set(tmp_path, [row("a.png", **changes)])
+    with pytest.raises(BoresightError, match=line) as caught:
+        open_set(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_line_of_a_fault_counts_the_heading_and_blank_lines(tmp_path):
+    folder = write_set(tmp_path, [row("a.png"), row("b.png", ref_qw="x")], ("a.png", "b.png"))
+    text = (folder / "poses.csv").read_text(encoding="utf-8").replace("\n", "\n\n", 1)
+    (folder / "poses.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(BoresightError, match=r"poses\.csv:4: ref_qw"):
+        open_set(folder)
+
+
+def test_an_image_counts_once(tmp_path):
+    folder = write_set(tmp_path, [row("a.png"), row("a.png", time_s=9)])
+    with pytest.raises(BoresightError, match=r"poses\.csv:3: file: a\.png appears twice, first at .*poses\.csv:2"):
+        open_set(folder)
+
+
+def test_faults_of_the_table_as_a_whole(tmp_path):
+    folder = write_set(tmp_path, [row("a.png")])
+    with pytest.raises(BoresightError, match=r"missing column best_qw, .* \(prefixes with poses: ref, label\)"):
+        open_set(folder, truth="best")
+    table = folder / "poses.csv"
+    text = table.read_text(encoding="utf-8")
+    heading, cells = text.splitlines()
+    for content, line in (
+        (heading + "\n", "the table has no rows"),
+        ("", "missing column file"),
+        (f"{heading},time_s\n{cells},3\n", "column time_s appears twice"),
+        (f"{heading}\n{cells},3\n", r"poses\.csv:2: more cells than the \d+ columns"),
+        (f"{heading}\n{cells.rsplit(',', 1)[0]}\n", r"poses\.csv:2: \w+: '' is not a finite number"),
+        (f'{heading}\n"a.png', "cannot be read as a CSV table"),
+    ):
+        table.write_text(content, encoding="utf-8")
+        with pytest.raises(BoresightError, match=line):
+            open_set(folder)
+    table.write_bytes(text.replace("a.png", "ä.png").encode("latin-1"))
+    with pytest.raises(BoresightError, match="cannot be read as a CSV table"):
+        open_set(folder)
+    with pytest.raises(BoresightError, match=r"none/poses\.csv"):
+        open_set(tmp_path / "none")
+
+
+def test_an_image_of_another_size_is_refused(tmp_path):
+    images = open_set(write_set(tmp_path, [row("a.png")]), camera=Camera.from_fov(16, 24, 0.1))
+    with pytest.raises(BoresightError, match=r"a\.png: the image is 24 x 16 pixels, but the camera has 16 x 24"):
+        images.check_images()
+
+
+def test_unreadable_images_are_named(tmp_path):
+    cv2.imwrite(str(tmp_path / "colour.png"), np.zeros((4, 4, 3), np.uint8))
+    fits.PrimaryHDU(np.full((2, 3), np.nan)).writeto(tmp_path / "nan.fits")
+    fits.PrimaryHDU().writeto(tmp_path / "none.fits")
+    fits.PrimaryHDU(np.zeros((2, 3, 4))).writeto(tmp_path / "cube.fits")
+    for name in ("text.png", "text.tif", "text.fits", "a.gif"):
+        (tmp_path / name).write_text("not an image", encoding="utf-8")
+    for name in ("empty.png", "empty.fits"):
+        (tmp_path / name).touch()
+    for name, line in {
+        "colour.png": "a grey image has rows and columns alone, this one has shape (4, 4, 3)",
+        "cube.fits": "a grey image has rows and columns alone, this one has shape (2, 3, 4)",
+        "nan.fits": "6 pixels are not finite, the first in row 0, column 0",
+        "none.fits": "holds no image",
+        "text.png": "not a readable PNG image",
+        "text.tif": "not a readable TIF image",
+        "text.fits": "not a readable FITS file",
+        "empty.png": "",
+        "empty.fits": "",
+        "a.gif": "not a format that is read: .png, .tif, .tiff, .fits, .fit, .fts",
+        "gone.png": "no such image",
+    }.items():
+        with pytest.raises(BoresightError, match=re.escape(f"{name}: {line}")) as caught:
+            read_image(tmp_path / name)
+        assert "\n" not in str(caught.value)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(kind=st.sampled_from([".png", ".tif", ".fits"]), data=st.data())
+def test_a_damaged_image_gives_pixels_or_one_line(tmp_path, kind, data):
+    path = tmp_path / f"x{kind}"
+    if not (tmp_path / f"good{kind}").exists():
+        image = pixels()
+        fits.PrimaryHDU(image).writeto(tmp_path / "good.fits", overwrite=True)
+        cv2.imwrite(str(tmp_path / "good.png"), image)
+        cv2.imwrite(str(tmp_path / "good.tif"), image)
+    content = bytearray((tmp_path / f"good{kind}").read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(content[: data.draw(st.integers(0, len(content)))])
+    try:
+        assert read_image(path).ndim == 2
+    except BoresightError as error:
+        assert len(str(error).splitlines()) == 1
+
+
+@pytest.mark.parametrize("kind", [".png", ".tif", ".fits"])
+def test_half_an_image_is_never_taken_for_a_whole_one(tmp_path, kind):
+    image = np.random.default_rng(0).integers(0, 255, (64, 64), dtype=np.uint8)
+    whole, part = tmp_path / f"whole{kind}", tmp_path / f"part{kind}"
+    if kind == ".fits":
+        fits.PrimaryHDU(image).writeto(whole)
+    else:
+        cv2.imwrite(str(whole), image)
+    content = whole.read_bytes()
+    for fraction in (0.1, 0.3, 0.5, 0.7):
+        part.write_bytes(content[: int(len(content) * fraction)])
+        with pytest.raises(BoresightError, match="not a readable"):
+            read_image(part)
+
+
+def test_a_header_that_claims_a_huge_image_is_refused(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), pixels())
+    content = bytearray((tmp_path / "a.png").read_bytes())
+    content[16:24] = struct.pack(">II", 2**30, 2**30)
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(BoresightError, match=r"a\.png: "):
+        read_image(tmp_path / "a.png")
+
+
+# --- real data -------------------------------------------------------------------------------------------------------
+
+
+@needs(NAVCAM)
+@needs(SHAPE)
+def test_the_conventions_hold_on_real_images():
+    """The shape, projected with OpenCV from the poses of the table, lies on the comet without a flip or a shift.
+
+    The shift that correlates best comes from a parabola through the correlations at -1, 0 and 1 pixel. The
+    reference poses are good to about a pixel each; a wrong half pixel would move the median of all.
+    """
+    spec = load_scenario("navcam67p-real").spec
+    images = PosedImageSet.open(spec.images, spec.camera.camera(), ())
+    shape = trimesh.load(SHAPE, process=False)
+    rendered = {"right": [], "mirrored": [], "upside down": []}
+    shifts = []
+    for index in range(0, len(images), 3):
+        image, view = images.image(index), images.view(index)
+        lambert = _painted(np.asarray(shape.vertices) * 1e3, np.asarray(shape.faces), view)
+        rendered["right"].append(_correlation(image, lambert))
+        rendered["mirrored"].append(_correlation(image, lambert[:, ::-1]))
+        rendered["upside down"].append(_correlation(image, lambert[::-1]))
+        scores = {
+            (du, dv): _correlation(image, np.roll(lambert, (dv, du), (0, 1))) for du in (-1, 0, 1) for dv in (-1, 0, 1)
+        }
+        shifts.append(
+            [_peak(scores[-1, 0], scores[0, 0], scores[1, 0]), _peak(scores[0, -1], scores[0, 0], scores[0, 1])]
+        )
+    assert min(rendered["right"]) > 0.9
+    assert max(rendered["mirrored"] + rendered["upside down"]) < 0.9
+    assert np.abs(np.median(shifts, axis=0)).max() < 0.35, shifts
+
+
+def _painted(vertices_m, faces, view):
+    """A Lambert image by the painter's algorithm and OpenCV's projection and polygons."""
+    rotation, _ = cv2.Rodrigues(view.T_cam_body.rotation)
+    uv, _ = cv2.projectPoints(vertices_m, rotation, view.T_cam_body.translation_m, view.camera.matrix, None)
+    corners = np.round((uv[faces, 0] - 0.5) * 256).astype(np.int32)
+    normals = np.cross(
+        vertices_m[faces[:, 1]] - vertices_m[faces[:, 0]], vertices_m[faces[:, 2]] - vertices_m[faces[:, 0]]
+    )
+    cosines = np.clip(normals @ view.sun_dir_body / np.linalg.norm(normals, axis=1), 0, None)
+    depth = view.T_cam_body.transform(vertices_m)[faces].mean(axis=1)[:, 2]
+    image = np.zeros((view.camera.height_px, view.camera.width_px), np.float32)
+    for face in np.argsort(-depth):
+        cv2.fillConvexPoly(image, corners[face], float(cosines[face]), shift=8)
+    return image
+
+
+def _correlation(first, second):
+    return float(np.corrcoef(first.ravel(), second.ravel())[0, 1])
+
+
+def _peak(left, middle, right):
+    """Vertex of the parabola through three scores at -1, 0, 1."""
+    return 0.5 * (left - right) / (left - 2 * middle + right)
+
+
+@needs(NAVCAM)
+def test_the_navcam_set_is_what_its_notes_say():
+    spec = load_scenario("navcam67p-real").spec
+    images = PosedImageSet.open(spec.images, spec.camera.camera(), ())
+    images.check_images()
+    views = [images.view(i) for i in range(len(images))]
+    ranges_km = np.array([np.linalg.norm(v.T_cam_body.translation_m) for v in views]) / 1e3
+    phases_deg = np.degrees([v.phase_angle_rad for v in views])
+    assert len(images) == 60
+    assert [round(ranges_km.min()), round(ranges_km.max())] == [81, 131]
+    assert [round(phases_deg.min()), round(phases_deg.max())] == [30, 55]
+
+
+@needs(MSI)
+def test_a_near_msi_image_is_read():
+    image = read_image(MSI)
+    assert image.ndim == 2
+    assert image.max() > 0
