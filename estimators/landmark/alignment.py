@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
 
-_BORDER_PX = 8
-
 
 def correlation_pair(observed: Image, rendered: Image, origin_px: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Follow the projected origin of the body from the rendered to the observed image by their best shift.
@@ -29,19 +27,18 @@ def correlation_pair(observed: Image, rendered: Image, origin_px: FloatArray) ->
 def best_shift(observed: Image, rendered: Image) -> FloatArray:
     """Shift (du, dv) in px that moves the rendered image onto the observed one.
 
-    The lit part of the rendered image, with a dark border, is correlated with the observed image at all shifts at
-    which at least half of it overlaps (normalised, zero mean); a parabola refines the peak.
+    Both backgrounds are 0, so the least squares of the difference is where the cross-correlation is greatest; a
+    parabola refines the peak. Shifts that leave half of the lit part in the image are tried.
     """
     rows, columns = np.nonzero(rendered)
     top, left = int(rows.min()), int(columns.min())
-    patch = rendered[top : int(rows.max()) + 1, left : int(columns.max()) + 1]
-    template = cv2.copyMakeBorder(patch, *([_BORDER_PX] * 4), cv2.BORDER_CONSTANT, value=0)
+    template = rendered[top : int(rows.max()) + 1, left : int(columns.max()) + 1]
     pad_rows, pad_columns = template.shape[0] // 2, template.shape[1] // 2
-    field = cv2.copyMakeBorder(observed, pad_rows, pad_rows, pad_columns, pad_columns, cv2.BORDER_CONSTANT, value=0)
-    correlation = np.nan_to_num(cv2.matchTemplate(field, template, cv2.TM_CCOEFF_NORMED), posinf=0.0, neginf=0.0)
-    row, column = np.unravel_index(int(correlation.argmax()), correlation.shape)
-    dv = row + _peak_offset(correlation[:, column], int(row)) - pad_rows - (top - _BORDER_PX)
-    du = column + _peak_offset(correlation[row], int(column)) - pad_columns - (left - _BORDER_PX)
+    field = np.pad(observed, ((pad_rows, pad_rows), (pad_columns, pad_columns)))
+    correlation = cv2.matchTemplate(field, template, cv2.TM_CCORR)
+    row, column = (int(i) for i in np.unravel_index(int(correlation.argmax()), correlation.shape))
+    dv = row + _peak_offset(correlation[:, column], row) - pad_rows - top
+    du = column + _peak_offset(correlation[row], column) - pad_columns - left
     return np.array([du, dv], dtype=np.float64)
 
 

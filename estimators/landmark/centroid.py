@@ -65,7 +65,8 @@ def brightness_centroid(signal: Image) -> FloatArray:
     total = signal.sum(dtype=np.float64)
     columns = signal.sum(axis=0, dtype=np.float64) @ (np.arange(signal.shape[1]) + 0.5)
     rows = signal.sum(axis=1, dtype=np.float64) @ (np.arange(signal.shape[0]) + 0.5)
-    return np.array([columns, rows]) / total  # eq. (12)
+    centroid: FloatArray = np.array([columns, rows]) / total  # eq. (12)
+    return centroid
 
 
 def centroid_pair(observed: Image, rendered: Image, origin_px: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -37,10 +37,24 @@ class Matches:
         return np.array_equal(self.landmark, other.landmark) and np.array_equal(self.corner, other.corner)
 
 
+def inverse_2x2(covariances_px2: FloatArray) -> FloatArray:
+    """Inverses (N, 2, 2) of symmetric matrices (N, 2, 2)."""
+    a, b, c = covariances_px2[:, 0, 0], covariances_px2[:, 0, 1], covariances_px2[:, 1, 1]
+    adjugate = np.stack([c, -b, -b, a], axis=1).reshape(-1, 2, 2)
+    inverse: FloatArray = adjugate / (a * c - b * b)[:, None, None]  # eq. (19)
+    return inverse
+
+
+def squared_distances(offsets_px: FloatArray, covariances_px2: FloatArray) -> FloatArray:
+    """d2 (N,) of offsets (N, 2) weighted by covariances (N, 2, 2)."""
+    d2: FloatArray = np.einsum("ni,nij,nj->n", offsets_px, inverse_2x2(covariances_px2), offsets_px)  # eq. (14)
+    return d2
+
+
 def weighted_distances(uv_px: FloatArray, covariances_px2: FloatArray, corners_px: FloatArray) -> FloatArray:
     """d2 (N, M) of each of N projected landmarks to each of M corners."""
     offset = corners_px[None, :, :] - uv_px[:, None, :]
-    weight = np.linalg.inv(covariances_px2)  # eq. (19)
+    weight = inverse_2x2(covariances_px2)
     d2: FloatArray = np.einsum("nmi,nij,nmj->nm", offset, weight, offset)  # eq. (14)
     return d2
 

@@ -16,7 +16,7 @@ from scenarios.spec.base import SpecModel
 FloatArray = NDArray[np.float64]
 
 _LAMBDA_MAX = 1e12
-_LAMBDA_MIN = 1e-12
+_LAMBDA_MIN = 1e-9
 
 
 class MarquardtOptions(SpecModel):
@@ -56,17 +56,16 @@ def refine_pose(problem: PoseProblem, start: Pose, options: MarquardtOptions) ->
     """Minimise chi-square from ``start``; the result is never worse than it."""
     pose, chi2, damping = start, problem.chi2(start), options.damping
     iteration = 0
-    while iteration < options.max_iterations and np.isfinite(chi2):
+    while iteration < options.max_iterations and np.isfinite(chi2) and damping <= _LAMBDA_MAX:
         iteration += 1
-        step = _damped_step(problem, pose, damping, options.parameters)
-        trial = _updated(pose, step, options.parameters)
+        trial = _updated(pose, _damped_step(problem, pose, damping, options.parameters), options.parameters)
         trial_chi2 = problem.chi2(trial)
-        if trial_chi2 <= chi2:
-            gain = chi2 - trial_chi2
-            pose, chi2, damping = trial, trial_chi2, max(0.1 * damping, _LAMBDA_MIN)
-            if gain <= options.tolerance * max(chi2, np.finfo(float).tiny):
-                break
-        elif (damping := 10.0 * damping) > _LAMBDA_MAX:
+        if trial_chi2 > chi2:
+            damping *= 10.0
+            continue
+        done = chi2 - trial_chi2 <= options.tolerance * chi2
+        pose, chi2, damping = trial, trial_chi2, max(0.1 * damping, _LAMBDA_MIN)
+        if done:
             break
     return PoseFit(pose, chi2, pose_covariance(problem, pose), iteration)
 
@@ -74,22 +73,25 @@ def refine_pose(problem: PoseProblem, start: Pose, options: MarquardtOptions) ->
 def _damped_step(problem: PoseProblem, pose: Pose, damping: float, parameters: str) -> FloatArray:
     jacobian = quaternion_jacobian(problem, pose) if parameters == "quaternion" else minimal_jacobian(problem, pose)
     matrix, vector = problem.normal_equations(jacobian, problem.residuals_px(pose))
-    damped = matrix + damping * np.diag(np.diag(matrix))
-    # The length of the quaternion changes no pixel but for the translation: only the damping makes this regular, and
-    # the least-squares solve stands in for the LUP decomposition where the damping has become too small for it.
-    solution: FloatArray = np.linalg.lstsq(damped, vector, rcond=1e-14)[0]  # eq. (24)
-    return solution
+    damped: FloatArray = matrix + damping * np.diag(np.diag(matrix))
+    return np.asarray(np.linalg.solve(damped, vector), dtype=np.float64)  # eq. (24), by LUP
 
 
 def _updated(pose: Pose, step: FloatArray, parameters: str) -> Pose:
+    """Apply x + delta and renormalise the quaternion.
+
+    The R(q) of equation (8) scales the body by |q|**2. The translation is divided by the same, which the paper does
+    not say: renormalising then moves no pixel, and the iteration converges quadratically.
+    """
     if parameters == "minimal":
         return pose.perturbed(step[:3], step[3:])
     quat_wxyz = pose.quat_wxyz + step[:4]
-    return Pose.from_quat_wxyz(quat_wxyz, pose.translation_m + step[4:])  # x + delta, renormalised
+    translation_m = (pose.translation_m + step[4:]) / float(quat_wxyz @ quat_wxyz)
+    return Pose.from_quat_wxyz(quat_wxyz, translation_m)
 
 
 def quaternion_jacobian(problem: PoseProblem, pose: Pose) -> FloatArray:
-    """Derivatives of the projections by (q0, q1, q2, q3, Tx, Ty, Tz), (N, 2, 7), for a unit quaternion."""
+    """Differentiate the projections by (q0, q1, q2, q3, Tx, Ty, Tz), (N, 2, 7), for a unit quaternion."""
     q0, q1, q2, q3 = pose.quat_wxyz
     by_q = 2.0 * np.array(  # eq. (23): entry [k, i, j] is half the derivative of R_ij by q_k
         [
@@ -104,7 +106,7 @@ def quaternion_jacobian(problem: PoseProblem, pose: Pose) -> FloatArray:
 
 
 def minimal_jacobian(problem: PoseProblem, pose: Pose) -> FloatArray:
-    """Derivatives of the projections by [rotation_rad, translation_m] in camera axes, (N, 2, 6).
+    """Differentiate the projections by [rotation_rad, translation_m] in camera axes, (N, 2, 6).
 
     The rotation perturbs the attitude on the left, as ``Pose.perturbed`` does.
     """
@@ -127,4 +129,5 @@ def pose_covariance(problem: PoseProblem, pose: Pose) -> FloatArray:
     if not np.isfinite(scaled).all() or np.linalg.cond(scaled) > 1.0 / np.finfo(float).eps:
         return np.full((6, 6), np.nan)
     covariance: FloatArray = np.linalg.inv(scaled) * np.outer(scale, scale)
-    return 0.5 * (covariance + covariance.T)
+    symmetric: FloatArray = 0.5 * (covariance + covariance.T)
+    return symmetric

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.matching import Matches, match_landmarks
+from estimators.landmark.matching import Matches, inverse_2x2, match_landmarks
 from estimators.landmark.pose.epnp import solve_epnp
 from estimators.landmark.pose.levenberg_marquardt import MarquardtOptions, PoseFit, pose_covariance, refine_pose
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
@@ -117,7 +117,7 @@ def solve_pose(
         problem = PoseProblem(
             database.means_m[matches.landmark],
             corners_px[matches.corner],
-            np.linalg.inv(projection.covariances_px2[matches.landmark]),
+            inverse_2x2(projection.covariances_px2[matches.landmark]),
             camera,
         )
         closed_form, fit = solve_matches(problem, pose, options)

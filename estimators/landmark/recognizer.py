@@ -1,0 +1,216 @@
+"""The landmark recogniser as an estimator: section 3 from image to pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Table
+from estimators.landmark.alignment import correlation_pair
+from estimators.landmark.build import DatabaseOptions
+from estimators.landmark.centroid import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
+from estimators.landmark.corners import CornerOptions, Corners, detect_corners
+from estimators.landmark.database import LandmarkDatabase
+from estimators.landmark.matching import squared_distances
+from estimators.landmark.pose.outliers import PoseOptions, PoseSolution, solve_pose
+from estimators.landmark.projection import project_landmarks
+from estimators.landmark.signal import extract_signal
+from estimators.landmark.stopwatch import Stopwatch
+from estimators.options import parse_options
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Pose
+from scenarios.observation import Frame, Observation
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+
+PRODUCT = "landmark-database"
+_MEASURES = {"centroid": centroid_pair, "image": correlation_pair}
+_COVARIANCE_NAMES = ("sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
+
+
+class LandmarkOptions(SpecModel):
+    """Options of the recogniser."""
+
+    database: DatabaseOptions = DatabaseOptions()
+    corners: CornerOptions | None = None
+    alignment: Literal["centroid", "image", "none"] = "centroid"
+    alignment_loop: AlignmentOptions = AlignmentOptions()
+    pose: PoseOptions = PoseOptions()
+
+    @property
+    def image_corners(self) -> CornerOptions:
+        """How corners are found in an observed image: as for the data base, unless said otherwise."""
+        return self.corners or self.database.corners
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recognition:
+    """Everything that came about between one image and its pose, for drawing and for study.
+
+    Parameters
+    ----------
+    prior
+        The pose at the start.
+    alignment
+        Rendered meshes, points brought together and the pose after each; no steps where alignment is off.
+    corners
+        Corners of the image; None where it failed before.
+    solution
+        Rounds of matching and solving; None where it failed before.
+    timings_s
+        Wall time by stage, the stages of the paper's Table 1.
+    failure
+        Why there is no pose; empty when there is one.
+    """
+
+    prior: Pose
+    alignment: Alignment
+    corners: Corners | None
+    solution: PoseSolution | None
+    timings_s: Mapping[str, float]
+    failure: str = ""
+
+
+def recognise(
+    frame: Frame, camera: Camera, database: LandmarkDatabase, renderer: ImageRenderer, options: LandmarkOptions
+) -> Recognition:
+    """Run all stages on one image.
+
+    Raises
+    ------
+    BoresightError
+        If the image is not of the camera's size.
+    """
+    prior, clock = frame.prior_T_cam_body, Stopwatch()
+    nothing = Alignment(prior, ())
+    expected = (camera.height_px, camera.width_px)
+    if frame.image.shape != expected:
+        raise BoresightError(f"the image has shape {frame.image.shape}, but the camera's is {expected}")
+    if not np.isfinite(frame.image).all():
+        return Recognition(prior, nothing, None, None, clock.seconds, "the image holds NaN or infinite pixels")
+    with clock("centroid"):
+        observed = extract_signal(frame.image)
+    if observed.empty:
+        return Recognition(
+            prior, nothing, None, None, clock.seconds, "the image is black: nothing above its background"
+        )
+    alignment = nothing
+    if options.alignment != "none":
+        view = MeshView(camera, renderer, frame.sun_dir_cam)
+        measure = _MEASURES[options.alignment]
+        alignment = align_translation(observed.image, prior, view, measure, options.alignment_loop, clock)
+    if alignment.failure:
+        return Recognition(prior, alignment, None, None, clock.seconds, alignment.failure)
+    with clock("feature_extraction"):
+        corners = detect_corners(frame.image, options.image_corners)
+    with clock("recognition"):
+        solution = solve_pose(database, camera, alignment.T_cam_body, corners.uv_px, options.pose)
+    return Recognition(prior, alignment, corners, solution, clock.seconds, solution.failure)
+
+
+class LandmarkRecognizer:
+    """Rowell et al. (2015): known landmarks by proximity of Harris corners; each frame on its own."""
+
+    name: ClassVar[str] = "landmark-harris"
+    version: ClassVar[int] = 1
+
+    def __init__(self, database: LandmarkDatabase, renderer: ImageRenderer, options: LandmarkOptions) -> None:
+        self._database = database
+        self._renderer = renderer
+        self._options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
+        """Build from a campaign's options and its landmark data base."""
+        parsed = parse_options(LandmarkOptions, options, cls.name)
+        database = assets.product(PRODUCT, parsed.database.model_dump(mode="json"))
+        if not isinstance(database, LandmarkDatabase):
+            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
+        return cls(database, assets.mesh_renderer(database.mesh()), parsed)
+
+    def recognise(self, frame: Frame, camera: Camera) -> Recognition:
+        """Run on one frame and keep all intermediate results."""
+        return recognise(frame, camera, self._database, self._renderer, self._options)
+
+    def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
+        """Estimate the pose of each frame on its own; the first frame that fails fails the whole.
+
+        Stages, diagnostics and timings are those of the last frame; nothing is drawn at random.
+        """
+        del rng
+        if not observation.frames:
+            return Estimate("failed", "the observation holds no image")
+        results: list[Recognition] = []
+        for frame in observation.frames:
+            results.append(self.recognise(frame, observation.camera))
+            if results[-1].failure:
+                break
+        return self._estimate(results, observation.camera)
+
+    def _estimate(self, results: list[Recognition], camera: Camera) -> Estimate:
+        last = results[-1]
+        fits = [result.solution.fit for result in results if result.solution and result.solution.fit]
+        ok = not last.failure
+        return Estimate(
+            status="ok" if ok else "failed",
+            reason=last.failure,
+            poses=tuple(fit.T_cam_body for fit in fits) if ok else (),
+            covariances=tuple(fit.covariance for fit in fits) if ok else (),
+            stages=_stages(last),
+            details={"landmarks": landmark_table(results, self._database, camera)} if ok else {},
+            diagnostics=_diagnostics(last),
+            timings_s=last.timings_s,
+        )
+
+
+def _stages(result: Recognition) -> tuple[Stage, ...]:
+    stages = [Stage("centroid", result.alignment.T_cam_body)] if result.alignment.steps else []
+    if result.solution is not None and result.solution.fit is not None:
+        stages.append(Stage("recognition", result.solution.fit.T_cam_body))
+    return tuple(stages)
+
+
+def _diagnostics(result: Recognition) -> dict[str, float | int | str]:
+    diagnostics: dict[str, float | int | str] = {"centroid_iterations": len(result.alignment.steps)}
+    if result.corners is not None:
+        diagnostics["n_corners"] = len(result.corners)
+    if result.solution is not None:
+        last = result.solution.rounds[-1]
+        diagnostics["n_landmarks"] = len(last.matches)
+        diagnostics["n_predicted"] = int(last.visible.sum())
+        diagnostics["outlier_rounds"] = len(result.solution.rounds)
+        diagnostics["stable"] = int(result.solution.stable)
+        if result.solution.fit is not None:
+            diagnostics["chi2"] = result.solution.fit.chi2
+    return diagnostics
+
+
+def landmark_table(results: list[Recognition], database: LandmarkDatabase, camera: Camera) -> Table:
+    """One row for each recognised landmark of each frame.
+
+    Columns: ``frame``, ``landmark`` (row of the data base), ``u_px, v_px`` (its corner), ``d2_px`` (weighted squared
+    distance of the corner to the landmark at the estimated pose), ``x_m, y_m, z_m`` and ``sxx_m2 ... szz_m2`` (the
+    data base's mean and covariance).
+    """
+    parts = []
+    for index, result in enumerate(results):
+        if result.corners is None or result.solution is None or result.solution.fit is None:
+            continue
+        matches = result.solution.rounds[-1].matches
+        uv_px = result.corners.uv_px[matches.corner]
+        projection = project_landmarks(database, camera, result.solution.fit.T_cam_body)
+        rows = matches.landmark
+        d2 = squared_distances(uv_px - projection.uv_px[rows], projection.covariances_px2[rows])
+        parts.append((np.full(len(matches), index), matches.landmark, uv_px, d2))
+    frame, landmark, uv, d2 = (np.concatenate(column) for column in zip(*parts, strict=True))
+    covariances = database.covariances_m2[landmark][:, *np.triu_indices(3)]
+    table: dict[str, NDArray[np.generic]] = {"frame": frame, "landmark": landmark}
+    table |= {"u_px": uv[:, 0], "v_px": uv[:, 1], "d2_px": d2}
+    table |= {name: database.means_m[landmark, axis] for axis, name in enumerate(("x_m", "y_m", "z_m"))}
+    table |= {name: covariances[:, axis] for axis, name in enumerate(_COVARIANCE_NAMES)}
+    return table

@@ -1,0 +1,32 @@
+"""Options of an estimator as a campaign writes them, checked against the estimator's model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypeVar
+
+from pydantic import ValidationError
+
+from scenarios.errors import BoresightError
+from scenarios.spec.base import SpecModel
+
+Model = TypeVar("Model", bound=SpecModel)
+
+
+def parse_options(model: type[Model], options: Mapping[str, object], estimator: str) -> Model:
+    """Validate ``options`` by ``model``.
+
+    Raises
+    ------
+    BoresightError
+        With one line for each wrong option: estimator, dotted key, value and what is allowed.
+    """
+    try:
+        return model.model_validate(dict(options))
+    except ValidationError as error:
+        lines = [
+            f"estimator {estimator}: {'.'.join(str(part) for part in item['loc']) or 'options'}:"
+            f" {item['msg']} (got {item['input']!r})"
+            for item in error.errors(include_url=False)
+        ]
+        raise BoresightError("\n".join(lines)) from error
