@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -32,15 +33,17 @@ def read_image(path: Path) -> NDArray[np.float32]:
     if not path.is_file():
         raise BoresightError(f"{path}: no such image")
     suffix = path.suffix.lower()
-    if suffix in FITS_SUFFIXES:
-        image = _read_fits(path)
-    elif suffix in BITMAP_SUFFIXES:
-        image = _read_bitmap(path)
-    else:
+    if suffix not in (*BITMAP_SUFFIXES, *FITS_SUFFIXES):
         raise BoresightError(f"{path}: not a format that is read: {', '.join((*BITMAP_SUFFIXES, *FITS_SUFFIXES))}")
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise BoresightError(f"{path}: cannot be read: {error.strerror or error}") from error
+    image = _fits(content, path) if suffix in FITS_SUFFIXES else _bitmap(content, path)
     if image.ndim != 2:
         raise BoresightError(f"{path}: a grey image has rows and columns alone, this one has shape {image.shape}")
-    values = np.ascontiguousarray(image, dtype=np.float32)
+    with np.errstate(over="ignore"):
+        values = np.ascontiguousarray(image, dtype=np.float32)
     bad = ~np.isfinite(values)
     if bad.any():
         row, column = np.argwhere(bad)[0]
@@ -48,22 +51,23 @@ def read_image(path: Path) -> NDArray[np.float32]:
     return values
 
 
-def _read_bitmap(path: Path) -> NDArray[np.generic]:
+def _bitmap(content: bytes, path: Path) -> NDArray[np.generic]:
     try:
-        image = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    except (cv2.error, OSError) as error:
+        image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
         raise BoresightError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
     if image is None:
         raise BoresightError(f"{path}: not a readable {path.suffix[1:].upper()} image")
     return np.asarray(image)
 
 
-def _read_fits(path: Path) -> NDArray[np.generic]:
+def _fits(content: bytes, path: Path) -> NDArray[np.generic]:
+    """Read the first image of a FITS file; from memory, as astropy leaves a damaged file open."""
     try:
-        with warnings.catch_warnings(action="ignore"), fits.open(path, memmap=False) as units:
+        with warnings.catch_warnings(action="ignore"), fits.open(BytesIO(content)) as units:
             image = next((unit.data for unit in units if unit.is_image and unit.data is not None), None)
     except (OSError, TypeError, ValueError, IndexError, KeyError) as error:
-        raise BoresightError(f"{path}: not a readable FITS file: {error}") from error
+        raise BoresightError(f"{path}: not a readable FITS file: {' '.join(str(error).split())}") from error
     if image is None:
         raise BoresightError(f"{path}: holds no image")
     return np.asarray(image)

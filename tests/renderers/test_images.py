@@ -221,6 +221,9 @@ def test_an_image_of_another_size_is_refused(tmp_path):
 def test_unreadable_images_are_named(tmp_path):
     cv2.imwrite(str(tmp_path / "colour.png"), np.zeros((4, 4, 3), np.uint8))
     fits.PrimaryHDU(np.full((2, 3), np.nan)).writeto(tmp_path / "nan.fits")
+    large = np.zeros((2, 3))
+    large[1, 2] = 1e300
+    fits.PrimaryHDU(large).writeto(tmp_path / "large.fits")
     fits.PrimaryHDU().writeto(tmp_path / "none.fits")
     fits.PrimaryHDU(np.zeros((2, 3, 4))).writeto(tmp_path / "cube.fits")
     for name in ("text.png", "text.tif", "text.fits", "a.gif"):
@@ -230,6 +233,7 @@ def test_unreadable_images_are_named(tmp_path):
     for name, line in {
         "colour.png": "a grey image has rows and columns alone, this one has shape (4, 4, 3)",
         "cube.fits": "a grey image has rows and columns alone, this one has shape (2, 3, 4)",
+        "large.fits": "1 pixels are not finite, the first in row 1, column 2",
         "nan.fits": "6 pixels are not finite, the first in row 0, column 0",
         "none.fits": "holds no image",
         "text.png": "not a readable PNG image",
