@@ -11,6 +11,7 @@ from scenarios.bodies.topology import FloatArray, IndexArray, directed_edge_keys
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
 
+_FLAT = 1e-9  # of the mean area
 METRES = {"m": 1.0, "km": 1000.0}
 
 
@@ -49,7 +50,8 @@ def checked_mesh(
     if mesh.volume_m3 < 0.0:
         mesh = TriangleMesh(vertices, mesh.faces[:, ::-1])
         notes.append("the facets faced inward: all were turned")
-    flat = int(np.count_nonzero(~mesh.normals.any(axis=1)))
+    area = np.linalg.norm(mesh.area_vectors_m2, axis=1)
+    flat = int(np.count_nonzero(area <= _FLAT * area.mean()))
     if flat:
         notes.append(f"{flat} facets have no area")
     _check_origin(mesh, where)
@@ -115,7 +117,7 @@ def _check_origin(mesh: TriangleMesh, where: Path) -> None:
         centre = mesh.vertices_m.mean(axis=0)
         raise BoresightError(
             f"{where}: the origin lies outside the body (winding number {turns:.2f}); move the shape so that its"
-            f" centre, now at {np.array2string(centre, precision=3)} m, is the origin"
+            f" centre, now at {centre.round(3).tolist()} m, is the origin"
         )
 
 

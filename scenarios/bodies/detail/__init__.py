@@ -59,8 +59,10 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
         band = Band(spec.roughness.max_wavelength_m, spec.roughness.min_wavelength_m, spec.roughness.hurst)
         relief, omitted["octaves of roughness"] = fractal_field(ground.points_m, band, ground.resolution_m, roughness)
         heights += spec.roughness.rms_m * relief
+    factor = coarse_albedo
+    if spec.albedo is not None:
+        factor, omitted["octaves of albedo"] = _albedo(spec.albedo, ground, albedo)
     points_m = ground.points_m + heights[:, None] * ground.up
-    factor = coarse_albedo if spec.albedo is None else _albedo(spec.albedo, ground, albedo)
     notes = tuple(
         f"{count} {what} are smaller than two facet edges ({ground.resolution_m:.3g} m) and were left out"
         for what, count in omitted.items()
@@ -91,8 +93,9 @@ def _relief_m(spec: DetailSpec) -> float:
     return max(boulders, craters, 3.0 * spec.roughness.rms_m if spec.roughness else 0.0)
 
 
-def _albedo(spec: AlbedoSpec, ground: Ground, seed: np.random.SeedSequence) -> FloatArray:
+def _albedo(spec: AlbedoSpec, ground: Ground, seed: np.random.SeedSequence) -> tuple[FloatArray, int]:
+    """Factor (V,) on the reflectance, and the number of octaves left out."""
     shortest_m = spec.wavelength_m / 2 ** (_ALBEDO_OCTAVES - 1)
     band = Band(spec.wavelength_m, shortest_m, _ALBEDO_HURST)
-    field, _ = fractal_field(ground.points_m, band, ground.resolution_m, seed)
-    return np.clip(1.0 + spec.sigma * field, *_ALBEDO_RANGE)
+    field, omitted = fractal_field(ground.points_m, band, ground.resolution_m, seed)
+    return np.clip(1.0 + spec.sigma * field, *_ALBEDO_RANGE), omitted

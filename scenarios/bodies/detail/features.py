@@ -66,7 +66,7 @@ def _scatter(
 
 def _crater_profile(radii: FloatArray, spec: CraterSpec) -> FloatArray:
     """Height over diameter: a paraboloid inside, an inverse-cube ejecta blanket outside, blended at the rim."""
-    bowl = spec.rim_ratio - spec.depth_ratio * (1.0 - radii**2)
+    bowl = spec.rim_ratio - spec.depth_ratio * np.maximum(1.0 - radii**2, 0.0)
     end = _CRATER_REACH**-3
     blanket = spec.rim_ratio * (np.maximum(radii, 1.0) ** -3 - end) / (1.0 - end)
     outside = np.clip((radii - 1.0) / _RIM_WIDTH + 0.5, 0.0, 1.0)

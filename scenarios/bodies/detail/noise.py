@@ -15,7 +15,10 @@ _LATTICE = 96
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Octaves of wavelength ``longest_m / 2**k`` down to ``shortest_m``, amplitudes ~ wavelength**hurst."""
+    """Octaves from ``longest_m`` to ``shortest_m``, each at least half as long as the one before.
+
+    Their amplitudes are proportional to wavelength**hurst.
+    """
 
     longest_m: float
     shortest_m: float
@@ -24,8 +27,8 @@ class Band:
     @property
     def wavelengths_m(self) -> FloatArray:
         """The octaves, longest first."""
-        count = 1 + int(np.floor(np.log2(self.longest_m / self.shortest_m) + 1e-9))
-        return self.longest_m / np.exp2(np.arange(count, dtype=np.float64))
+        count = 1 + int(np.ceil(np.log2(self.longest_m / self.shortest_m) - 1e-9))
+        return np.geomspace(self.longest_m, self.shortest_m, count, dtype=np.float64)
 
     @property
     def amplitudes(self) -> FloatArray:
@@ -39,15 +42,16 @@ def fractal_field(
 ) -> tuple[FloatArray, int]:
     """Sum the octaves of a band at points (N, 3).
 
-    Octaves below ``resolution_m`` cannot be carried by the mesh and are left out; those that stay do not
-    depend on it, so that a body keeps its hills when it gets more facets.
+    Octaves below ``resolution_m`` cannot be carried by the mesh and are left out; those that stay are the same
+    without them, so that a body keeps its hills when it gets more facets.
 
     Returns
     -------
-    The field (N,), of RMS 1 if all octaves are there, and the number of octaves left out.
+    The field (N,), of mean 0 and of RMS 1 if all octaves are there, and the number of octaves left out.
     """
     field = np.zeros(len(points_m))
     omitted = 0
+    variance = 0.0
     octaves = zip(band.wavelengths_m, band.amplitudes, seed.spawn(len(band.wavelengths_m)), strict=True)
     for wavelength_m, amplitude, stream in octaves:
         if wavelength_m < resolution_m:
@@ -55,7 +59,8 @@ def fractal_field(
             continue
         octave = _lattice_noise(points_m * (2.0 / wavelength_m), np.random.default_rng(stream))
         field += amplitude * (octave - octave.mean()) / octave.std()
-    return field, omitted
+        variance += amplitude**2
+    return (field * np.sqrt(variance) / field.std() if variance else field), omitted
 
 
 def _lattice_noise(points: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -21,7 +21,7 @@ def read_grid(source: ShapeFile, west: bool) -> RawShape:
         Whether the longitudes grow westward; the product's label tells.
     """
     lines = source.lines()
-    table = source.table(lines, [i for i, line in enumerate(lines) if line.strip()], (0, 1, 2))
+    table = source.table(lines, source.filled(lines), (0, 1, 2))
     latitudes_deg, longitudes_deg, radii = _grid(source, table, west)
     vertices = _vertices(np.radians(latitudes_deg), np.radians(longitudes_deg), radii)
     return source.shape(vertices, _faces(len(latitudes_deg) - 2, len(longitudes_deg)))

@@ -17,7 +17,7 @@ def read_icq(source: ShapeFile) -> RawShape:
     Each quadrilateral is cut along its shorter diagonal.
     """
     lines = source.lines()
-    filled = [i for i, line in enumerate(lines) if line.strip()]
+    filled = source.filled(lines)
     word = lines[filled[0]].strip()
     if not (word.isascii() and word.isdigit() and 0 < int(word[:9]) <= 16384 and len(word) < 9):
         raise source.fault(f"an ICQ file starts with its grid size Q, not {word[:40]!r}", filled[0] + 1)

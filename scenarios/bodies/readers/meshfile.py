@@ -13,8 +13,8 @@ from scenarios.bodies.readers.source import RawShape, ShapeFile
 
 # trimesh documents no exceptions of its own for broken files: these are what its parsers raise.
 _PARSER_FAULTS = (
-    ArithmeticError, AttributeError, LookupError, MemoryError, NotImplementedError, RuntimeError, TypeError,
-    ValueError, struct.error,
+    ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, NameError, RuntimeError,
+    TypeError, ValueError, struct.error,
 )  # fmt: skip
 
 _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -69,7 +69,7 @@ def _check_ply_header(source: ShapeFile) -> None:
     """Refuse a header that promises more than the file holds, before anything is allocated for it."""
     head, mark, _ = source.data[:_MAX_HEADER_BYTES].partition(b"end_header")
     lines = head.decode("ascii", errors="replace").splitlines()
-    if not mark or lines[0].strip() != "ply":
+    if not mark or not head.startswith(b"ply"):
         raise source.fault("not a PLY file: it must start with ply and have an end_header line")
     body = source.data[len(head) + len(mark) :]
     is_text = any(line.split()[:2] == ["format", "ascii"] for line in lines)

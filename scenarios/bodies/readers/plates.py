@@ -18,7 +18,7 @@ def read_plates(source: ShapeFile) -> RawShape:
     (1 in 1620geographos.tab, 0 in eros022540.tab): a file that uses index 0 counts from 0.
     """
     lines = source.lines()
-    first = next((line.split() for line in lines if line.strip()), [""])
+    first = lines[source.filled(lines)[0]].split()
     vertices, faces = _tagged(source, lines) if first[0] in ("v", "f", "#") else _counted(source, lines)
     base = 0 if len(faces) and faces.min() == 0 else 1
     return source.shape(vertices, faces - base)
@@ -36,7 +36,7 @@ def _tagged(source: ShapeFile, lines: list[str]) -> tuple[FloatArray, FloatArray
 
 
 def _counted(source: ShapeFile, lines: list[str]) -> tuple[FloatArray, FloatArray]:
-    filled = [i for i, line in enumerate(lines) if line.strip()]
+    filled = source.filled(lines)
     n_vertices = _count(source, lines, filled, 0)
     n_plates = _count(source, lines, filled, n_vertices + 1)
     end = n_vertices + n_plates + 2

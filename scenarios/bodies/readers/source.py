@@ -53,7 +53,7 @@ class ShapeFile:
         except OSError as error:
             raise BoresightError(f"{path}: cannot read the shape file: {error.strerror or error}") from error
         if not data.strip():
-            raise BoresightError(f"{path}: the shape file is empty; give a file with vertices and faces")
+            raise cls(path, data).fault("the shape file is empty; give a file with vertices and faces")
         return cls(path, data)
 
     def lines(self) -> list[str]:
@@ -65,6 +65,13 @@ class ShapeFile:
         except UnicodeDecodeError as error:
             line = self.data.count(b"\n", 0, error.start) + 1
             raise self.fault("a text format was expected, but this is not text; check body.format", line) from error
+
+    def filled(self, lines: Sequence[str]) -> list[int]:
+        """Find the lines (from 0) that are not blank; there must be some."""
+        rows = [i for i, line in enumerate(lines) if line.strip()]
+        if not rows:
+            raise self.fault("the shape file is empty; give a file with vertices and faces")
+        return rows
 
     def fault(self, what: str, line: int | None = None) -> BoresightError:
         """Word an error about this file, with the line number (from 1) where there is one."""

@@ -1,0 +1,157 @@
+"""The cache: one build, damage, eviction, several processes, folders that cannot be written."""
+
+import json
+import logging
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+from scenarios.cache import Cache, default_cache
+from scenarios.errors import BoresightError
+
+
+def writer(text="content", size=1):
+    def build(folder):
+        (folder / "sub").mkdir()
+        (folder / "sub" / "file.txt").write_text(text * size)
+        build.calls += 1
+
+    build.calls = 0
+    return build
+
+
+@pytest.fixture
+def cache(tmp_path):
+    return Cache(tmp_path / "cache", 10**9)
+
+
+def test_an_entry_is_built_once(cache):
+    build = writer()
+    folders = [cache.folder("kind", "key", build) for _ in range(3)]
+    assert build.calls == 1
+    assert set(folders) == {cache.root / "kind" / "key"}
+    assert (folders[0] / "sub" / "file.txt").read_text() == "content"
+    (entry,) = cache.entries()
+    assert (entry.kind, entry.key, entry.size_bytes) == ("kind", "key", len("content"))
+    assert cache.size_bytes() == len("content")
+
+
+@pytest.mark.parametrize("damage", ["change", "cut", "remove", "add", "manifest"])
+def test_a_damaged_entry_is_built_again(cache, damage):
+    build = writer()
+    file = cache.folder("kind", "key", build) / "sub" / "file.txt"
+    if damage == "change":
+        file.write_text("CONTENT")
+    elif damage == "cut":
+        file.write_text("con")
+    elif damage == "remove":
+        file.unlink()
+    elif damage == "add":
+        file.with_name("stray").write_text("x")
+    else:
+        (cache.root / "kind" / "key" / "manifest.json").write_text(json.dumps([1]))
+    assert cache.folder("kind", "key", build) == file.parent.parent
+    assert build.calls == 2
+    assert file.read_text() == "content"
+
+
+def test_the_least_recently_used_go_first(tmp_path):
+    cache = Cache(tmp_path, limit_bytes=250)
+    for age, key in enumerate(["old", "older", "oldest"]):
+        manifest = cache.folder("kind", key, writer("x", 60)) / "manifest.json"
+        os.utime(manifest, (time.time() - 100.0 * (age + 1),) * 2)
+    cache.folder("kind", "oldest", writer())
+    cache.folder("kind", "new", writer("x", 120))
+    assert {entry.key for entry in cache.entries()} == {"old", "oldest", "new"}
+    assert cache.entries()[0].key == "old"
+
+
+def test_a_failed_build_leaves_nothing(cache):
+    def build(folder):
+        (folder / "half").write_text("half")
+        raise BoresightError("no")
+
+    with pytest.raises(BoresightError, match="no"):
+        cache.folder("kind", "key", build)
+    assert not [path for path in cache.root.rglob("*") if path.is_file()]
+    assert cache.entries() == ()
+
+
+def test_clear_removes_entries_and_left_overs(cache):
+    cache.folder("kind", "key", writer())
+    (cache.root / ".building" / "left-over").mkdir(parents=True)
+    assert cache.clear() == 1
+    assert cache.size_bytes() == 0
+    assert list((cache.root / ".building").iterdir()) == []
+
+
+@pytest.mark.parametrize("place", ["a file", "a full disk"])
+def test_without_a_writable_folder_it_works_with_a_warning(tmp_path, caplog, place):
+    root = tmp_path / "root"
+    build = writer()
+    if place == "a file":
+        root.write_text("in the way")
+    else:
+        healthy = build
+
+        def build(folder):
+            if tmp_path in folder.parents:
+                raise OSError(28, "No space left on device")
+            healthy(folder)
+
+    with caplog.at_level(logging.WARNING):
+        folder = Cache(root, 10**9).folder("kind", "key", build)
+    assert (folder / "sub" / "file.txt").read_text() == "content"
+    assert folder.is_relative_to(tempfile.gettempdir())
+    assert "working without the cache" in caplog.text
+
+
+def test_where_nothing_at_all_can_be_written_one_line_tells(tmp_path):
+    def build(folder):
+        raise OSError(28, "No space left on device", str(folder / "file"))
+
+    with pytest.raises(BoresightError, match=r"cannot write \(No space left.*set BORESIGHT_CACHE"):
+        Cache(tmp_path, 10**9).folder("kind", "key", build)
+
+
+@pytest.mark.parametrize("name", ["", "..", "a/b", ".hidden", "x" * 200])
+def test_names_that_leave_the_folder_are_refused(cache, name):
+    with pytest.raises(BoresightError, match="a name has only letters"):
+        cache.folder("kind", name, writer())
+
+
+def test_processes_that_build_the_same_key_agree(tmp_path):
+    code = (
+        "import sys, time; from pathlib import Path; from scenarios.cache import Cache\n"
+        "def build(folder):\n"
+        "    for i in range(20): (folder / str(i)).write_text('x' * 1000); time.sleep(0.005)\n"
+        "folder = Cache(Path(sys.argv[1]), 10**9).folder('kind', 'key', build)\n"
+        "print(folder, sum(len((folder / str(i)).read_text()) for i in range(20)))\n"
+    )
+    runs = [
+        subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+        for _ in range(4)
+    ]
+    results = [run.communicate(timeout=60)[0].strip() for run in runs]
+    assert results == [f"{tmp_path / 'kind' / 'key'} 20000"] * 4
+    assert len(Cache(tmp_path, 10**9).entries()) == 1
+    assert list((tmp_path / ".building").iterdir()) == []
+
+
+def test_the_default_follows_the_environment(tmp_path, monkeypatch):
+    monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path))
+    monkeypatch.setenv("BORESIGHT_CACHE_GB", "0.5")
+    assert default_cache() == Cache(tmp_path, 500_000_000)
+    monkeypatch.delenv("BORESIGHT_CACHE")
+    monkeypatch.delenv("BORESIGHT_CACHE_GB")
+    assert default_cache().limit_bytes == 4_000_000_000
+    assert default_cache().root.is_relative_to(Path.home())
+    for wrong in ("much", "-1", "nan", "inf"):
+        monkeypatch.setenv("BORESIGHT_CACHE_GB", wrong)
+        with pytest.raises(BoresightError, match=f"BORESIGHT_CACHE_GB: '{wrong}' is not a size in GB"):
+            default_cache()
