@@ -63,7 +63,12 @@ def printable(text: str) -> str:
 
 def describe(entry: Entry) -> str:
     """Write a value as YAML would in one line, shortened where it is long."""
-    text = printable(_inline(entry))
+    return shortened(_inline(entry))
+
+
+def shortened(text: str) -> str:
+    """Cut a printable text to at most 60 characters."""
+    text = printable(text)
     return text if len(text) <= 60 else text[:57] + "..."
 
 

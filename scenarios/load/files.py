@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,13 +14,14 @@ from pydantic import ValidationError
 from scenarios.errors import BoresightError
 from scenarios.load.entry import Entry, describe
 from scenarios.load.explain import explain
-from scenarios.load.find import display, find, name_of, names_in, read
+from scenarios.load.find import display, exists, find, name_of, names_in, read
 from scenarios.load.merge import defaults, merge
 from scenarios.load.overrides import apply, parse_override, settings
 from scenarios.spec.base import SpecModel
 from scenarios.spec.campaign import CampaignSpec
 from scenarios.spec.scenario import ScenarioSpec
 
+_MAX_GENERATIONS = 20
 CATALOG = Path(__file__).parents[1] / "catalog"
 Spec = TypeVar("Spec", bound=SpecModel)
 
@@ -117,14 +119,25 @@ def validated(model: type[Spec], root: Entry) -> Spec:
         raise BoresightError(explain(error, root, model)) from error
 
 
-def file_kind(path: Path) -> Literal["scenario", "campaign"]:
+def file_kind(path: Path, known: Sequence[str] = ()) -> Literal["scenario", "campaign"]:
     """Tell a campaign file from a scenario file by its keys.
+
+    Parameters
+    ----------
+    path
+        The file.
+    known
+        Names that the user may have meant, besides the scenarios of the catalogue.
 
     Raises
     ------
     BoresightError
-        If the file cannot be read.
+        If the file cannot be read; where there is none, the line suggests a near name.
     """
+    if not exists(path):
+        near = difflib.get_close_matches(path.name, [*known, *scenario_names()], n=1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise BoresightError(f"{display(path)}: no such file, nor a name that boresight knows{hint}")
     keys = set(read(path).section or {})
     of_campaign, of_scenario = set(CampaignSpec.model_fields), set(ScenarioSpec.model_fields)
     return "campaign" if len(keys & of_campaign - of_scenario) > len(keys & of_scenario - of_campaign) else "scenario"
@@ -138,13 +151,15 @@ def _read_chain(path: Path, catalog: Path, model: type[SpecModel], children: tup
     extends = section.pop("extends", None)
     if not children:
         section.setdefault("name", Entry(name_of(path), display(path)))
+    if len(children) > _MAX_GENERATIONS:
+        raise BoresightError(f"{display(path)}: extends: a chain of more than {_MAX_GENERATIONS} files")
     base, folders = Entry({}, own.place), [resolved.parent]
     for parent in _parents(extends):
         parent_path = find(parent, catalog, path.parent)
         if parent_path.resolve() in (*children, resolved):
             raise BoresightError(f"{extends.place if extends else path}: extends: {parent} leads back to this file")
         file = _read_chain(parent_path, catalog, model, (*children, resolved))
-        inherited = {key: entry for key, entry in (file.root.section or {}).items() if key not in model.prose}
+        inherited = {key: entry for key, entry in (file.root.section or {}).items() if key not in model.own}
         base = merge(base, Entry(inherited, own.place), (model,))
         folders += file.folders
     root = merge(base, Entry(section, own.place), (model,))

@@ -6,7 +6,7 @@ import difflib
 from pathlib import Path
 
 from scenarios.errors import BoresightError
-from scenarios.load.entry import Entry
+from scenarios.load.entry import Entry, shortened
 from scenarios.load.yaml_text import parse_yaml
 
 SUFFIXES = (".yaml", ".yml")
@@ -48,14 +48,18 @@ def find(name_or_path: str, catalog: Path, near: Path | None = None, what: str =
     for names in (known, beside):
         if name_or_path.replace("_", "-") in names:
             return names[name_or_path.replace("_", "-")]
-    try:
-        path = (near or Path()) / Path(name_or_path).expanduser()
-        exists = path.exists()
-    except (OSError, RuntimeError, ValueError) as error:
-        raise BoresightError(f"{name_or_path!r}: not a {what}: {error}") from error
-    if not exists:
+    path = (near or Path()) / name_or_path
+    if not exists(path):
         raise BoresightError(_not_found(name_or_path, path, list(known), what))
     return path
+
+
+def exists(path: Path) -> bool:
+    """Tell whether there is such a file or folder; a name that no file can have has none."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
 
 
 def read(path: Path) -> Entry:
@@ -103,4 +107,4 @@ def _not_found(name_or_path: str, path: Path, known: list[str], what: str) -> st
     beside = [item.name for item in sorted(path.parent.glob("*")) if item.suffix in SUFFIXES]
     near = difflib.get_close_matches(path.stem, known, n=1) or difflib.get_close_matches(path.name, beside, n=1)
     hint = f"did you mean {near[0]}?" if near else f"give a path, or one of {', '.join(known)}"
-    return f"{name_or_path}: no such {what}; {hint}"
+    return f"{shortened(name_or_path)}: no such {what}; {hint}"

@@ -126,12 +126,18 @@ class _Builder:
         elif isinstance(event, SequenceStartEvent):
             value = self._sequence()
         else:
-            value = resolve_scalar(event.value) if event.implicit[0] and event.style is None else event.value
+            value = self._scalar(event)
         self._depth -= 1
         entry = Entry(value, place)
         if event.anchor:
             self._anchors[str(event.anchor)] = (entry, self._values - before)
         return entry
+
+    def _scalar(self, event: Any) -> Scalar:
+        text: str = event.value
+        if any("\ud800" <= char <= "\udfff" for char in text):
+            raise self._error(event, "half of a surrogate pair is no character: write the character itself")
+        return resolve_scalar(text) if event.implicit[0] and event.style is None else text
 
     def _mapping(self) -> dict[str, Entry]:
         section: dict[str, Entry] = {}

@@ -19,7 +19,7 @@ class SpecModel(BaseModel):
 
     A model names in ``alternatives`` the groups of keys of which exactly one is given. Where one file builds
     on another, a key of such a group takes the place of the others (see ``scenarios.load.merge``).
-    ``prose`` names the keys that no result depends on.
+    ``prose`` names the keys that no result depends on, ``own`` those that a file never takes from another.
     """
 
     model_config = ConfigDict(
@@ -32,6 +32,7 @@ class SpecModel(BaseModel):
 
     alternatives: ClassVar[tuple[tuple[str, ...], ...]] = ()
     prose: ClassVar[frozenset[str]] = frozenset()
+    own: ClassVar[frozenset[str]] = frozenset()
 
     @model_validator(mode="after")
     def _exactly_one_of_each_group(self) -> Self:

@@ -56,6 +56,7 @@ class CampaignSpec(SpecModel):
     """What a campaign file says."""
 
     prose: ClassVar = frozenset({"name", "title", "description", "report"})
+    own: ClassVar = frozenset({"name", "title", "description"})
 
     name: str = Field(pattern=NAME_PATTERN, description="Lower case; the file's name if left out")
     title: str = Field("", description="Heading of the report")

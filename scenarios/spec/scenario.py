@@ -24,6 +24,7 @@ class ScenarioSpec(SpecModel):
 
     alternatives: ClassVar = (("viewpoint", "images"),)
     prose: ClassVar = frozenset({"name", "description"})
+    own: ClassVar = frozenset({"name", "description"})
 
     name: str = Field(pattern=NAME_PATTERN, description="Lower case; the file's name if left out")
     description: str = Field("", description="One line about the scenario")

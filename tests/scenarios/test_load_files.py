@@ -115,7 +115,7 @@ def test_faults_of_lookup_and_reading(here, tmp_path):
     assert fault("latin.yaml") == "latin.yaml: not UTF-8 text (byte 14): save it as UTF-8"
     assert fault("folder") == "folder: is a folder, not a YAML file"
     assert fault("long.yaml").startswith("long.yaml: 1000001 bytes is too long")
-    assert "not a scenario" in fault("x" * 5000)
+    assert "xxx...: no such scenario" in fault("x" * 5000)
     assert "no such scenario" in fault("a\0b")
 
 
@@ -123,8 +123,14 @@ def test_file_kind_goes_by_the_keys(here, tmp_path):
     assert file_kind(here("s.yaml", MINIMAL)) == "scenario"
     assert file_kind(here("c.yaml", CAMPAIGN)) == "campaign"
     assert file_kind(CATALOG / "quickstart.yaml") == "scenario"
-    with pytest.raises(BoresightError, match=r"none\.yaml: no such file"):
-        file_kind(tmp_path / "none.yaml")
+    for path, line in (
+        (tmp_path / "none.yaml", "none.yaml: no such file, nor a name that boresight knows"),
+        (Path("quikstart"), "quikstart: no such file, nor a name that boresight knows; did you mean quickstart?"),
+        (Path("rowel"), "rowel: no such file, nor a name that boresight knows; did you mean rowell?"),
+    ):
+        with pytest.raises(BoresightError) as caught:
+            file_kind(path, ["rowell"])
+        assert str(caught.value) == line
 
 
 # --- one line for each fault -----------------------------------------------------------------------------------------
@@ -269,6 +275,12 @@ def test_cycles_are_refused(here):
     here("self.yaml", "extends: self.yaml\n")
     assert fault("a.yaml") == "b.yaml:1: extends: a.yaml leads back to this file"
     assert fault("self.yaml") == "self.yaml:1: extends: self.yaml leads back to this file"
+
+
+def test_an_endless_chain_is_refused(here):
+    for i in range(40):
+        here(f"c{i}.yaml", f"extends: c{i + 1}.yaml\n")
+    assert fault("c0.yaml") == "c21.yaml: extends: a chain of more than 20 files"
 
 
 def test_a_file_may_be_extended_twice_by_two_parents(here):
@@ -427,10 +439,11 @@ def test_overrides_of_a_campaign_and_of_its_scenarios(here, tmp_path):
 
 
 def test_a_campaign_extends_another(here, tmp_path):
-    here("c.yaml", CAMPAIGN + "title: long\n")
+    here("c.yaml", CAMPAIGN + "title: long\nreport: rowell2015-simulated\n")
     here("d.yaml", "extends: c.yaml\ntrials: 5\n")
     spec = load_campaign("d.yaml", tmp_path / "none").spec
     assert (spec.name, spec.trials, spec.seed, spec.title) == ("d", 5, 1, "")
+    assert spec.report == "rowell2015-simulated"
 
 
 # --- the digest ------------------------------------------------------------------------------------------------------

@@ -92,6 +92,7 @@ def test_an_alias_bomb_is_refused_before_it_is_expanded():
         ("a:\n\t- 1\n", "x.yaml:2: not valid YAML"),
         ("a: \x00", "x.yaml: not valid YAML"),
         ('a: "\\U00110000"', "x.yaml: not valid YAML"),
+        ('a: "\\ud800"', "x.yaml:1: half of a surrogate pair is no character"),
         ("[" * 5000, "x.yaml:1: values are nested more than 40 deep"),
     ],
 )
