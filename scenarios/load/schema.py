@@ -52,6 +52,7 @@ def _as_part(node: Any) -> Any:
         return deepcopy(node)
     part = {key: _as_part(value) for key, value in node.items() if key not in {"required", "discriminator", "not"}}
     if isinstance(node.get("not"), Mapping):
+        # Keys that exclude each other are written as "not required together": that holds for a part too.
         part["not"] = deepcopy(node["not"])
     if isinstance(part.get("$ref"), str):
         part["$ref"] += _PART
