@@ -1,0 +1,7 @@
+"""Rendering with Mitsuba 3: images, shadows and de-projection, on a GPU, with LLVM or without either."""
+
+from renderers.mitsuba3.llvm import LlvmSearch, find_llvm
+from renderers.mitsuba3.renderer import MitsubaRenderer
+from renderers.mitsuba3.variant import Variant, choose_variant, gpu_status, limit_threads
+
+__all__ = ["LlvmSearch", "MitsubaRenderer", "Variant", "choose_variant", "find_llvm", "gpu_status", "limit_threads"]

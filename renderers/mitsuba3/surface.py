@@ -31,9 +31,7 @@ def interpolate(mesh: TriangleMesh, values: FloatArray, facets: IndexArray, weig
     return result
 
 
-def corner_weights(
-    mesh: TriangleMesh, facets: IndexArray, origins_m: FloatArray, directions: FloatArray
-) -> FloatArray:
+def corner_weights(mesh: TriangleMesh, facets: IndexArray, origins_m: FloatArray, directions: FloatArray) -> FloatArray:
     """Barycentric weights (N, 3) of the points where rays meet given facets, clipped to the facets.
 
     The ray tracer names the facet in single precision; the point is worked out here in double precision

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import sys
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from renderers.mitsuba3.llvm import HIDE_VARIABLE, MINIMUM_MAJOR, WHEEL, find_llvm, use_llvm
@@ -66,6 +67,11 @@ def choose_variant(request: str | None = None) -> Variant:
     return Variant(SCALAR, llvm_why, _LLVM_ADVICE)
 
 
+def gpu_status() -> str:
+    """Say whether rendering on a GPU is possible here, and why not."""
+    return _cuda_status()[1]
+
+
 def load_mitsuba(variant: Variant) -> Any:
     """Return the library ``mitsuba`` with this variant active.
 
@@ -102,6 +108,7 @@ def _load_drjit() -> Any:
     return drjit
 
 
+@cache
 def _llvm_status() -> tuple[bool, str]:
     """Tell whether Dr.Jit's LLVM backend can be trusted, and why or why not."""
     drjit = _load_drjit()
@@ -117,6 +124,7 @@ def _llvm_status() -> tuple[bool, str]:
     return True, f"LLVM {'.'.join(map(str, version))} works ({search.found.path})"
 
 
+@cache
 def _cuda_status() -> tuple[bool, str]:
     """Tell whether an NVIDIA GPU with OptiX is there, by asking the driver."""
     drjit = _load_drjit()

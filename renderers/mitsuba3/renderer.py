@@ -1,0 +1,114 @@
+"""Images and de-projection of a body by ray tracing."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderers.mitsuba3.rays import body_window, outline_points, ray_bundle
+from renderers.mitsuba3.scalar import ScalarTracer
+from renderers.mitsuba3.surface import check_outside, corner_weights, interpolate, vertex_normals
+from renderers.mitsuba3.variant import Variant, choose_variant
+from renderers.mitsuba3.wavefront import WavefrontTracer
+from scenarios.errors import BoresightError
+from scenarios.geometry import SurfaceHits, TriangleMesh, View
+from scenarios.spec.brdf import BrdfSpec
+
+
+class MitsubaRenderer:
+    """Renders one body in one reflectance model, lit by the Sun alone, with hard shadows.
+
+    Images do not depend on chance: each pixel is the mean of a regular grid of samples.
+
+    Parameters
+    ----------
+    mesh
+        The body; closed, with outward normals.
+    brdf
+        The scenario's ``brdf`` section; the mesh's albedo multiplies it.
+    samples_per_pixel
+        A square number.
+    shading
+        ``flat`` takes the normals of the facets, ``smooth`` interpolates those of the vertices.
+    variant
+        The Mitsuba variant; the fastest that works by default.
+
+    Raises
+    ------
+    BoresightError
+        If the mesh has no facets, ``samples_per_pixel`` is not a square number or ``shading`` is unknown.
+    """
+
+    name: ClassVar[str] = "mitsuba"
+    version: ClassVar[int] = 1
+
+    def __init__(
+        self,
+        mesh: TriangleMesh,
+        brdf: BrdfSpec,
+        samples_per_pixel: int = 4,
+        shading: Literal["flat", "smooth"] = "flat",
+        variant: Variant | None = None,
+    ) -> None:
+        if len(mesh.faces) == 0:
+            raise BoresightError("the body to render has no facets: give a mesh with at least one")
+        if samples_per_pixel < 1 or round(samples_per_pixel**0.5) ** 2 != samples_per_pixel:
+            raise BoresightError(f"samples_per_pixel: {samples_per_pixel} is not a square number (1, 4, 9, 16, ...)")
+        if shading not in ("flat", "smooth"):
+            raise BoresightError(f"shading: {shading!r} is neither 'flat' nor 'smooth'")
+        self.variant = variant or choose_variant()
+        self._mesh = mesh
+        self._outline_m = outline_points(mesh)
+        self._vertex_normals = vertex_normals(mesh) if shading == "smooth" else None
+        tracer = WavefrontTracer if self.variant.is_wavefront else ScalarTracer
+        self._tracer = tracer(self.variant, mesh, brdf, samples_per_pixel, self._vertex_normals)
+
+    def render(self, view: View) -> NDArray[np.float32]:
+        """Radiance factor I/F = pi f_r cos(i) of every pixel, (H, W); 0 off the body and in shadow.
+
+        Raises
+        ------
+        BoresightError
+            If the camera is inside the body.
+        """
+        check_outside(self._mesh, view.T_cam_body.camera_position_m)
+        image = np.zeros((view.camera.height_px, view.camera.width_px), dtype=np.float32)
+        window = body_window(view, self._outline_m)
+        if window is not None:
+            image[window.slices] = self._tracer.image(view, window)
+        return image
+
+    def surface(self, view: View, uv_px: NDArray[np.float64]) -> SurfaceHits:
+        """De-project pixel positions (N, 2): the first points of the body on their lines of sight.
+
+        Facets and shadows come from the ray tracer, points and normals from double precision.
+
+        Raises
+        ------
+        BoresightError
+            If the camera is inside the body or ``uv_px`` is not (N, 2).
+        """
+        check_outside(self._mesh, view.T_cam_body.camera_position_m)
+        uv = np.asarray(uv_px, dtype=np.float64)
+        if uv.ndim != 2 or uv.shape[1] != 2:
+            raise BoresightError(f"pixel positions to de-project must be (N, 2), not {uv.shape}")
+        points = np.full((len(uv), 3), np.nan)
+        normals = np.full((len(uv), 3), np.nan)
+        if len(uv) == 0:
+            return SurfaceHits(points, normals, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_))
+        origins, directions = ray_bundle(view, self._mesh.radius_m, (0.0, 0.0)).at(uv)
+        facets, lit = self._tracer.first_hits(view, origins, directions)
+        hit = facets >= 0
+        weights = corner_weights(self._mesh, facets[hit], origins[hit], directions[hit])
+        points[hit] = interpolate(self._mesh, self._mesh.vertices_m, facets[hit], weights)
+        normals[hit] = self._normals(facets[hit], weights)
+        return SurfaceHits(points, normals, facets, lit)
+
+    def _normals(self, facets: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self._vertex_normals is None:
+            return self._mesh.normals[facets]
+        normals = interpolate(self._mesh, self._vertex_normals, facets, weights)
+        unit: NDArray[np.float64] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        return unit

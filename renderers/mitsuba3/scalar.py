@@ -1,0 +1,191 @@
+"""Ray tracing without LLVM or CUDA: Mitsuba's own integrators, and the reflectance on NumPy arrays.
+
+A BSDF written in Python would be called back for every ray here. So Mitsuba renders the body in white, which
+tells where the Sun shines, together with the facet and the corner weights of every sample; the rest is array
+work, with the same formulas as in the other variants.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderers.brdf import brdf_value
+from renderers.mitsuba3.rays import Window
+from renderers.mitsuba3.scene import SHAPE_ID, SUN_ID, build_shape
+from renderers.mitsuba3.surface import interpolate
+from renderers.mitsuba3.variant import Variant, load_mitsuba
+from scenarios.geometry import Camera, TriangleMesh, View
+from scenarios.spec.brdf import BrdfSpec
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+# Shadow rays of single positions start this far off the surface, in units of the body's radius.
+_SHADOW_OFFSET = 1e-5
+
+
+class ScalarTracer:
+    """Traces one body sample by sample in compiled code.
+
+    The samples are those of the wavefront tracer: the film has n x n pixels for each of the image's, and each is
+    sampled in its middle.
+    """
+
+    def __init__(
+        self,
+        variant: Variant,
+        mesh: TriangleMesh,
+        brdf: BrdfSpec,
+        samples_per_pixel: int,
+        vertex_normals: FloatArray | None,
+    ) -> None:
+        self._variant = variant
+        self._mesh = mesh
+        self._brdf = brdf
+        self._grid = round(samples_per_pixel**0.5)
+        self._vertex_normals = vertex_normals
+        self._scene = _white_scene(load_mitsuba(variant), mesh)
+
+    def image(self, view: View, window: Window) -> NDArray[np.float32]:
+        """Radiance factor (height, width) of the pixels of a window."""
+        facets, weights, lit = self._samples(view, window)
+        value = np.zeros(lit.shape)
+        value[lit] = self._radiance_factor(view, facets[lit], weights[lit])
+        n = self._grid
+        pixels = value.reshape(window.height, n, window.width, n).mean(axis=(1, 3))
+        return pixels.astype(np.float32)
+
+    def first_hits(
+        self, view: View, origins_m: FloatArray, directions: FloatArray
+    ) -> tuple[IndexArray, NDArray[np.bool_]]:
+        """Facets (N,), -1 where missed, and whether the Sun shines on the hits, for rays (N, 3) in the body frame."""
+        mi = load_mitsuba(self._variant)
+        facets = np.full(len(origins_m), -1, dtype=np.int64)
+        lit = np.zeros(len(origins_m), dtype=np.bool_)
+        sun = view.sun_dir_body
+        for k, (origin, direction) in enumerate(zip(origins_m, directions, strict=True)):
+            hit = self._scene.ray_intersect_preliminary(mi.Ray3f(list(origin), list(direction)))
+            if not hit.is_valid():
+                continue
+            facets[k] = hit.prim_index
+            normal = self._mesh.normals[facets[k]]
+            start = origin + direction * hit.t + normal * (_SHADOW_OFFSET * self._mesh.radius_m)
+            lit[k] = normal @ sun > 0.0 and not self._scene.ray_test(mi.Ray3f(list(start), list(sun)))
+        return facets, lit
+
+    def _samples(self, view: View, window: Window) -> tuple[IndexArray, FloatArray, NDArray[np.bool_]]:
+        """Facets, corner weights (..., 3) and light of every sample, in rows and columns of the finer film."""
+        mi = load_mitsuba(self._variant)
+        stretch = _stretch(view)
+        scene = self._scene
+        if stretch is not None:
+            # Mitsuba's camera has square pixels. Hits and shadows do not change under an affine map of the world,
+            # so the body is stretched instead; only this rare camera pays for a scene of its own.
+            scene = _white_scene(mi, TriangleMesh(self._mesh.vertices_m @ stretch.T, self._mesh.faces))
+        _point_sun(mi, scene, view.sun_dir_body if stretch is None else stretch @ view.sun_dir_body)
+        sensor = _sensor(mi, view, window, self._grid, self._mesh.radius_m)
+        channels = np.array(mi.render(scene, sensor=sensor, spp=1))
+        lit = channels[..., 0] > 0.0
+        w1, w2 = channels[..., 4], channels[..., 5]
+        weights = np.stack([1.0 - w1 - w2, w1, w2], axis=-1).astype(np.float64)
+        return channels[..., 3].astype(np.int64), weights, lit
+
+    def _radiance_factor(self, view: View, facets: IndexArray, weights: FloatArray) -> FloatArray:
+        """I/F = pi f_r cos(i), times the local albedo, at lit samples."""
+        mesh, pose, sun = self._mesh, view.T_cam_body, view.sun_dir_body
+        points = interpolate(mesh, mesh.vertices_m, facets, weights)
+        to_camera = pose.camera_position_m - points
+        to_camera /= np.linalg.norm(to_camera, axis=1, keepdims=True)
+        normals = mesh.normals[facets]
+        if self._vertex_normals is not None:
+            normals = interpolate(mesh, self._vertex_normals, facets, weights)
+            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        cos_i = np.maximum(normals @ sun, 0.0)
+        cos_e = np.einsum("ni,ni->n", normals, to_camera)
+        phase_rad = np.arccos(np.clip(to_camera @ sun, -1.0, 1.0))
+        value: FloatArray = np.pi * np.asarray(brdf_value(self._brdf, cos_i, cos_e, phase_rad)) * cos_i
+        if mesh.albedo is not None:
+            value = value * interpolate(mesh, mesh.albedo, facets, weights)
+        return value
+
+
+def _white_scene(mi: Any, mesh: TriangleMesh) -> Any:
+    """Build the body in white under a Sun whose image is cos(i), with an integrator that also tells the hits."""
+    white = mi.load_dict({"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}})
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {
+                "type": "aov",
+                "aovs": "facet:prim_index,weights:uv",
+                "light": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0, "hide_emitters": True},
+            },
+            SHAPE_ID: build_shape(mi, mesh, white),
+            SUN_ID: {
+                "type": "directional",
+                "direction": [0.0, 0.0, -1.0],
+                "irradiance": {"type": "rgb", "value": float(np.pi)},
+            },
+        }
+    )
+
+
+def _point_sun(mi: Any, scene: Any, sun_dir: FloatArray) -> None:
+    up = [0.0, 0.0, 1.0] if abs(sun_dir[2]) < 0.9 * np.linalg.norm(sun_dir) else [1.0, 0.0, 0.0]
+    target = [float(-x) for x in sun_dir]
+    parameters = mi.traverse(scene)
+    parameters[f"{SUN_ID}.to_world"] = mi.ScalarTransform4f().look_at(origin=[0.0] * 3, target=target, up=up)
+    parameters.update()
+
+
+def _stretch(view: View) -> FloatArray | None:
+    """Body-frame map (3, 3) after which a camera with square pixels of size fx sees the same; None where it does."""
+    camera = view.camera
+    if camera.fx_px == camera.fy_px:
+        return None
+    rotation = view.T_cam_body.rotation
+    scale = np.diag([1.0, camera.fy_px / camera.fx_px, 1.0])
+    return rotation.T @ scale @ rotation
+
+
+def _sensor(mi: Any, view: View, window: Window, grid: int, radius_m: float) -> Any:
+    camera, pose = view.camera, view.T_cam_body
+    to_world = np.eye(4)
+    # The body's origin keeps its image when the camera is moved by the stretch of its own y axis.
+    centre_cam_m = pose.translation_m * np.array([1.0, camera.fy_px / camera.fx_px, 1.0])
+    to_world[:3, :3] = pose.rotation.T @ np.diag([-1.0, -1.0, 1.0])
+    to_world[:3, 3] = -pose.rotation.T @ centre_cam_m
+    reach_m = 1.01 * radius_m * max(1.0, camera.fy_px / camera.fx_px)
+    far_m = float(centre_cam_m[2]) + reach_m
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "fov_axis": "x",
+            "fov": float(np.degrees(2.0 * np.arctan(0.5 * camera.width_px / camera.fx_px))),
+            "principal_point_offset_x": float(0.5 - camera.cx_px / camera.width_px),
+            "principal_point_offset_y": float(0.5 - camera.cy_px / camera.height_px),
+            "near_clip": max(far_m - 2.0 * reach_m, 1e-6 * far_m),
+            "far_clip": far_m,
+            "to_world": mi.ScalarTransform4f(to_world),
+            "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
+            "film": _film(camera, window, grid),
+        }
+    )
+
+
+def _film(camera: Camera, window: Window, grid: int) -> dict[str, object]:
+    return {
+        "type": "hdrfilm",
+        "width": camera.width_px * grid,
+        "height": camera.height_px * grid,
+        "crop_offset_x": window.column * grid,
+        "crop_offset_y": window.row * grid,
+        "crop_width": window.width * grid,
+        "crop_height": window.height * grid,
+        "rfilter": {"type": "box"},
+        "pixel_format": "rgb",
+        "component_format": "float32",
+    }

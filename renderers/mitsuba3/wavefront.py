@@ -1,0 +1,156 @@
+"""Ray tracing of whole images at once: the LLVM and CUDA variants."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderers.brdf import ArrayMath, brdf_value
+from renderers.mitsuba3.rays import RayBundle, Window, grid_positions, ray_bundle
+from renderers.mitsuba3.scene import build_shape
+from renderers.mitsuba3.variant import Variant, load_mitsuba
+from scenarios.geometry import TriangleMesh, View
+from scenarios.spec.brdf import BrdfSpec
+
+# Samples in one launch: bounds the memory of a large image.
+_MAX_SAMPLES = 1 << 24
+# Shadow rays start this far off the surface, in units of the body's radius; single precision needs about a tenth.
+_SHADOW_OFFSET = 1e-5
+
+
+def drjit_math(drjit: Any) -> ArrayMath:
+    """Name the elementwise functions of Dr.Jit."""
+    return ArrayMath(
+        sqrt=drjit.sqrt,
+        exp=drjit.exp,
+        log=drjit.log,
+        sin=drjit.sin,
+        cos=drjit.cos,
+        acos=drjit.acos,
+        maximum=drjit.maximum,
+        minimum=drjit.minimum,
+        where=drjit.select,
+    )
+
+
+class WavefrontTracer:
+    """Traces one body with one kernel for all samples of an image.
+
+    Every sample is worked out by itself and those of a pixel are added in a fixed order, so images are identical
+    bit for bit, whatever the number of threads. Poses enter the kernel as data: it is compiled once.
+    """
+
+    def __init__(
+        self,
+        variant: Variant,
+        mesh: TriangleMesh,
+        brdf: BrdfSpec,
+        samples_per_pixel: int,
+        vertex_normals: NDArray[np.float64] | None,
+    ) -> None:
+        mi = load_mitsuba(variant)
+        self._variant = variant
+        self._brdf = brdf
+        self._radius_m = mesh.radius_m
+        self._scene = mi.load_dict({"type": "scene", "body": build_shape(mi, mesh)})
+        self._facet_normals = mi.Float(mesh.normals.astype(np.float32).ravel())
+        smooth, varied = vertex_normals is not None, mesh.albedo is not None
+        self._vertex_normals = mi.Float(vertex_normals.astype(np.float32).ravel()) if smooth else None
+        self._albedo = mi.Float(mesh.albedo.astype(np.float32)) if varied else None
+        self._faces = mi.UInt32(mesh.faces.astype(np.uint32).ravel()) if smooth or varied else None
+        grid = grid_positions(samples_per_pixel)
+        self._samples = samples_per_pixel
+        self._grid_u, self._grid_v = (mi.Float(axis.astype(np.float32)) for axis in grid.T)
+
+    def image(self, view: View, window: Window) -> NDArray[np.float32]:
+        """Radiance factor (height, width) of the pixels of a window."""
+        rows = max(1, _MAX_SAMPLES // (window.width * self._samples))
+        strips = [
+            self._strip(view, Window(window.column, row, window.width, min(rows, window.row + window.height - row)))
+            for row in range(window.row, window.row + window.height, rows)
+        ]
+        return np.concatenate(strips)
+
+    def first_hits(
+        self, view: View, origins_m: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Facets (N,), -1 where missed, and whether the Sun shines on the hits, for rays (N, 3) in the body frame."""
+        mi = load_mitsuba(self._variant)
+        origin = mi.Point3f(origins_m.T.astype(np.float32))
+        direction = mi.Vector3f(directions.T.astype(np.float32))
+        hit, _, lit = self._trace(mi, origin, direction, _opaque(mi, view.sun_dir_body))
+        facets = np.where(hit.is_valid().numpy(), hit.prim_index.numpy().astype(np.int64), -1)
+        return facets, lit.numpy()
+
+    def _strip(self, view: View, window: Window) -> NDArray[np.float32]:
+        import drjit as dr
+
+        mi = load_mitsuba(self._variant)
+        rays = ray_bundle(view, self._radius_m, (window.column, window.row))
+        sun = _opaque(mi, view.sun_dir_body)
+        origin, direction = self._camera_rays(mi, rays, window)
+        hit, normal, lit = self._trace(mi, origin, direction, sun)
+        value = self._radiance_factor(mi, hit, normal, direction, sun)
+        value = dr.block_sum(dr.select(lit, value, 0.0), self._samples) / self._samples
+        pixels: NDArray[np.float32] = value.numpy()
+        return pixels.reshape(window.height, window.width)
+
+    def _camera_rays(self, mi: Any, rays: RayBundle, window: Window) -> tuple[Any, Any]:
+        """Origins and unit directions of all samples: pixel by pixel, the samples of a pixel together."""
+        import drjit as dr
+
+        index = dr.arange(mi.UInt32, window.width * window.height * self._samples)
+        pixel = index // self._samples
+        sample = index - pixel * self._samples
+        width = dr.opaque(mi.UInt32, window.width)
+        row = pixel // width
+        u = mi.Float(pixel - row * width) + dr.gather(mi.Float, self._grid_u, sample)
+        v = mi.Float(row) + dr.gather(mi.Float, self._grid_v, sample)
+        origin = _opaque(mi, rays.origin_m) + u * _opaque(mi, rays.origin_u_m) + v * _opaque(mi, rays.origin_v_m)
+        direction = _opaque(mi, rays.direction) + u * _opaque(mi, rays.direction_u) + v * _opaque(mi, rays.direction_v)
+        return mi.Point3f(origin), dr.normalize(direction)
+
+    def _trace(self, mi: Any, origin: Any, direction: Any, sun: Any) -> tuple[Any, Any, Any]:
+        """First hits, normals of their facets, and whether the Sun shines on them."""
+        import drjit as dr
+
+        hit = self._scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), coherent=True)
+        valid = hit.is_valid()
+        normal = dr.gather(mi.Vector3f, self._facet_normals, hit.prim_index, valid)
+        facing = valid & (dr.dot(normal, sun) > 0.0)
+        start = origin + direction * hit.t + normal * (_SHADOW_OFFSET * self._radius_m)
+        shadowed = self._scene.ray_test(mi.Ray3f(start, sun), coherent=True, active=facing)
+        return hit, normal, facing & ~shadowed
+
+    def _radiance_factor(self, mi: Any, hit: Any, normal: Any, direction: Any, sun: Any) -> Any:
+        """I/F = pi f_r cos(i), times the local albedo."""
+        import drjit as dr
+
+        if self._vertex_normals is not None:
+            normal = dr.normalize(self._interpolate(mi, mi.Vector3f, self._vertex_normals, hit))
+        cos_i = dr.maximum(dr.dot(normal, sun), 0.0)
+        cos_e = -dr.dot(normal, direction)
+        phase_rad = 2.0 * dr.atan2(dr.norm(sun + direction), dr.norm(sun - direction))
+        value = dr.pi * brdf_value(self._brdf, cos_i, cos_e, phase_rad, drjit_math(dr)) * cos_i
+        if self._albedo is not None:
+            value *= self._interpolate(mi, mi.Float, self._albedo, hit)
+        return value
+
+    def _interpolate(self, mi: Any, kind: Any, values: Any, hit: Any) -> Any:
+        """Values of the vertices at the hits."""
+        import drjit as dr
+
+        valid = hit.is_valid()
+        corners = dr.gather(mi.Vector3u, self._faces, hit.prim_index, valid)
+        v0, v1, v2 = (dr.gather(kind, values, corner, valid) for corner in corners)
+        w1, w2 = hit.prim_uv
+        return v0 * (1.0 - w1 - w2) + v1 * w1 + v2 * w2
+
+
+def _opaque(mi: Any, vector: NDArray[np.float64]) -> Any:
+    """Turn a 3-vector into data of a kernel rather than literals, which would compile a kernel for every pose."""
+    import drjit as dr
+
+    return mi.Vector3f(*(dr.opaque(mi.Float, float(x)) for x in vector))
