@@ -45,7 +45,7 @@ class ReportFiles:
     content: Content
 
 
-def write_report(run: Path, out: Path | None = None) -> ReportFiles:
+def write_report(run: Path, out: Path | None = None, extra: Sequence[NamedFigure] = ()) -> ReportFiles:
     """Write the report of a run folder.
 
     Parameters
@@ -54,6 +54,8 @@ def write_report(run: Path, out: Path | None = None) -> ReportFiles:
         Folder with ``manifest.json`` and ``rows``; an unfinished run is reported as such.
     out
         Folder of the report, ``run/report`` by default. Other files in it are left alone.
+    extra
+        Further figures, shown after those of the tables (such as `reports.figures.draw_fit_panels`).
 
     Raises
     ------
@@ -70,7 +72,7 @@ def write_report(run: Path, out: Path | None = None) -> ReportFiles:
             f"{folder}: the report cannot be written: {error.strerror}; choose another --out"
         ) from error
     try:
-        names = _write_all(content, work)
+        names = _write_all(content, work, extra)
         for name in names:
             (work / name).replace(folder / name)
     except OSError as error:
@@ -90,14 +92,15 @@ def write_report(run: Path, out: Path | None = None) -> ReportFiles:
     )
 
 
-def _write_all(content: Content, folder: Path) -> list[str]:
+def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure]) -> list[str]:
     """Write all files into ``folder`` and list their names, the page last so that it never shows what is not there."""
     names = _write_tables(content, folder)
-    figures = list(draw_figures(content))
+    figures = [*draw_figures(content), *extra]
     for figure in figures:
         names += [path.name for path in save_figure(figure.figure, folder / figure.stem)]
     (folder / "report.md").write_text(markdown(content, figures), encoding="utf-8")
-    (folder / "report.html").write_text(html_page(content, figures), encoding="utf-8")
+    with_png = [(figure, (folder / f"{figure.stem}.png").read_bytes()) for figure in figures]
+    (folder / "report.html").write_text(html_page(content, with_png), encoding="utf-8")
     return [*names, "report.md", "report.html"]
 
 

@@ -10,10 +10,9 @@ from importlib import resources
 from jinja2 import Environment, StrictUndefined
 
 from reports.content import Content, NamedFigure
-from reports.figures.style import render
 
 
-def html_page(content: Content, figures: Sequence[NamedFigure]) -> str:
+def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) -> str:
     """Fill the page's template.
 
     Parameters
@@ -21,7 +20,7 @@ def html_page(content: Content, figures: Sequence[NamedFigure]) -> str:
     content
         What is said.
     figures
-        Embedded as PNG.
+        Each with its PNG, which is embedded.
     """
     files = resources.files("reports")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -34,7 +33,7 @@ def html_page(content: Content, figures: Sequence[NamedFigure]) -> str:
         facts=_facts(content),
         notes=content.notes,
         grids=content.grids(),
-        figures=[(figure, base64.b64encode(render(figure.figure, "png")).decode()) for figure in figures],
+        figures=[(figure, base64.b64encode(png).decode()) for figure, png in figures],
         resolved={
             "scenarios": json.dumps(dict(manifest.scenarios), indent=2, ensure_ascii=False),
             "estimators": json.dumps(manifest.estimators, indent=2, ensure_ascii=False),

@@ -59,10 +59,11 @@ def draw_pose_errors(
         samples = {name: _finite(errors[column]) for name, errors in stages.items()}
         if column == "attitude_error_deg":
             samples = _without_repeats(samples)
-        beyond = _draw_stages(axes, samples, list(stages), unit)
-        for (name, wanted), value in (published or {}).items():
-            if wanted == column and name in samples:
-                _mark_published(axes, value, _line(list(stages).index(name), len(stages))["color"])
+        medians = {name: v for (name, wanted), v in (published or {}).items() if wanted == column and name in samples}
+        edges = shared_edges([*samples.values(), *(np.array([value]) for value in medians.values())])
+        beyond = _draw_stages(axes, samples, list(stages), edges, unit)
+        for name, value in medians.items():
+            _mark_published(axes, value, _line(list(stages).index(name), len(stages))["color"])
         axes.set(xlabel=label + beyond, ylabel=frequency)
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
@@ -92,9 +93,10 @@ def _line(index: int, count: int) -> dict[str, Any]:
     return {"color": (ORANGE, GREEN)[(index - 1) % 2], "linestyle": "-.", "linewidth": 1.4}
 
 
-def _draw_stages(axes: Axes, samples: Mapping[str, FloatArray], order: Sequence[str], unit: str) -> str:
+def _draw_stages(
+    axes: Axes, samples: Mapping[str, FloatArray], order: Sequence[str], edges: FloatArray, unit: str
+) -> str:
     """Draw the histograms and return what to add to the axis label."""
-    edges = shared_edges(list(samples.values()))
     beyond = 0
     for name, sample in samples.items():
         line = _line(order.index(name), len(order))

@@ -1,0 +1,201 @@
+import matplotlib
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.collections import EllipseCollection, LineCollection
+from PIL import Image
+from scipy import stats
+
+from reports.figures import (
+    Fit,
+    Overlay,
+    draw_cumulative_errors,
+    draw_fit_panels,
+    draw_landmark_counts,
+    draw_landmark_errors,
+    draw_pose_errors,
+    save_figure,
+)
+from reports.figures.fit import MATCH_SIGMAS
+from reports.figures.style import render, shared_edges
+
+CREDIT = "ESA/Rosetta/NAVCAM, CC BY-SA IGO 3.0"
+
+
+def _errors(scale, n=200, seed=0):
+    rng = np.random.default_rng(seed)
+    return pd.DataFrame(
+        {"attitude_error_deg": rng.exponential(size=n), "position_error_m": scale * rng.exponential(size=n)}
+    )
+
+
+def _fit():
+    rng = np.random.default_rng(3)
+    points = rng.uniform(60, 180, size=(30, 2))
+    edges = points[rng.integers(0, 30, size=(40, 2))]
+    scales = rng.uniform(0.2, 1.0, size=(30, 2, 2))
+    covariances = scales @ scales.transpose(0, 2, 1) + 0.1 * np.eye(2)
+    image = np.zeros((200, 240), np.float32)
+    image[50:150, 60:190] = np.linspace(0.2, 1.0, 130)
+    return Fit(
+        image=image,
+        mesh_image=0.5 * image,
+        before=Overlay(points, covariances, edges),
+        after=Overlay(points + 3, None, edges + 3),
+        observed_centroid_px=np.array([120.0, 100.0]),
+        rendered_centroid_px=np.array([110.0, 95.0]),
+        corners_px=points + 3.5,
+        matched=np.arange(30) % 2 == 0,
+    )
+
+
+FIGURES = {
+    "pose": lambda: draw_pose_errors(
+        {"prior": _errors(40), "after recognition": _errors(20, 150, 1)}, "T", {}, [CREDIT]
+    ),
+    "cumulative": lambda: draw_cumulative_errors({"prior": (_errors(40), 200), "a": (_errors(20), 250)}, "T", [CREDIT]),
+    "landmarks": lambda: draw_landmark_errors(np.arange(1.0, 99.0), np.arange(1.0, 99.0), "T", [CREDIT]),
+    "counts": lambda: draw_landmark_counts(np.arange(30.0, 80.0), "T", 59.0, [CREDIT]),
+    "fit": lambda: draw_fit_panels(_fit(), "T", [CREDIT]),
+}
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_files_are_drawn_and_the_same_each_time(name, tmp_path):
+    png, pdf = save_figure(FIGURES[name](), tmp_path / "figure")
+    pixels = np.asarray(Image.open(png).convert("RGB"))
+    assert min(pixels.shape[:2]) > 250
+    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 50
+    assert np.mean(np.any(pixels != 255, axis=2)) > 0.01
+    assert pdf.read_bytes().startswith(b"%PDF")
+    again = FIGURES[name]()
+    assert render(again, "png") == png.read_bytes()
+    assert render(again, "pdf") == pdf.read_bytes()
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_credit_line_is_printed(name):
+    with_credit = FIGURES[name]()
+    texts = [text.get_text() for text in with_credit.findobj(matplotlib.text.Text)]
+    assert CREDIT in texts
+
+
+def test_readers_own_settings_change_nothing():
+    before = render(FIGURES["pose"](), "png")
+    with matplotlib.rc_context({"font.size": 25, "axes.facecolor": "red", "lines.linewidth": 9}):
+        assert render(FIGURES["pose"](), "png") == before
+        assert matplotlib.rcParams["font.size"] == 25
+
+
+def test_histograms_are_normalised_per_unit():
+    figure = draw_pose_errors({"prior": _errors(40, n=5000), "after": _errors(20, n=5000, seed=2)}, "T")
+    for axes in figure.axes:
+        for patch in axes.patches:
+            values, edges, _ = patch.get_data()
+            assert 0.97 < np.sum(values * np.diff(edges)) <= 1.0 + 1e-12
+    heights, edges, _ = figure.axes[1].patches[0].get_data()
+    expected = np.diff(stats.expon(scale=40).cdf(edges)) / np.diff(edges)
+    np.testing.assert_allclose(heights, expected, atol=4 * np.sqrt(expected.max() / 5000 / np.diff(edges)[0]))
+
+
+def test_stage_that_leaves_the_attitude_alone_is_not_drawn_there():
+    prior = _errors(40)
+    centroid = prior.assign(position_error_m=prior["position_error_m"] / 2)
+    figure = draw_pose_errors({"prior": prior, "centroiding": centroid, "recognition": _errors(10, seed=5)}, "T")
+    attitude, position = figure.axes
+    assert len(attitude.patches) == 2
+    assert len(position.patches) == 3
+
+
+def test_medians_and_published_values_are_marked_where_they_are():
+    errors = {"prior": _errors(40), "after": _errors(20, seed=1)}
+    figure = draw_pose_errors(errors, "T", {("after", "position_error_m"): 20.9})
+    lines = [line for line in figure.axes[1].lines if line.get_linestyle() == ":"]
+    medians = sorted(float(table["position_error_m"].median()) for table in errors.values())
+    assert sorted(line.get_xdata()[0] for line in lines) == pytest.approx(medians)
+    assert [line.get_xdata()[0] for line in figure.axes[1].lines if line.get_marker() == "^"] == [20.9]
+
+
+def test_published_median_far_above_ours_is_still_on_the_axis():
+    figure = draw_pose_errors({"prior": _errors(1), "after": _errors(1)}, "T", {("prior", "position_error_m"): 45.3})
+    render(figure, "png")
+    assert figure.axes[1].get_xlim()[1] > 45.3
+
+
+def test_values_beyond_the_axis_are_told():
+    errors = _errors(1)
+    errors.loc[0, "position_error_m"] = 1e6
+    figure = draw_pose_errors({"prior": errors, "after": _errors(1, seed=1)}, "T")
+    limit = figure.axes[1].get_xlim()[1]
+    assert limit < 100
+    assert f"beyond {limit:g} m" in figure.axes[1].get_xlabel()
+
+
+def test_a_stage_that_nobody_reached_is_named_with_no_values():
+    empty = pd.DataFrame({"attitude_error_deg": [], "position_error_m": []}, dtype=float)
+    figure = draw_pose_errors({"prior": _errors(40), "after": empty}, "T")
+    labels = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
+    assert "after (n = 0)" in labels
+
+
+def test_cumulative_curve_ends_at_the_share_that_is_ok():
+    figure = draw_cumulative_errors({"a": (_errors(1, n=100), 400)}, "T")
+    for axes in figure.axes:
+        y = axes.lines[0].get_ydata()
+        assert np.all(np.diff(y) >= 0)
+        assert np.all(np.diff(axes.lines[0].get_xdata()) >= 0)
+        assert 0.24 <= y[-1] <= 0.25
+
+
+def test_theory_curve_is_chi_square_with_3_degrees_of_freedom():
+    figure = draw_landmark_errors(np.ones(5), stats.chi2(3).rvs(4000, random_state=1), "T")
+    curve = next(line for line in figure.axes[1].lines if "degrees" in str(line.get_label()))
+    x, y = (np.asarray(data) for data in curve.get_data())
+    np.testing.assert_allclose(y, np.sqrt(x) * np.exp(-x / 2) / np.sqrt(2 * np.pi), atol=1e-12)
+    heights, edges, _ = figure.axes[1].patches[0].get_data()
+    expected = np.diff(stats.chi2(3).cdf(edges)) * 4000
+    observed = heights * np.diff(edges) * 4000
+    statistic = np.sum((observed - expected)[expected > 5] ** 2 / expected[expected > 5])
+    assert statistic < stats.chi2((expected > 5).sum()).ppf(0.9999)
+
+
+@pytest.mark.parametrize("top", [0.003, 0.97, 1.0, 7.3, 99.0, 1234.0])
+def test_edges_hold_the_sample_and_end_on_a_round_number(top):
+    edges = shared_edges([np.linspace(0, top, 1000)])
+    assert edges[0] == 0
+    assert 0.989 * top <= edges[-1] <= 2 * top
+    assert float(f"{edges[-1]:.2g}") == pytest.approx(edges[-1])
+
+
+def test_ellipses_are_the_6_sigma_contours_on_the_image():
+    """Take the drawn outlines back from the canvas to pixels: each point lies at Mahalanobis distance 6."""
+    fit = _fit()
+    figure = draw_fit_panels(fit, "T")
+    figure.canvas.draw()
+    axes = figure.axes[0]
+    (ellipses,) = (c for c in axes.collections if isinstance(c, EllipseCollection))
+    shape = ellipses.get_paths()[0].vertices
+    to_image = axes.transData.inverted()
+    origin = ellipses.get_transform().transform([[0.0, 0.0]])
+    for i, centre in enumerate(fit.before.landmarks_px):
+        outline = matplotlib.transforms.Affine2D(ellipses.get_transforms()[i]).transform(shape)
+        on_canvas = ellipses.get_transform().transform(outline) - origin + axes.transData.transform(centre)
+        offset = to_image.transform(on_canvas) - centre
+        squares = np.einsum("ni,ij,nj->n", offset, np.linalg.inv(fit.before.covariances_px2[i]), offset)
+        on_curve = squares > 30  # the path's control points lie outside, its knots on the curve
+        assert squares[on_curve].min() == pytest.approx(MATCH_SIGMAS**2, rel=1e-3)
+
+
+def test_image_edges_and_marks_share_the_pixel_convention():
+    """The centre of the first pixel is (0.5, 0.5), u to the right and v down, in all three panels."""
+    fit = _fit()
+    figure = draw_fit_panels(fit, "T")
+    for axes in figure.axes:
+        assert axes.images[0].get_extent() == [0, 240, 200, 0]
+        assert axes.get_ylim()[0] > axes.get_ylim()[1]
+    first, _, third = figure.axes
+    (mesh,) = (c for c in first.collections if isinstance(c, LineCollection))
+    np.testing.assert_array_equal(np.stack(mesh.get_segments()), fit.before.edges_px)
+    free, matched = third.lines
+    np.testing.assert_array_equal(np.column_stack(matched.get_data()), fit.corners_px[fit.matched])
+    np.testing.assert_array_equal(np.column_stack(free.get_data()), fit.corners_px[~fit.matched])

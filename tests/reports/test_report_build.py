@@ -1,0 +1,170 @@
+import re
+import shutil
+from html.parser import HTMLParser
+
+import pandas as pd
+import pytest
+
+from reports.build import write_report
+from scenarios.errors import BoresightError
+
+VOID = {"meta", "img", "br", "link", "hr", "input"}
+
+
+class Page(HTMLParser):
+    """Collects tags, attributes and text, and checks that tags nest."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.text, self.open = [], [], []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+def _page(files):
+    return Page(files.html.read_text(encoding="utf-8"))
+
+
+def test_report_holds_every_table_and_figure(report):
+    files = report
+    assert files.folder.name == "report"
+    assert sorted(p.name for p in files.tables) == ["failures.csv", "table.csv", "timings.csv"]
+    stems = {p.stem for p in files.figures}
+    assert stems == {
+        "pose_errors_itokawa_landmark-harris",
+        "landmark_errors_itokawa_landmark-harris",
+        "landmark_counts_itokawa_landmark-harris",
+        "cumulative_errors_itokawa",
+    }
+    assert sorted(p.name for p in files.folder.iterdir()) == sorted(
+        p.name for p in (*files.tables, *files.figures, files.html, files.markdown)
+    )
+
+
+def test_csv_carries_the_numbers_behind_the_tables(report):
+    files = report
+    table = pd.read_csv(files.folder / "table.csv")
+    rows = pd.read_parquet(files.folder.parent / "rows")
+    ok = rows[(rows["estimator"] == "landmark-harris") & (rows["status"] == "ok")]
+    (line,) = table[(table["published"] == 20.9)].to_dict("records")
+    assert line["value"] == pytest.approx(ok["position_error_m"].median())
+    assert line["low"] < line["value"] < line["high"]
+    assert (line["n_ok"], line["n"], line["place"]) == (114, 120, "section 4.2.1")
+    assert "seconds" not in set(table["measure"])
+    assert set(pd.read_csv(files.folder / "timings.csv")["measure"]) == {"seconds"}
+    assert len(pd.read_csv(files.folder / "failures.csv")) == 6
+
+
+def test_page_is_self_contained_and_accessible(report):
+    files = report
+    page = _page(files)
+    assert not page.all("script")
+    assert not page.all("link")
+    assert not page.all("a")
+    images = page.all("img")
+    assert len(images) == len(files.figures) / 2
+    assert all(i["src"].startswith("data:image/png;base64,") and len(i["alt"]) > 20 for i in images)
+    css = files.html.read_text(encoding="utf-8").split("<style>")[1].split("</style>")[0]
+    assert not re.search(r"url\(|@import|https?:", css)
+    assert page.all("html")[0]["lang"] == "en"
+    assert all(th["scope"] == "col" for th in page.all("th"))
+
+
+def test_page_says_what_was_run_and_escapes_it(full_run):
+    files = write_report(full_run(commit="abc123", command="boresight run x --set 'a=<b>'"))
+    text = "".join(_page(files).text)
+    assert "Landmarks on <Itokawa>" in text
+    assert "abc123" in text
+    assert "boresight run x --set 'a=<b>'" in text
+    assert "3 landmarks | 4 are needed" in text
+    assert "section 4.2.1" in text
+    assert "<Itokawa>" not in files.html.read_text(encoding="utf-8")
+
+
+def test_page_reproduces_by_name_seed_and_trials_where_no_command_is_stored(report):
+    text = "".join(_page(report).text)
+    assert "boresight run rowell2015-simulated --trials 120 --seed 7" in text
+
+
+def test_unfinished_run_says_so(full_run, report):
+    files = write_report(full_run(trials=6000))
+    assert "Unfinished: 120 of 6000 trials" in "".join(_page(files).text)
+    assert "120 of 6000 trials" in files.markdown.read_text()
+    assert "Unfinished" not in "".join(_page(report).text)
+
+
+def test_credit_lines_stand_under_every_figure_and_at_the_end(full_run):
+    credit = "ESA/Rosetta/NAVCAM, CC BY-SA IGO 3.0"
+    files = write_report(full_run(credits=[credit]))
+    page = _page(files)
+    assert "".join(page.text).count(credit) == len(page.all("figure")) + 1
+    assert credit in files.markdown.read_text()
+
+
+def test_what_is_not_stored_is_left_out_and_said(builder):
+    for trial in range(3):
+        builder.trial(trial, ([3, 4, 0], 1), ([1, 1, 0], 1))
+    files = write_report(builder.write())
+    assert not [p for p in files.figures if p.stem.startswith("landmark_errors")]
+    assert "left out: stages, landmarks, timings" in files.markdown.read_text()
+    assert "Time per stage" not in files.markdown.read_text()
+
+
+def test_a_run_in_which_everything_failed_is_still_reported(builder):
+    builder.trial(0, ([3, 4, 0], 1), None, reason="black image")
+    files = write_report(builder.write(report="rowell2015-simulated"))
+    text = "".join(_page(files).text)
+    assert "black image" in text
+    assert "not measured" in text
+
+
+def test_same_rows_give_the_same_bytes(report, tmp_path):
+    first, second = report, write_report(report.folder.parent, tmp_path / "b")
+    names = sorted(p.name for p in first.folder.iterdir())
+    assert names == sorted(p.name for p in second.folder.iterdir())
+    for name in names:
+        assert (first.folder / name).read_bytes() == (second.folder / name).read_bytes(), name
+
+
+def test_failed_writing_leaves_the_former_report_untouched(report, tmp_path, monkeypatch):
+    run, out = report.folder.parent, tmp_path / "out"
+    shutil.copytree(report.folder, out)
+    (out / "mine.txt").write_text("kept")
+    before = {p.name: p.read_bytes() for p in out.iterdir()}
+
+    def full_disk(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("reports.build.save_figure", full_disk)
+    with pytest.raises(BoresightError, match="No space left on device"):
+        write_report(run, out)
+    assert {p.name: p.read_bytes() for p in out.iterdir()} == before
+
+
+def test_out_that_is_a_file_is_refused(full_run, tmp_path):
+    out = tmp_path / "out"
+    out.write_text("a file")
+    with pytest.raises(BoresightError, match="cannot be written"):
+        write_report(full_run(), out)
+    assert out.read_text() == "a file"
+
+
+def test_unknown_published_values_are_refused_before_anything_is_written(full_run):
+    run = full_run(report="rowell2016")
+    with pytest.raises(BoresightError, match="rowell2016"):
+        write_report(run)
+    assert not (run / "report").exists()

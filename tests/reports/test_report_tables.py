@@ -1,0 +1,117 @@
+import io
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from reports.console import console_table
+from reports.content import read_content
+from reports.measures import Record
+from reports.tables import Grid, number, pose_grids, reference_grid, timing_grid, value_of
+
+LINE = Record("s", "e", "recognition", "", "position_error_m", "m", "median", 20.94, 19.06, 121.4, 9, 10)
+
+
+@pytest.mark.parametrize(
+    ("value", "printed"),
+    [(20.94, "20.9"), (0.0581, "0.0581"), (2.0, "2.00"), (119.4, "119"), (0.0, "0"), (-3.456, "-3.46"), (None, "-")],
+)
+def test_numbers_have_three_digits(value, printed):
+    assert number(value) == printed
+
+
+@pytest.mark.parametrize(
+    ("changes", "printed"),
+    [
+        ({}, "20.9 [19.1, 121]"),
+        ({"low": None, "high": None}, "20.9"),
+        ({"value": None, "low": None, "high": None}, "-"),
+        ({"measure": "seconds", "unit": "s", "value": 0.0067, "low": 0.0066, "high": 0.0068}, "6.70 ms [6.60, 6.80]"),
+        ({"measure": "seconds", "unit": "s", "value": 32.7, "low": 30.0, "high": 33.0}, "32.7 s [30.0, 33.0]"),
+        ({"statistic": "count", "value": 1409.0, "low": 1409.0, "high": 1409.0}, "1409"),
+    ],
+)
+def test_values_are_printed_with_interval_and_unit(changes, printed):
+    assert value_of(replace(LINE, **changes), interval=True) == printed
+
+
+def test_markdown_keeps_a_cell_with_a_bar_in_one_piece():
+    text = Grid("T", ("a", "b"), (("x | y", "1"),), note="N.").markdown()
+    assert text == "### T\n\nN.\n\n| a | b |\n| :-- | --: |\n| x \\| y | 1 |\n"
+
+
+def test_pose_table_shows_the_common_prior_once_and_every_stage(full_run):
+    content = read_content(full_run())
+    (grid,) = pose_grids(content.records)
+    assert [row[:3] for row in grid.rows] == [
+        ("", "prior", "120/120"),
+        ("landmark-harris", "after centroiding", "120/120"),
+        ("landmark-harris", "after recognition", "114/120"),
+        ("landmark-harris", "failures at prior", "120/120"),
+    ]
+    assert all(len(row) == len(grid.columns) for row in grid.rows)
+
+
+def test_line_of_failures_is_left_out_where_there_are_none(builder):
+    builder.trial(0, ([1, 0, 0], 1), ([1, 0, 0], 1))
+    builder.trial(1, ([2, 0, 0], 1), ([1, 0, 0], 1))
+    (grid,) = pose_grids(read_content(builder.write()).records)
+    assert [row[1] for row in grid.rows] == ["prior", "final"]
+
+
+def test_one_trial_prints_values_without_intervals_and_none_prints_dashes(builder):
+    builder.trial(0, ([3, 4, 0], 1), None, reason="black image")
+    (grid,) = pose_grids(read_content(builder.write()).records)
+    prior, final, _ = grid.rows
+    assert prior[3] == "5.00"
+    assert final[2:] == ("0/1", *("-",) * 9)
+
+
+def test_references_stand_below_the_truth_by_its_name(builder):
+    builder.trial(0, ([3, 4, 0], 1), ([3, 4, 0], 1), image="a.png")
+    axes = dict.fromkeys(("position_error_x_m", "position_error_y_m", "position_error_z_m"), 1.0)
+    key = {"trial": 0, "scenario": "itokawa", "estimator": "landmark-harris", "reference": "label"}
+    builder.add("references", **key, position_error_m=10.0, attitude_error_deg=2.0, **axes)
+    content = read_content(builder.write(scenarios={"itokawa": {"images": {"truth": "ref"}}}))
+    grid = reference_grid(content.records, content.run)
+    assert [(row[1], row[3]) for row in grid.rows] == [("ref", "5.00"), ("label", "10.0")]
+    assert any("neither is exact truth" in note for note in content.notes)
+
+
+def test_published_values_stand_beside_ours_and_find_the_only_data_base(full_run):
+    content = read_content(full_run())
+    verdicts = {(c.published.measure, c.published.stage, c.published.statistic): c.verdict for c in content.compared}
+    assert verdicts["database_landmarks", "database", "count"] == "reproduced"
+    assert verdicts["seconds", "mesh_rendering", "median"] == "context"
+    assert verdicts["seconds", "feature_extraction", "median"] == "not measured"
+    table = content.table()
+    ours = table[(table["measure"] == "position_error_m") & (table["published"] == 20.9)]
+    assert list(ours["stage"]) == ["recognition"]
+    assert (table["published"].notna().sum()) == sum(c.ours is not None for c in content.compared)
+
+
+def test_a_data_base_of_nobody_is_not_given_to_one_of_several_estimators(builder):
+    for estimator in ("a", "b"):
+        builder.trial(0, ([3, 4, 0], 1), ([3, 4, 0], 1), estimator=estimator)
+    product = {"kind": "landmark-database", "n_landmarks": 412, "n_facets": 820}
+    content = read_content(builder.write(report="rowell2015-simulated", products=[product]))
+    of_database = [c.verdict for c in content.compared if c.published.stage == "database"]
+    assert of_database == ["not measured"] * 4
+
+
+def test_timing_table_names_the_work_done(full_run):
+    grid = timing_grid(read_content(full_run()).records)
+    assert [row[2] for row in grid.rows] == ["data base image rendering", "recognition and pose estimation"]
+    assert grid.rows[0][3].split()[1] == "ms"
+    assert grid.rows[1][3].split()[1] == "s"
+
+
+def test_terminal_table_fits_80_columns(full_run):
+    out = io.StringIO()
+    Console(file=out, width=80, force_terminal=False).print(console_table(full_run()))
+    lines = out.getvalue().splitlines()
+    assert max(len(line) for line in lines) <= 80
+    rows = [line for line in lines if line.startswith("after recognition")]
+    assert len(rows) == 1
+    assert "114/120" in rows[0]
+    assert any("reproduced" in line for line in lines)
