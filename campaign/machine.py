@@ -11,7 +11,7 @@ from pathlib import Path
 
 import cv2
 
-from renderers.mitsuba3 import cap_threads
+from renderers.mitsuba3 import limit_threads
 
 PACKAGES = (
     "boresight", "numpy", "scipy", "opencv-python-headless", "mitsuba", "drjit", "trimesh", "pandas", "pyarrow",
@@ -33,7 +33,7 @@ def memory_gib() -> float:
 def use_threads(jobs: int) -> None:
     """Give this worker cores / jobs threads: two workers with two threads each on two cores are far slower."""
     threads = max(1, cores() // max(1, jobs))
-    cap_threads(threads)
+    limit_threads(threads)
     cv2.setNumThreads(threads)
 
 

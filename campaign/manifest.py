@@ -15,9 +15,7 @@ from estimators.landmark.database import LandmarkDatabase
 from scenarios.load import canonical_json
 
 
-def make_manifest(
-    campaign: ResolvedCampaign, trials: int, run: Path, variant: str, command: str
-) -> dict[str, object]:
+def make_manifest(campaign: ResolvedCampaign, trials: int, run: Path, variant: str, command: str) -> dict[str, object]:
     """Describe a run before its first trial."""
     return {
         "format": FORMAT_VERSION,
@@ -31,7 +29,7 @@ def make_manifest(
         "trials": trials,
         "estimators": list(campaign.labels),
         "scenarios": {s.spec.name: json.loads(canonical_json(s.spec)) for s in campaign.scenarios},
-        "credit": sorted({s.spec.images.credit for s in campaign.scenarios if s.spec.images and s.spec.images.credit}),
+        "credits": sorted({s.spec.images.credit for s in campaign.scenarios if s.spec.images and s.spec.images.credit}),
         "created": now(),
         "command": command,
         "commit": _commit(),
@@ -63,11 +61,11 @@ def _product(folder: Path) -> dict[str, object]:
     }
 
 
-def _commit() -> str | None:
-    """Return the commit of the checkout that runs, or None outside a checkout."""
+def _commit() -> str:
+    """Return the commit of the checkout that runs; empty outside a checkout."""
     here = Path(__file__).parent
     try:
-        found = subprocess.run(  # noqa: S603  fixed arguments
+        found = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=12", "--match="],  # noqa: S607  git is where the user has it
             cwd=here, capture_output=True, text=True, timeout=10, check=False,
         )  # fmt: skip
@@ -76,5 +74,5 @@ def _commit() -> str | None:
             cwd=here, capture_output=True, timeout=10, check=False,
         )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired):
-        return None
-    return found.stdout.strip() if found.returncode == 0 and tracked.returncode == 0 else None
+        return ""
+    return found.stdout.strip() if found.returncode == 0 and tracked.returncode == 0 else ""

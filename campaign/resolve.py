@@ -88,7 +88,7 @@ def resolve(name_or_path: str, overrides: Sequence[str] = (), seed: int | None =
     loaded = load_campaign(name_or_path, CATALOG)
     spec = loaded.spec
     scenarios = tuple(
-        load_scenario(name, overrides, base=spec.overrides, near=loaded.path.parent) for name in spec.scenarios
+        load_scenario(name, overrides, base=loaded.overrides, near=loaded.path.parent) for name in spec.scenarios
     )
     names = [s.spec.name for s in scenarios]
     if len(set(names)) != len(names):
@@ -96,5 +96,3 @@ def resolve(name_or_path: str, overrides: Sequence[str] = (), seed: int | None =
     for entry in spec.estimators:
         estimator_class(entry.name)
     return ResolvedCampaign(spec, scenarios, spec.seed if seed is None else seed)
-
-

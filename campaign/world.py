@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from renderers.detector import Detector
 from renderers.images import PosedImageSet
-from renderers.mitsuba3 import MitsubaRenderer
+from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.bodies import Body, load_body
 from scenarios.draw import Stream, draw_view, generator
 from scenarios.errors import BoresightError
@@ -108,6 +108,19 @@ class World:
     typical_range_m: float
 
 
+def trial_limit(scenario: LoadedScenario) -> int | None:
+    """Return how many trials a scenario's real images are good for; None where images are rendered.
+
+    Every image is read once on the way, so that a damaged one is found before a campaign starts.
+    """
+    spec = scenario.spec
+    if spec.images is None:
+        return None
+    images = PosedImageSet.open(spec.images, spec.camera.camera(), scenario.search_dirs)
+    images.check_images()
+    return len(images) * spec.images.noise_realisations
+
+
 @lru_cache(maxsize=1)
 def open_world(scenario: LoadedScenario, variant: str | None) -> World:
     """Build a scenario's world once per process; scenes do not pickle, so every worker has its own."""
@@ -115,15 +128,18 @@ def open_world(scenario: LoadedScenario, variant: str | None) -> World:
     camera = spec.camera.camera()
     body = load_body(spec.body, scenario.search_dirs)
     renderer = MitsubaRenderer(
-        body.mesh, spec.brdf, samples_per_pixel=spec.rendering.samples_per_pixel, shading=spec.body.shading,
-        variant=variant,
+        body.mesh,
+        spec.brdf,
+        samples_per_pixel=spec.rendering.samples_per_pixel,
+        shading=spec.body.shading,
+        variant=choose_variant(variant),
     )
     if spec.images is not None:
         images = PosedImageSet.open(spec.images, camera, scenario.search_dirs)
-        ranges = [np.linalg.norm(images.view(i, spec.images.truth).T_cam_body.translation_m) for i in range(len(images))]
-        source: Source = RealSource(
-            images, spec.images.truth, spec.images.also_score, spec.images.noise_realisations
-        )
+        ranges = [
+            np.linalg.norm(images.view(i, spec.images.truth).T_cam_body.translation_m) for i in range(len(images))
+        ]
+        source: Source = RealSource(images, spec.images.truth, spec.images.also_score, spec.images.noise_realisations)
         return World(scenario, camera, body, renderer, source, float(np.median(ranges)))
     if spec.viewpoint is None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")

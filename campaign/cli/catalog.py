@@ -93,7 +93,7 @@ def _is_campaign(name: str) -> bool:
         return True
     if name in scenario_names():
         return False
-    return file_kind(Path(name)) == "campaign"
+    return file_kind(Path(name), campaign_names()) == "campaign"
 
 
 def _schema(arguments: argparse.Namespace) -> int:

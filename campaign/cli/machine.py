@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import os
 from typing import TYPE_CHECKING
 
+from rich.table import Table
+
 from campaign.cli.terminal import console
-from campaign.machine import cores, memory_gib, package_versions, processor
-from renderers.mitsuba3 import choose_variant, find_llvm
-from scenarios import cache
+from campaign.machine import cores, describe, memory_gib, package_versions
+from renderers.mitsuba3 import choose_variant, find_llvm, gpu_status
+from scenarios.cache import default_cache
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction
+
+_COMFORTABLE_GIB = 8.0
 
 
 def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -24,16 +29,46 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _doctor(_: argparse.Namespace) -> int:
+    variant, search, machine = choose_variant(), find_llvm(), describe()
+    facts = Table(box=None, show_header=False, pad_edge=False)
+    facts.add_row("system", f"{machine['system']}, Python {machine['python']}")
+    facts.add_row("processor", f"{machine['processor']}, {cores()} core(s) for this process")
+    facts.add_row("memory", f"{memory_gib():.1f} GiB")
+    facts.add_row("GPU", gpu_status())
+    facts.add_row("Mitsuba variant", f"{variant.name}: {variant.why}")
+    facts.add_row("libLLVM", f"{search.found.version}, {search.found.path}" if search.found else "none that is usable")
+    for rejected in search.rejected:
+        facts.add_row("", f"not taken: {rejected.path}: {rejected.reason}")
+    facts.add_row("BORESIGHT_DATA", os.environ.get("BORESIGHT_DATA", "not set"))
+    facts.add_row("cache", str(default_cache().root))
+    for name, version in package_versions().items():
+        facts.add_row(name, version)
+    out = console()
+    out.print(facts)
+    advice = _advice(variant.advice)
+    out.print("\n".join(["", "What to do:", *(f"- {line}" for line in advice)]) if advice else "\nNothing is missing.")
     return 0
 
 
+def _advice(about_variant: str) -> list[str]:
+    missing = [name for name, version in package_versions().items() if version == "missing"]
+    lines = [about_variant] if about_variant else []
+    if missing:
+        lines.append(f"install {', '.join(missing)}: pip install -c constraints.txt {' '.join(missing)}")
+    if memory_gib() / cores() < _COMFORTABLE_GIB / 2:
+        lines.append("a worker with a 3.1 M facet body takes up to 4 GiB: use fewer --jobs on such bodies")
+    if "BORESIGHT_DATA" not in os.environ:
+        lines.append("set BORESIGHT_DATA to the folder of your shapes and images to run the campaigns that need them")
+    return lines
+
+
 def _cache(arguments: argparse.Namespace) -> int:
-    out = console()
+    out, cache = console(), default_cache()
     if arguments.clear:
-        freed = cache.clear()
-        out.print(f"{cache.place()}: cleared, {freed / 2**20:.1f} MiB freed")
+        freed = cache.size_bytes()
+        out.print(f"{cache.root}: {cache.clear()} entries removed, {freed / 2**20:.1f} MiB freed")
         return 0
-    out.print(f"{cache.place()}: {cache.size_bytes() / 2**20:.1f} MiB of {cache.limit_bytes() / 2**30:.1f} GiB")
+    out.print(f"{cache.root}: {cache.size_bytes() / 2**20:.1f} MiB of {cache.limit_bytes / 2**30:.1f} GiB")
     for entry in cache.entries():
-        out.print(f"  {entry.kind}  {entry.key}  {entry.size_bytes / 2**20:.1f} MiB")
+        out.print(f"  {entry.kind}  {entry.key[:20]}  {entry.size_bytes / 2**20:.1f} MiB")
     return 0

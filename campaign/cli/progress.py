@@ -93,6 +93,4 @@ class ProgressListener:
         if self._bar.disable and due:
             self._last_line = time.monotonic()
             left = (self._total - self._done) / max(rate, 1e-9)
-            self._console.print(
-                f"{self._done}/{self._total} trials, {rate:.1f}/s, {left:.0f} s left, median {median}"
-            )
+            self._console.print(f"{self._done}/{self._total} trials, {rate:.1f}/s, {left:.0f} s left, median {median}")

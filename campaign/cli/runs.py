@@ -15,8 +15,10 @@ from campaign.machine import cores
 from campaign.resolve import ResolvedCampaign, resolve
 from campaign.runner import RunRequest, run_campaign
 from campaign.store import RunFolder
+from campaign.world import trial_limit
 from renderers.mitsuba3 import choose_variant
-from reports.build import console_table, write_report
+from reports.build import write_report
+from reports.console import console_table
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -108,7 +110,9 @@ def _status(arguments: argparse.Namespace) -> int:
     done = len(rows[["scenario", "trial"]].drop_duplicates())
     out = console()
     out.print(f"{folder.path}: {manifest['name']}, {done} of {total} trials stored, seed {manifest['seed']}")
-    out.print(f"started {manifest['created']}, {'finished ' + manifest['finished'] if done >= total and 'finished' in manifest else 'not finished: run the same command to continue'}")
+    out.print(
+        f"started {manifest['created']}, {'finished ' + manifest['finished'] if done >= total and 'finished' in manifest else 'not finished: run the same command to continue'}"
+    )
     for (scenario, estimator), group in rows.groupby(["scenario", "estimator"]):
         counts = group["status"].value_counts()
         out.print(f"  {scenario} / {estimator}: " + ", ".join(f"{n} {status}" for status, n in counts.items()))

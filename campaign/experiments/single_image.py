@@ -121,11 +121,11 @@ class SingleImage:
         """
         if table is None or len(table["landmark"]) == 0:
             return []
-        uv = np.column_stack([table["u_px"], table["v_px"]])
+        uv = _columns(table, "u_px", "v_px")
         seen = self.world.renderer.surface(sight.view, uv).points_body_m
-        offset = seen - np.column_stack([table["x_m"], table["y_m"], table["z_m"]])
+        offset = seen - _columns(table, "x_m", "y_m", "z_m")
         names = ("sxx", "sxy", "sxz", "sxy", "syy", "syz", "sxz", "syz", "szz")
-        covariance = np.stack([table[f"{name}_m2"] for name in names], axis=1).reshape(-1, 3, 3)
+        covariance = _columns(table, *(f"{name}_m2" for name in names)).reshape(-1, 3, 3)
         weighted = np.linalg.solve(covariance, offset[..., None])[..., 0]
         errors = np.linalg.norm(offset, axis=1)
         squares = np.einsum("ni,ni->n", offset, weighted)
@@ -139,6 +139,10 @@ class SingleImage:
             }
             for landmark, (u, v), error, square in zip(table["landmark"], uv, errors, squares, strict=True)
         ]
+
+
+def _columns(table: Table, *names: str) -> NDArray[np.float64]:
+    return np.column_stack([np.asarray(table[name], dtype=np.float64) for name in names])
 
 
 def _references(final: Pose | None, sight: Sight) -> list[Record]:

@@ -51,7 +51,7 @@ def _candidates(
 
 
 def _view(world: World, options: DatabaseOptions, image: int) -> View:
-    viewpoint = ViewpointSpec(range_m=options.range_m or world.typical_range_m)
+    viewpoint = ViewpointSpec(range_m=world.typical_range_m)
     lighting = LightingSpec(phase_deg=Uniform(uniform=(0.0, options.phase_deg_max)))
     return draw_lit_view(viewpoint, lighting, world.camera, generator(options.seed, Stream.DATABASE, image))
 

@@ -12,9 +12,9 @@ from pathlib import Path
 from campaign.products import landmark_database
 from estimators.contract import ImageRenderer
 from estimators.landmark.build import DatabaseOptions
-from renderers.mitsuba3 import MitsubaRenderer
-from scenarios import cache
+from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.bodies import body_digest
+from scenarios.cache import default_cache
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.load import LoadedScenario, canonical_json
@@ -78,7 +78,9 @@ class Shelf:
     def mesh_renderer(self, mesh: TriangleMesh) -> ImageRenderer:
         """Return a renderer of ``mesh`` in the scenario's BRDF."""
         spec = self._scenario.spec
-        return MitsubaRenderer(mesh, spec.brdf, samples_per_pixel=1, shading="flat", variant=self._variant)
+        return MitsubaRenderer(
+            mesh, spec.brdf, samples_per_pixel=1, shading="flat", variant=choose_variant(self._variant)
+        )
 
     def product(self, kind: str, options: Mapping[str, object]) -> object:
         """Return a product, built first where that is allowed."""
@@ -102,7 +104,7 @@ class Shelf:
             about = {"seconds": time.perf_counter() - started, "images": options.images}
             (place / "built.json").write_text(json.dumps(about), encoding="utf-8")
 
-        cached = cache.folder(landmark_database.KIND, folder.name.rsplit("-", 1)[1], build)
+        cached = default_cache().folder(landmark_database.KIND, folder.name.rsplit("-", 1)[1], build)
         temporary = folder.with_name(f".{folder.name}.tmp")
         shutil.rmtree(temporary, ignore_errors=True)
         shutil.copytree(cached, temporary)

@@ -100,8 +100,10 @@ class RunFolder:
         """Read one stored table whole; an empty frame with its columns where nothing is stored."""
         folder = self.path / name
         if not any(folder.glob("*.parquet")):
-            return schema(name).empty_table().to_pandas()
-        return pd.read_parquet(folder)
+            empty: pd.DataFrame = schema(name).empty_table().to_pandas()
+            return empty
+        stored: pd.DataFrame = pd.read_parquet(folder)
+        return stored
 
     @staticmethod
     def table_names() -> tuple[str, ...]:

@@ -153,5 +153,3 @@ def test_pose_error_by_hand():
     assert shifted["position_error_m"] == pytest.approx(13.0)
     # The body moved by +3 in the camera's x: the camera moved by -3 along its own x in the body.
     assert [shifted[f"position_error_{axis}_m"] for axis in "xyz"] == pytest.approx([-3.0, 4.0, -12.0])
-
-

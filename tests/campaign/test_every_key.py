@@ -1,0 +1,234 @@
+"""Every key of the scenario schema changes the result: a dispersion that is never applied is the classic silent fault.
+
+One key at a time is overridden as on the command line, in a scenario where it applies, and the fingerprint of what
+an estimator sees (image, prior pose, its covariance, the Sun) and of the truth must change.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Union, get_args, get_origin
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+from campaign.experiments.single_image import SingleImage
+from campaign.world import open_world
+from scenarios.errors import BoresightError
+from scenarios.load import load_scenario
+from scenarios.spec.base import SpecModel
+from scenarios.spec.scenario import ScenarioSpec
+
+RENDERED = """
+body:
+  detail:
+    facets: 5000
+    boulders: {count: 60, min_diameter_m: 15, max_diameter_m: 60}
+    craters: {count: 10, min_diameter_m: 40, max_diameter_m: 120}
+    roughness: {rms_m: 4, max_wavelength_m: 200, min_wavelength_m: 20}
+    albedo: {sigma: 0.2, wavelength_m: 100}
+camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
+detector: {full_well_e: 3.0e+5, psf_sigma_px: 0.6}
+lighting: {phase_deg: {uniform: [20, 60]}}
+viewpoint: {range_m: 2000}
+"""
+OREN_NAYAR = RENDERED + "brdf: {kind: oren-nayar}\n"
+HAPKE = RENDERED + "brdf: {kind: hapke, c: 0.4}\n"
+OPPOSITION = HAPKE.replace("uniform: [20, 60]", "uniform: [0, 4]")
+GAUSSIAN = RENDERED + (
+    "pose_error: {position_cam_m: {normal: [9, 9, 2]}, attitude: {rotation_vector_deg: {normal: [1, 1, 1]}}}\n"
+)
+ANGLE = RENDERED + "pose_error: {position_cam_px: {normal: [9, 9, 2]}, attitude: {angle_deg: {normal: 1}}}\n"
+UNIFORM = RENDERED + (
+    "pose_error: {position_cam_px: {uniform: [[-9, 9], [-9, 9], [-2, 2]]},"
+    " attitude: {rotation_vector_deg: {uniform: [[-1, 1], [-1, 1], [-1, 1]]}}}\n"
+)
+SHAPE = RENDERED.replace("body:\n", "body:\n  shape: egg.obj\n  unit: m\n")
+GRID = RENDERED.replace("body:\n", "body:\n  shape: grid.tab\n  unit: m\n  format: pds-grid\n")
+REAL = """
+body: {shape: sphere}
+camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
+images: {folder: set, truth: ref, also_score: [label], noise_realisations: 2}
+"""
+
+# key: (scenario, new value)
+CHANGES: dict[str, tuple[str, str]] = {
+    "body.shape": (RENDERED, "sphere"),
+    "body.unit": (SHAPE, "km"),
+    "body.longitude": (GRID, "west"),
+    "body.shading": (RENDERED, "smooth"),
+    "body.detail.facets": (RENDERED, "40000"),
+    "body.detail.seed": (RENDERED, "1"),
+    "body.detail.boulders.count": (RENDERED, "90"),
+    "body.detail.boulders.min_diameter_m": (RENDERED, "25"),
+    "body.detail.boulders.max_diameter_m": (RENDERED, "90"),
+    "body.detail.boulders.exponent": (RENDERED, "1.5"),
+    "body.detail.boulders.height_ratio": (RENDERED, "0.7"),
+    "body.detail.craters.count": (RENDERED, "20"),
+    "body.detail.craters.min_diameter_m": (RENDERED, "60"),
+    "body.detail.craters.max_diameter_m": (RENDERED, "160"),
+    "body.detail.craters.exponent": (RENDERED, "1.2"),
+    "body.detail.craters.depth_ratio": (RENDERED, "0.2"),
+    "body.detail.craters.rim_ratio": (RENDERED, "0.08"),
+    "body.detail.roughness.rms_m": (RENDERED, "7"),
+    "body.detail.roughness.hurst": (RENDERED, "0.4"),
+    "body.detail.roughness.max_wavelength_m": (RENDERED, "120"),
+    "body.detail.roughness.min_wavelength_m": (RENDERED, "60"),
+    "body.detail.albedo.sigma": (RENDERED, "0.4"),
+    "body.detail.albedo.wavelength_m": (RENDERED, "60"),
+    "camera.width_px": (RENDERED, "52"),
+    "camera.height_px": (RENDERED, "44"),
+    "camera.fov_deg": (RENDERED, "20"),
+    "camera.focal_px": (RENDERED, "[150, 151]"),
+    "camera.principal_point_px": (RENDERED, "[25, 19]"),
+    "rendering.samples_per_pixel": (RENDERED, "9"),
+    "detector.psf_sigma_px": (RENDERED, "1.0"),
+    "detector.exposure_s": (RENDERED, "0.2"),
+    "detector.white_e_per_s": (RENDERED, "1.0e+6"),
+    "detector.dark_e_per_s": (RENDERED, "1000"),
+    "detector.full_well_e": (RENDERED, "20000"),
+    "detector.read_noise_e": (RENDERED, "60"),
+    "detector.shot_noise": (RENDERED, "false"),
+    "detector.gain_e_per_dn": (RENDERED, "40"),
+    "detector.offset_dn": (RENDERED, "20"),
+    "detector.bits": (RENDERED, "8"),
+    "brdf.kind": (RENDERED, "oren-nayar"),
+    "brdf.albedo": (RENDERED, "0.5"),
+    "brdf.sigma_deg": (OREN_NAYAR, "40"),
+    "brdf.form": (OREN_NAYAR, "qualitative"),
+    "brdf.w": (HAPKE, "0.6"),
+    "brdf.b": (HAPKE, "0.5"),
+    "brdf.c": (HAPKE, "0.9"),
+    "brdf.B0": (OPPOSITION, "0.4"),
+    "brdf.h": (OPPOSITION, "0.1"),
+    "brdf.theta_bar_deg": (HAPKE, "10"),
+    "brdf.H_function": (HAPKE, "'1981'"),
+    "viewpoint.range_m": (RENDERED, "2100"),
+    "viewpoint.roll_deg.uniform": (RENDERED, "[0, 10]"),
+    "viewpoint.latitude_deg.uniform": (RENDERED, "[-5, 5]"),
+    "lighting.phase_deg.uniform": (RENDERED, "[30, 80]"),
+    "lighting.measure": (RENDERED, "angle"),
+    "pose_error.position_cam_m.uniform": (RENDERED, "[[-5, 5], [-5, 5], [-1, 1]]"),
+    "pose_error.position_cam_m.normal": (GAUSSIAN, "[9, 9, 4]"),
+    "pose_error.position_cam_px.uniform": (UNIFORM, "[[-9, 9], [-9, 9], [-1, 1]]"),
+    "pose_error.position_cam_px.normal": (ANGLE, "[9, 8, 2]"),
+    "pose_error.attitude.angle_deg.uniform": (RENDERED, "[-1, 1]"),
+    "pose_error.attitude.angle_deg.normal": (ANGLE, "2"),
+    "pose_error.attitude.rotation_vector_deg.uniform": (UNIFORM, "[[-1, 1], [-1, 1], [-2, 2]]"),
+    "pose_error.attitude.rotation_vector_deg.normal": (GAUSSIAN, "[1, 1, 2]"),
+    "images.folder": (REAL, "other"),
+    "images.table": (REAL, "more.csv"),
+    "images.first_row": (REAL, "bottom"),
+    "images.truth": (REAL, "third"),
+    "images.also_score": (REAL, "[third]"),
+    "images.noise_realisations": (REAL, "1"),
+}
+# Keys that change no result, each with its reason.
+NO_RESULT = {
+    "name": "names the scenario in tables",
+    "description": "prose",
+    "images.credit": "printed below figures",
+    "body.format": "says how to read the file; a wrong one is refused",
+    "body.expected_diameter_m": "a guard: a body outside is refused",
+    "viewpoint.kind": "has one value",
+    "pose_error.attitude.axis": "has one value",
+}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("keys")
+    trimesh.creation.icosphere(subdivisions=2, radius=200.0).apply_scale([1.5, 1.0, 0.8]).export(folder / "egg.obj")
+    lines = [
+        f"{latitude:9.3f} {longitude:9.3f} {200 + 30 * np.sin(np.radians(longitude)):9.3f}"
+        for latitude in range(-90, 91, 15)
+        for longitude in range(0, 361, 15)
+    ]
+    (folder / "grid.tab").write_text("\n".join(lines) + "\n")
+    for number, name in enumerate(("set", "other")):
+        _write_image_set(folder / name, np.random.default_rng(number))
+    return folder
+
+
+def _write_image_set(folder: Path, rng: np.random.Generator) -> None:
+    folder.mkdir()
+    for name in ("a.png", "b.png"):
+        cv2.imwrite(str(folder / name), rng.integers(0, 255, (40, 48), dtype=np.uint8))
+    for table, shift in (("poses.csv", 0.0), ("more.csv", 5.0)):
+        with (folder / table).open("w", newline="") as stream:
+            writer = csv.writer(stream)
+            head = ["file", "time_s", "sun_body_x", "sun_body_y", "sun_body_z"]
+            prefixes = ("ref", "label", "third")
+            parts = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+            writer.writerow(head + [f"{prefix}_{part}" for prefix in prefixes for part in parts])
+            for time_s, name in enumerate(("a.png", "b.png")):
+                poses = [[1, 0, 0, 0, k + shift, 0, 2000] for k in range(3)]
+                writer.writerow([name, time_s, 0, 0, -1, *(x for pose in poses for x in pose)])
+
+
+def leaves(model: type[SpecModel], prefix: str = "") -> Iterator[str]:
+    """Yield the dotted name of every key of the schema that holds a value."""
+    for name, field in model.model_fields.items():
+        models = list(_models(field.annotation))
+        if not models:
+            yield prefix + name
+        for inner in models:
+            yield from leaves(inner, f"{prefix}{name}.")
+
+
+def _models(annotation: object) -> Iterator[type[SpecModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, SpecModel):
+        yield annotation
+    elif get_origin(annotation) in (Union, UnionType, Annotated):
+        for argument in get_args(annotation):
+            yield from _models(argument)
+
+
+def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
+    """Hash what three trials show to an estimator, and the truth that they are scored against."""
+    world = open_world(load_scenario(str(file), overrides), None)
+    experiment = SingleImage(world, {}, seed=3)
+    parts = []
+    for trial in range(3):
+        try:
+            sight = world.source.sight(3, trial)
+        except BoresightError as error:
+            parts.append(str(error).encode())
+            continue
+        frame = experiment.observe(sight, trial).frames[0]
+        truths = [sight.view.T_cam_body, *(view.T_cam_body for view in sight.further.values())]
+        poses = [array for pose in (*truths, frame.prior_T_cam_body) for array in (pose.rotation, pose.translation_m)]
+        arrays = [sight.image, frame.sun_dir_cam, frame.prior_covariance, *poses]
+        parts += [np.ascontiguousarray(array).tobytes() for array in arrays]
+        parts += [name.encode() for name in sight.further]
+    return hashlib.sha256(b"|".join(parts)).hexdigest()
+
+
+_BASELINES: dict[str, str] = {}
+
+
+def test_every_key_of_the_schema_is_here():
+    found = set(leaves(ScenarioSpec))
+    listed = set(CHANGES) | set(NO_RESULT)
+    assert found == listed, f"not tested: {sorted(found - listed)}; no such key: {sorted(listed - found)}"
+
+
+@pytest.mark.parametrize("key", CHANGES)
+def test_changing_the_key_alone_changes_the_result(key: str, place: Path):
+    text, value = CHANGES[key]
+    file = place / f"base-{hashlib.sha256(text.encode()).hexdigest()[:8]}.yaml"
+    file.write_text(text)
+    before = _BASELINES.setdefault(text, fingerprint(file))
+    assert fingerprint(file, (f"{key}={value}",)) != before
+
+
+def test_the_fingerprint_itself_stands_still(place: Path):
+    file = place / "still.yaml"
+    file.write_text(RENDERED)
+    assert fingerprint(file) == fingerprint(file)
