@@ -8,7 +8,7 @@ realisations of one image share its difficulty and are not independent.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -128,60 +128,81 @@ def bootstrap(
     draws
         (S, B) values of each statistic.
     """
-    order = np.argsort(np.abs(values), kind="stable")  # sorts the squares
-    ordered = np.argsort(values, kind="stable")
+    n_clusters = int(codes.max()) + 1
+    sample = ClusteredSample(values, codes)
+    block = max(1, min(resamples, _CHUNK // max(len(values), n_clusters)))
     parts = []
-    for counts in _resampled_counts(int(codes.max()) + 1, len(values), resamples, rng):
-        part = []
-        for statistic in statistics:
-            index = order if statistic.power == 2 else ordered
-            part.append(weighted_statistic(values[index], counts[:, codes[index]], statistic))
-        parts.append(part)
+    for start in range(0, resamples, block):
+        counts = _draw_counts(n_clusters, min(block, resamples - start), rng)
+        parts.append(sample.evaluate(counts, statistics))
     return np.concatenate(parts, axis=1)
 
 
-def _resampled_counts(
-    n_clusters: int, n_values: int, resamples: int, rng: np.random.Generator
-) -> Iterator[NDArray[np.int64]]:
-    """Yield (b, C) numbers of times that each cluster was drawn, in blocks that fit in memory."""
-    block = max(1, min(resamples, _CHUNK // max(n_values, n_clusters)))
-    for start in range(0, resamples, block):
-        size = min(block, resamples - start)
-        drawn = rng.integers(0, n_clusters, size=(size, n_clusters)) + n_clusters * np.arange(size)[:, None]
-        yield np.bincount(drawn.ravel(), minlength=size * n_clusters).reshape(size, n_clusters)
+def _draw_counts(n_clusters: int, resamples: int, rng: np.random.Generator) -> NDArray[np.int32]:
+    """Draw (b, C) numbers of times that each cluster is in a resample of C clusters."""
+    drawn = rng.integers(0, n_clusters, size=(resamples, n_clusters)) + n_clusters * np.arange(resamples)[:, None]
+    counts = np.bincount(drawn.ravel(), minlength=resamples * n_clusters)
+    return counts.reshape(resamples, n_clusters).astype(np.int32)
 
 
-def weighted_statistic(values: FloatArray, counts: NDArray[np.integer], statistic: Statistic) -> FloatArray:
-    """Evaluate a statistic of samples in which ``values[i]`` occurs ``counts[b, i]`` times.
+class ClusteredSample:
+    """Numbers in clusters, sorted once, so that statistics of many resamples cost no sorting and no copying.
 
     Parameters
     ----------
-    values
-        (n,) sorted so that ``values ** power`` ascends.
-    counts
-        (b, n) occurrences, at least one in each row.
-    statistic
-        Evaluated as `Statistic.of` would on each repeated sample.
-
-    Returns
-    -------
-    evaluated
-        (b,).
+    values, codes
+        (n,) numbers and their cluster numbers 0..C-1.
     """
-    powers = values**statistic.power
-    if statistic.quantile is None:
-        reduced = (counts @ powers) / counts.sum(axis=1)
-    else:
-        reduced = _weighted_quantile(powers, counts, statistic.quantile)
-    return np.asarray(reduced ** (1 / statistic.power), dtype=np.float64)
+
+    def __init__(self, values: FloatArray, codes: NDArray[np.integer]) -> None:
+        self._values = values
+        self._codes = codes
+        self._orders = {1: np.argsort(values, kind="stable"), 2: np.argsort(np.abs(values), kind="stable")}
+        # Without negative numbers the squares ascend in the same order, and one pass serves both.
+        self._order_of = {1: 1, 2: 2 if np.any(values < 0) else 1}
+
+    def evaluate(self, counts: NDArray[np.int32], statistics: Sequence[Statistic]) -> FloatArray:
+        """Evaluate statistics of samples in which cluster c occurs ``counts[b, c]`` times.
+
+        Parameters
+        ----------
+        counts
+            (b, C), at least one value in each row.
+        statistics
+            S of them, each evaluated as `Statistic.of` would on the repeated sample.
+
+        Returns
+        -------
+        evaluated
+            (S, b).
+        """
+        cumulative: dict[int, NDArray[np.int32]] = {}
+        evaluated = []
+        for statistic in statistics:
+            if statistic.quantile is None:
+                reduced = self._mean(counts, statistic.power)
+            else:
+                key = self._order_of[statistic.power]
+                order = self._orders[key]
+                if key not in cumulative:
+                    cumulative[key] = np.cumsum(counts[:, self._codes[order]], axis=1, dtype=np.int32)
+                ascending = self._values[order] ** statistic.power
+                reduced = _quantile_of_counted(ascending, cumulative[key], statistic.quantile)
+            evaluated.append(reduced ** (1 / statistic.power))
+        return np.array(evaluated, dtype=np.float64)
+
+    def _mean(self, counts: NDArray[np.int32], power: int) -> FloatArray:
+        sums = np.bincount(self._codes, self._values**power, minlength=counts.shape[1])
+        sizes = np.bincount(self._codes, minlength=counts.shape[1])
+        return np.asarray((counts @ sums) / (counts @ sizes), dtype=np.float64)
 
 
-def _weighted_quantile(ascending: FloatArray, counts: NDArray[np.integer], quantile: float) -> FloatArray:
-    """Quantiles of repeated samples by numpy's linear rule, without repeating them."""
-    cumulative = np.cumsum(counts, axis=1)
+def _quantile_of_counted(ascending: FloatArray, cumulative: NDArray[np.int32], quantile: float) -> FloatArray:
+    """Quantiles, by numpy's linear rule, of samples given by the cumulative counts (b, n) of their sorted values."""
     position = (cumulative[:, -1] - 1) * quantile
-    below = np.floor(position).astype(np.int64)
-    ranks = np.stack([below, np.ceil(position).astype(np.int64)], axis=1)
+    below = np.floor(position)
+    # Ranks of the type of the counts: searchsorted would copy each row to another type.
+    ranks = np.stack([below, np.ceil(position)], axis=1).astype(cumulative.dtype)
     index = np.array([np.searchsorted(c, r, side="right") for c, r in zip(cumulative, ranks, strict=True)])
     low, high = ascending[index].T
     return np.asarray(low + (high - low) * (position - below), dtype=np.float64)

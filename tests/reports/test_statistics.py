@@ -2,7 +2,7 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -12,11 +12,11 @@ from reports.statistics import (
     P95,
     RMS,
     ROOT_MEDIAN_SQUARE,
+    ClusteredSample,
     Measured,
     bootstrap,
     content_rng,
     measure,
-    weighted_statistic,
 )
 
 ALL = (MEDIAN, MEAN, RMS, ROOT_MEDIAN_SQUARE, P95)
@@ -45,16 +45,19 @@ def test_statistics_of_an_exponential_sample_approach_their_closed_forms(statist
 
 
 @given(
-    st.lists(st.tuples(st.floats(-100, 100), st.integers(0, 4)), min_size=1, max_size=30).filter(
-        lambda pairs: any(count for _, count in pairs)
-    )
+    st.lists(st.tuples(st.floats(-100, 100), st.integers(0, 3)), min_size=4, max_size=30),
+    st.lists(st.integers(0, 4), min_size=4, max_size=4),
+    st.booleans(),
 )
-def test_weighted_statistic_equals_the_statistic_of_the_repeated_sample(pairs):
-    values, counts = (np.array(column) for column in zip(*pairs, strict=True))
-    for statistic in ALL:
-        order = np.argsort(values**statistic.power, kind="stable")
-        found = weighted_statistic(values[order], counts[order][None, :], statistic)
-        assert found[0] == pytest.approx(statistic.of(np.repeat(values, counts)), rel=1e-9, abs=1e-9)
+def test_resampled_statistics_equal_those_of_the_repeated_sample(pairs, counts, positive):
+    values, codes = (np.array(column) for column in zip(*pairs, strict=True))
+    values = np.abs(values) if positive else values
+    counts = np.array(counts, dtype=np.int32)
+    assume(counts[codes].sum() > 0)
+    found = ClusteredSample(values, codes).evaluate(counts[None, :], ALL)[:, 0]
+    repeated = np.repeat(values, counts[codes])
+    for ours, statistic in zip(found, ALL, strict=True):
+        assert ours == pytest.approx(statistic.of(repeated), rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.parametrize(
