@@ -1,7 +1,19 @@
 """Rendering with Mitsuba 3: images, shadows and de-projection, on a GPU, with LLVM or without either."""
 
+from renderers.mitsuba3.bsdf import register_bsdfs
 from renderers.mitsuba3.llvm import LlvmSearch, find_llvm
 from renderers.mitsuba3.renderer import MitsubaRenderer
+from renderers.mitsuba3.surface import check_outside
 from renderers.mitsuba3.variant import Variant, choose_variant, gpu_status, limit_threads
 
-__all__ = ["LlvmSearch", "MitsubaRenderer", "Variant", "choose_variant", "find_llvm", "gpu_status", "limit_threads"]
+__all__ = [
+    "LlvmSearch",
+    "MitsubaRenderer",
+    "Variant",
+    "check_outside",
+    "choose_variant",
+    "find_llvm",
+    "gpu_status",
+    "limit_threads",
+    "register_bsdfs",
+]

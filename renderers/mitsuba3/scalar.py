@@ -55,7 +55,7 @@ class ScalarTracer:
         value = np.zeros(lit.shape)
         value[lit] = self._radiance_factor(view, facets[lit], weights[lit])
         n = self._grid
-        pixels = value.reshape(window.height, n, window.width, n).mean(axis=(1, 3))
+        pixels: FloatArray = value.reshape(window.height, n, window.width, n).mean(axis=(1, 3))
         return pixels.astype(np.float32)
 
     def first_hits(

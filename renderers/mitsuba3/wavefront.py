@@ -56,10 +56,9 @@ class WavefrontTracer:
         self._radius_m = mesh.radius_m
         self._scene = mi.load_dict({"type": "scene", "body": build_shape(mi, mesh)})
         self._facet_normals = mi.Float(mesh.normals.astype(np.float32).ravel())
-        smooth, varied = vertex_normals is not None, mesh.albedo is not None
-        self._vertex_normals = mi.Float(vertex_normals.astype(np.float32).ravel()) if smooth else None
-        self._albedo = mi.Float(mesh.albedo.astype(np.float32)) if varied else None
-        self._faces = mi.UInt32(mesh.faces.astype(np.uint32).ravel()) if smooth or varied else None
+        self._vertex_normals = None if vertex_normals is None else mi.Float(vertex_normals.astype(np.float32).ravel())
+        self._albedo = None if mesh.albedo is None else mi.Float(mesh.albedo.astype(np.float32))
+        self._faces = mi.UInt32(mesh.faces.astype(np.uint32).ravel())
         grid = grid_positions(samples_per_pixel)
         self._samples = samples_per_pixel
         self._grid_u, self._grid_v = (mi.Float(axis.astype(np.float32)) for axis in grid.T)
