@@ -10,13 +10,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.console import console_table
 from reports.content import Content, NamedFigure, draw_figures, read_content
 from reports.figures.style import save_figure
 from reports.html import html_page, reproduce_command
 from scenarios.errors import BoresightError
-
-__all__ = ["ReportFiles", "console_table", "markdown", "write_report"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

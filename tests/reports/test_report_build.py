@@ -2,10 +2,13 @@ import re
 import shutil
 from html.parser import HTMLParser
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from reports.build import write_report
+from reports.content import NamedFigure
+from reports.figures import draw_landmark_counts
 from scenarios.errors import BoresightError
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
@@ -130,6 +133,16 @@ def test_a_run_in_which_everything_failed_is_still_reported(builder):
     text = "".join(_page(files).text)
     assert "black image" in text
     assert "not measured" in text
+
+
+def test_further_figures_are_shown_after_those_of_the_tables(builder):
+    builder.trial(0, ([3, 4, 0], 1), ([1, 1, 0], 1))
+    counts = draw_landmark_counts(np.arange(5.0), "T")
+    further = NamedFigure("fit_image7", counts, "The fit of image 7.", "Three panels with the stages of a fit.")
+    files = write_report(builder.write(), extra=[further])
+    assert {"fit_image7.png", "fit_image7.pdf"} <= {p.name for p in files.figures}
+    assert _page(files).all("img")[-1]["alt"] == further.alt
+    assert "![Three panels with the stages of a fit.](fit_image7.png)" in files.markdown.read_text()
 
 
 def test_same_rows_give_the_same_bytes(report, tmp_path):
