@@ -27,6 +27,8 @@ def make_manifest(campaign: ResolvedCampaign, trials: int, run: Path, variant: s
         "report": campaign.spec.report,
         "seed": campaign.seed,
         "trials": trials,
+        "campaign": campaign.as_written(),
+        "files": {s.spec.name: [str(s.path), *map(str, s.search_dirs)] for s in campaign.scenarios},
         "estimators": list(campaign.labels),
         "scenarios": {s.spec.name: json.loads(canonical_json(s.spec)) for s in campaign.scenarios},
         "credits": sorted({s.spec.images.credit for s in campaign.scenarios if s.spec.images and s.spec.images.credit}),

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
 
 from estimators.registry import estimator_class
 from renderers.detector import Detector
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.bodies import body_digest
 from scenarios.errors import BoresightError
-from scenarios.load import LoadedScenario, digest, load_campaign, load_scenario, names_in
+from scenarios.load import LoadedScenario, canonical_json, digest, load_campaign, load_scenario, names_in
 from scenarios.spec.campaign import CampaignSpec
+from scenarios.spec.scenario import ScenarioSpec
 
 CATALOG = Path(__file__).parent / "catalog"
 # Part of every run's digest: raise it when the experiment's rows change for another reason than its parts.
@@ -61,6 +65,11 @@ class ResolvedCampaign:
         """Labels of the estimators in the order of the campaign."""
         return tuple(entry.label for entry in self.spec.estimators)
 
+    def as_written(self) -> dict[str, object]:
+        """Return the campaign as a file would say it, so that it can be read again."""
+        written: dict[str, object] = json.loads(canonical_json(self.spec))
+        return {**written, "estimators": [{e.name: {"label": e.label, **e.options}} for e in self.spec.estimators]}
+
     def scenario(self, name: str) -> LoadedScenario:
         """Return one scenario by its name."""
         return next(s for s in self.scenarios if s.spec.name == name)
@@ -96,3 +105,27 @@ def resolve(name_or_path: str, overrides: Sequence[str] = (), seed: int | None =
     for entry in spec.estimators:
         estimator_class(entry.name)
     return ResolvedCampaign(spec, scenarios, spec.seed if seed is None else seed)
+
+
+def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
+    """Resolve a stored run's campaign again from its manifest; None where code or data have changed since.
+
+    Raises
+    ------
+    BoresightError
+        If the data that it needs are gone.
+    """
+    try:
+        spec = CampaignSpec.model_validate_json(json.dumps(manifest["campaign"]))
+        scenarios = tuple(
+            LoadedScenario(
+                ScenarioSpec.model_validate_json(json.dumps(scenario)),
+                Path(manifest["files"][name][0]),
+                tuple(map(Path, manifest["files"][name][1:])),
+            )
+            for name, scenario in manifest["scenarios"].items()
+        )
+    except (KeyError, ValidationError):
+        return None
+    campaign = ResolvedCampaign(spec, scenarios, int(manifest["seed"]))
+    return campaign if campaign.digest == manifest["digest"] else None

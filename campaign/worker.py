@@ -35,7 +35,7 @@ class Bench:
 def run_block(campaign: ResolvedCampaign, block: Block, bench: Bench) -> Records:
     """Run every trial of a block: the records of each table, in the order of trials and estimators."""
     use_threads(bench.jobs)
-    experiment = _experiment(campaign, block.scenario, bench)
+    experiment = experiment_of(campaign, block.scenario, bench)
     records: Records = {name: [] for name in TABLES}
     for trial in range(block.first, block.last):
         for table, added in experiment.trial(trial).items():
@@ -44,7 +44,7 @@ def run_block(campaign: ResolvedCampaign, block: Block, bench: Bench) -> Records
 
 
 @lru_cache(maxsize=1)
-def _experiment(campaign: ResolvedCampaign, scenario_name: str, bench: Bench) -> SingleImage:
+def experiment_of(campaign: ResolvedCampaign, scenario_name: str, bench: Bench) -> SingleImage:
     """Build the experiment once per process and scenario."""
     scenario = campaign.scenario(scenario_name)
     shelf = Shelf(scenario, bench.run / "products", jobs=0, variant=bench.variant)

@@ -11,14 +11,16 @@ from typing import TYPE_CHECKING
 from campaign.cli.catalog import add_overrides
 from campaign.cli.progress import ProgressListener
 from campaign.cli.terminal import console
+from campaign.fit_figures import fit_figures
 from campaign.machine import cores
-from campaign.resolve import ResolvedCampaign, resolve
+from campaign.resolve import ResolvedCampaign, reload, resolve
 from campaign.runner import RunRequest, run_campaign
 from campaign.store import RunFolder
 from campaign.world import trial_limit
 from renderers.mitsuba3 import choose_variant
 from reports.build import write_report
 from reports.console import console_table
+from reports.content import NamedFigure
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -109,10 +111,11 @@ def _status(arguments: argparse.Namespace) -> int:
     total = manifest["trials"] * len(manifest["scenarios"])
     done = len(rows[["scenario", "trial"]].drop_duplicates())
     out = console()
+    finished = manifest.get("finished") if done >= total else None
     out.print(f"{folder.path}: {manifest['name']}, {done} of {total} trials stored, seed {manifest['seed']}")
-    out.print(
-        f"started {manifest['created']}, {'finished ' + manifest['finished'] if done >= total and 'finished' in manifest else 'not finished: run the same command to continue'}"
-    )
+    out.print(f"started {manifest['created']}, " + (f"finished {finished}" if finished else "not finished"))
+    if not finished:
+        out.print(f"to continue: {manifest['command']}")
     for (scenario, estimator), group in rows.groupby(["scenario", "estimator"]):
         counts = group["status"].value_counts()
         out.print(f"  {scenario} / {estimator}: " + ", ".join(f"{n} {status}" for status, n in counts.items()))
@@ -125,10 +128,24 @@ def _report(arguments: argparse.Namespace) -> int:
 
 
 def _print_report(folder: RunFolder) -> None:
-    files = write_report(folder.path)
     out = console()
+    files = write_report(folder.path, extra=_fit_figures(folder))
     out.print(console_table(folder.path))
     out.print(f"report: {files.html}")
+
+
+def _fit_figures(folder: RunFolder) -> list[NamedFigure]:
+    """Draw a typical trial, unless the run was made by other code or from data that are gone."""
+    manifest = folder.read_manifest() or {}
+    try:
+        campaign = reload(manifest)
+    except BoresightError as error:
+        console().print(f"no figure of a single fit: {error}")
+        return []
+    if campaign is None:
+        console().print("no figure of a single fit: the run was made by another version of boresight or of its data")
+        return []
+    return list(fit_figures(campaign, folder.path, folder.table("rows"), manifest["machine"].get("variant")))
 
 
 def find_run(name: str) -> RunFolder:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 from collections.abc import Callable
@@ -29,10 +30,8 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         raise BoresightError(_explain(path, error)) from error
     finally:
         # A failed clean-up must not hide the fault above; the name marks the file as no result.
-        try:
+        with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
-        except OSError:
-            pass
 
 
 def write_text(path: Path, text: str) -> None:

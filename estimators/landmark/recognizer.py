@@ -124,6 +124,11 @@ class LandmarkRecognizer:
         self._renderer = renderer
         self._options = options
 
+    @property
+    def database(self) -> LandmarkDatabase:
+        """The landmarks that are looked for."""
+        return self._database
+
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its landmark data base."""
