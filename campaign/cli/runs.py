@@ -156,8 +156,10 @@ def find_run(name: str) -> RunFolder:
     BoresightError
         If there is none.
     """
-    candidates = [Path(name), *sorted(RUNS.glob(f"{name}-*"), key=lambda p: p.stat().st_mtime, reverse=True)]
+    prefix = f"{name}-"
+    named = [path for path in RUNS.iterdir() if path.name.startswith(prefix)] if RUNS.is_dir() else []
+    candidates = [Path(name), *sorted(named, key=lambda path: path.stat().st_mtime, reverse=True)]
     for candidate in candidates:
         if (candidate / "manifest.json").exists():
             return RunFolder(candidate)
-    raise BoresightError(f"{name}: no run there, nor as {RUNS / name}-*: give a run folder, or run it first")
+    raise BoresightError(f"{name}: no run there, nor in {RUNS}/ as {prefix}...: give a run folder, or run it first")
