@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,12 @@ class Window:
     def slices(self) -> tuple[slice, slice]:
         """Rows and columns of the window in an image array."""
         return slice(self.row, self.row + self.height), slice(self.column, self.column + self.width)
+
+    def strips(self, rows: int) -> Iterator[Window]:
+        """Parts of the window of at most ``rows`` rows, from the top."""
+        end = self.row + self.height
+        for row in range(self.row, end, rows):
+            yield Window(self.column, row, self.width, min(rows, end - row))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,6 +16,9 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import SurfaceHits, TriangleMesh, View
 from scenarios.spec.brdf import BrdfSpec
 
+# Samples traced at once: bounds the memory of a large image.
+_MAX_SAMPLES = 1 << 22
+
 
 class MitsubaRenderer:
     """Renders one body in one reflectance model, lit by the Sun alone, with hard shadows.
@@ -59,6 +62,7 @@ class MitsubaRenderer:
         if shading not in ("flat", "smooth"):
             raise BoresightError(f"shading: {shading!r} is neither 'flat' nor 'smooth'")
         self.variant = variant or choose_variant()
+        self._samples_per_pixel = samples_per_pixel
         self._mesh = mesh
         self._outline_m = outline_points(mesh)
         self._vertex_normals = vertex_normals(mesh) if shading == "smooth" else None
@@ -77,7 +81,8 @@ class MitsubaRenderer:
         image = np.zeros((view.camera.height_px, view.camera.width_px), dtype=np.float32)
         window = body_window(view, self._outline_m)
         if window is not None:
-            image[window.slices] = self._tracer.image(view, window)
+            for strip in window.strips(max(1, _MAX_SAMPLES // (window.width * self._samples_per_pixel))):
+                image[strip.slices] = self._tracer.image(view, strip)
         return image
 
     def surface(self, view: View, uv_px: NDArray[np.float64]) -> SurfaceHits:

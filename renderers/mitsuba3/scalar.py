@@ -1,8 +1,8 @@
 """Ray tracing without LLVM or CUDA: Mitsuba's own integrators, and the reflectance on NumPy arrays.
 
-A BSDF written in Python would be called back for every ray here. So Mitsuba renders the body in white, which
-tells where the Sun shines, together with the facet and the corner weights of every sample; the rest is array
-work, with the same formulas as in the other variants.
+A BSDF written in Python would be called back for every ray here. So Mitsuba renders the body as a diffuse one,
+whose colour tells the facet and whose brightness tells where the Sun shines; the rest is array work, with the same
+formulas as in the other variants.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.brdf import brdf_value
-from renderers.mitsuba3.rays import Window
+from renderers.mitsuba3.rays import Window, ray_bundle
 from renderers.mitsuba3.scene import SHAPE_ID, SUN_ID, build_shape
-from renderers.mitsuba3.surface import interpolate
+from renderers.mitsuba3.surface import corner_weights, interpolate
 from renderers.mitsuba3.variant import Variant, load_mitsuba
 from scenarios.geometry import Camera, TriangleMesh, View
 from scenarios.spec.brdf import BrdfSpec
@@ -23,6 +23,8 @@ from scenarios.spec.brdf import BrdfSpec
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
+# A facet's index is the colour (1, index // _BASE, index % _BASE); single precision tells their ratios apart.
+_BASE = 4096
 # Shadow rays of single positions start this far off the surface, in units of the body's radius.
 _SHADOW_OFFSET = 1e-5
 
@@ -47,14 +49,18 @@ class ScalarTracer:
         self._brdf = brdf
         self._grid = round(samples_per_pixel**0.5)
         self._vertex_normals = vertex_normals
-        self._scene = _white_scene(load_mitsuba(variant), mesh)
+        self._scene = _coded_scene(load_mitsuba(variant), mesh)
 
     def image(self, view: View, window: Window) -> NDArray[np.float32]:
         """Radiance factor (height, width) of the pixels of a window."""
-        facets, weights, lit = self._samples(view, window)
-        value = np.zeros(lit.shape)
-        value[lit] = self._radiance_factor(view, facets[lit], weights[lit])
         n = self._grid
+        light = self._colours(view, window)
+        lit = light[..., 0] > 0.0
+        high, low = np.rint(light[lit][:, 1:] / light[lit][:, :1]).astype(np.int64).T
+        row, column = np.nonzero(lit)
+        uv = np.stack([window.column + (column + 0.5) / n, window.row + (row + 0.5) / n], axis=1)
+        value = np.zeros(lit.shape)
+        value[lit] = self._radiance_factor(view, uv, high * _BASE + low)
         pixels: FloatArray = value.reshape(window.height, n, window.width, n).mean(axis=(1, 3))
         return pixels.astype(np.float32)
 
@@ -76,59 +82,58 @@ class ScalarTracer:
             lit[k] = normal @ sun > 0.0 and not self._scene.ray_test(mi.Ray3f(list(start), list(sun)))
         return facets, lit
 
-    def _samples(self, view: View, window: Window) -> tuple[IndexArray, FloatArray, NDArray[np.bool_]]:
-        """Facets, corner weights (..., 3) and light of every sample, in rows and columns of the finer film."""
+    def _colours(self, view: View, window: Window) -> NDArray[np.float32]:
+        """Colours (rows, columns, 3) of every sample, in rows and columns of the finer film; black where unlit."""
         mi = load_mitsuba(self._variant)
         stretch = _stretch(view)
         scene = self._scene
         if stretch is not None:
             # Mitsuba's camera has square pixels. Hits and shadows do not change under an affine map of the world,
             # so the body is stretched instead; only this rare camera pays for a scene of its own.
-            scene = _white_scene(mi, TriangleMesh(self._mesh.vertices_m @ stretch.T, self._mesh.faces))
+            scene = _coded_scene(mi, TriangleMesh(self._mesh.vertices_m @ stretch.T, self._mesh.faces))
         _point_sun(mi, scene, view.sun_dir_body if stretch is None else stretch @ view.sun_dir_body)
         sensor = _sensor(mi, view, window, self._grid, self._mesh.radius_m)
-        channels = np.array(mi.render(scene, sensor=sensor, spp=1))
-        lit = channels[..., 0] > 0.0
-        w1, w2 = channels[..., 4], channels[..., 5]
-        weights = np.stack([1.0 - w1 - w2, w1, w2], axis=-1).astype(np.float64)
-        return channels[..., 3].astype(np.int64), weights, lit
+        return np.array(mi.render(scene, sensor=sensor, spp=1))
 
-    def _radiance_factor(self, view: View, facets: IndexArray, weights: FloatArray) -> FloatArray:
-        """I/F = pi f_r cos(i), times the local albedo, at lit samples."""
-        mesh, pose, sun = self._mesh, view.T_cam_body, view.sun_dir_body
-        points = interpolate(mesh, mesh.vertices_m, facets, weights)
-        to_camera = pose.camera_position_m - points
-        to_camera /= np.linalg.norm(to_camera, axis=1, keepdims=True)
+    def _radiance_factor(self, view: View, uv_px: FloatArray, facets: IndexArray) -> FloatArray:
+        """I/F = pi f_r cos(i), times the local albedo, at lit pixel positions (N, 2) on facets (N,)."""
+        mesh, sun = self._mesh, view.sun_dir_body
+        origins, directions = ray_bundle(view, mesh.radius_m, (0.0, 0.0)).at(uv_px)
         normals = mesh.normals[facets]
-        if self._vertex_normals is not None:
-            normals = interpolate(mesh, self._vertex_normals, facets, weights)
-            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        factor = np.ones(len(facets))
+        if self._vertex_normals is not None or mesh.albedo is not None:
+            weights = corner_weights(mesh, facets, origins, directions)
+            if self._vertex_normals is not None:
+                normals = interpolate(mesh, self._vertex_normals, facets, weights)
+                normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+            if mesh.albedo is not None:
+                factor = interpolate(mesh, mesh.albedo, facets, weights)
         cos_i = np.maximum(normals @ sun, 0.0)
-        cos_e = np.einsum("ni,ni->n", normals, to_camera)
-        phase_rad = np.arccos(np.clip(to_camera @ sun, -1.0, 1.0))
-        value: FloatArray = np.pi * np.asarray(brdf_value(self._brdf, cos_i, cos_e, phase_rad)) * cos_i
-        if mesh.albedo is not None:
-            value = value * interpolate(mesh, mesh.albedo, facets, weights)
+        cos_e = -np.einsum("ni,ni->n", normals, directions)
+        phase_rad = np.arccos(np.clip(-directions @ sun, -1.0, 1.0))
+        value: FloatArray = np.pi * brdf_value(self._brdf, cos_i, cos_e, phase_rad) * cos_i * factor
         return value
 
 
-def _white_scene(mi: Any, mesh: TriangleMesh) -> Any:
-    """Build the body in white under a Sun whose image is cos(i), with an integrator that also tells the hits."""
-    white = mi.load_dict({"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}})
+def _coded_scene(mi: Any, mesh: TriangleMesh) -> Any:
+    """Build the body with facets coloured by their index, under a white Sun."""
+    colour = {"type": "mesh_attribute", "name": "face_code"}
+    shape = build_shape(mi, mesh, mi.load_dict({"type": "diffuse", "reflectance": colour}))
+    index = np.arange(len(mesh.faces))
+    code = np.stack([np.ones_like(index), index // _BASE, index % _BASE], axis=1)
+    shape.add_attribute("face_code", 3, code.astype(np.float32).ravel())
     return mi.load_dict(
         {
             "type": "scene",
             "integrator": {
-                "type": "aov",
-                "aovs": "facet:prim_index,weights:uv",
-                "light": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0, "hide_emitters": True},
+                "type": "direct",
+                "emitter_samples": 1,
+                "bsdf_samples": 0,
+                "hide_emitters": True,
+                "block_size": 64,
             },
-            SHAPE_ID: build_shape(mi, mesh, white),
-            SUN_ID: {
-                "type": "directional",
-                "direction": [0.0, 0.0, -1.0],
-                "irradiance": {"type": "rgb", "value": float(np.pi)},
-            },
+            SHAPE_ID: shape,
+            SUN_ID: {"type": "directional", "direction": [0.0, 0.0, -1.0], "irradiance": {"type": "rgb", "value": 1.0}},
         }
     )
 

@@ -21,7 +21,8 @@ def vertex_normals(mesh: TriangleMesh) -> FloatArray:
         for axis in range(3):
             total[:, axis] += np.bincount(corner, mesh.area_vectors_m2[:, axis], len(total))
     length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.divide(total, length, out=np.zeros_like(total), where=length > 0.0)
+    unit: FloatArray = np.divide(total, length, out=np.zeros_like(total), where=length > 0.0)
+    return unit
 
 
 def interpolate(mesh: TriangleMesh, values: FloatArray, facets: IndexArray, weights: FloatArray) -> FloatArray:

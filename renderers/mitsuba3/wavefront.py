@@ -14,8 +14,6 @@ from renderers.mitsuba3.variant import Variant, load_mitsuba
 from scenarios.geometry import TriangleMesh, View
 from scenarios.spec.brdf import BrdfSpec
 
-# Samples in one launch: bounds the memory of a large image.
-_MAX_SAMPLES = 1 << 24
 # Shadow rays start this far off the surface, in units of the body's radius; single precision needs about a tenth.
 _SHADOW_OFFSET = 1e-5
 
@@ -65,25 +63,6 @@ class WavefrontTracer:
 
     def image(self, view: View, window: Window) -> NDArray[np.float32]:
         """Radiance factor (height, width) of the pixels of a window."""
-        rows = max(1, _MAX_SAMPLES // (window.width * self._samples))
-        strips = [
-            self._strip(view, Window(window.column, row, window.width, min(rows, window.row + window.height - row)))
-            for row in range(window.row, window.row + window.height, rows)
-        ]
-        return np.concatenate(strips)
-
-    def first_hits(
-        self, view: View, origins_m: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Facets (N,), -1 where missed, and whether the Sun shines on the hits, for rays (N, 3) in the body frame."""
-        mi = load_mitsuba(self._variant)
-        origin = mi.Point3f(origins_m.T.astype(np.float32))
-        direction = mi.Vector3f(directions.T.astype(np.float32))
-        hit, _, lit = self._trace(mi, origin, direction, _opaque(mi, view.sun_dir_body))
-        facets = np.where(hit.is_valid().numpy(), hit.prim_index.numpy().astype(np.int64), -1)
-        return facets, lit.numpy()
-
-    def _strip(self, view: View, window: Window) -> NDArray[np.float32]:
         import drjit as dr
 
         mi = load_mitsuba(self._variant)
@@ -95,6 +74,17 @@ class WavefrontTracer:
         value = dr.block_sum(dr.select(lit, value, 0.0), self._samples) / self._samples
         pixels: NDArray[np.float32] = value.numpy()
         return pixels.reshape(window.height, window.width)
+
+    def first_hits(
+        self, view: View, origins_m: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Facets (N,), -1 where missed, and whether the Sun shines on the hits, for rays (N, 3) in the body frame."""
+        mi = load_mitsuba(self._variant)
+        origin = mi.Point3f(origins_m.T.astype(np.float32))
+        direction = mi.Vector3f(directions.T.astype(np.float32))
+        hit, _, lit = self._trace(mi, origin, direction, _opaque(mi, view.sun_dir_body))
+        facets = np.where(hit.is_valid().numpy(), hit.prim_index.numpy().astype(np.int64), -1)
+        return facets, lit.numpy()
 
     def _camera_rays(self, mi: Any, rays: RayBundle, window: Window) -> tuple[Any, Any]:
         """Origins and unit directions of all samples: pixel by pixel, the samples of a pixel together."""
