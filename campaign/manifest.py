@@ -4,19 +4,28 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from campaign.machine import describe, package_versions
+from campaign.products import BuiltProduct
+from campaign.request import RunRequest
 from campaign.resolve import ResolvedCampaign
 from campaign.store.columns import FORMAT_VERSION
 from estimators.landmark.database import LandmarkDatabase
 from scenarios.load import canonical_json
 
 
-def make_manifest(campaign: ResolvedCampaign, trials: int, run: Path, variant: str, command: str) -> dict[str, object]:
-    """Describe a run before its first trial."""
+def make_manifest(
+    campaign: ResolvedCampaign,
+    request: RunRequest,
+    products: Sequence[BuiltProduct],
+    previous: Mapping[str, Any] | None,
+) -> dict[str, object]:
+    """Describe a run before its first trial; what an earlier start of it asked for is not forgotten."""
+    earlier = previous or {}
     return {
         "format": FORMAT_VERSION,
         "digest": campaign.digest,
@@ -26,18 +35,18 @@ def make_manifest(campaign: ResolvedCampaign, trials: int, run: Path, variant: s
         "description": campaign.spec.description,
         "report": campaign.spec.report,
         "seed": campaign.seed,
-        "trials": trials,
+        "trials": max(request.trials, int(earlier.get("trials", 0))),
         "campaign": campaign.as_written(),
         "files": {s.spec.name: [str(s.path), *map(str, s.search_dirs)] for s in campaign.scenarios},
         "estimators": list(campaign.labels),
         "scenarios": {s.spec.name: json.loads(canonical_json(s.spec)) for s in campaign.scenarios},
         "credits": sorted({s.spec.images.credit for s in campaign.scenarios if s.spec.images and s.spec.images.credit}),
-        "created": now(),
-        "command": command,
+        "created": earlier.get("created", now()),
+        "command": request.command,
         "commit": _commit(),
         "versions": package_versions(),
-        "machine": {**describe(), "variant": variant},
-        "products": [_product(folder) for folder in sorted((run / "products").glob("[!.]*"))],
+        "machine": {**describe(), "variant": request.variant},
+        "products": [_product(request.out, product) for product in products],
     }
 
 
@@ -51,11 +60,14 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def _product(folder: Path) -> dict[str, object]:
+def _product(run: Path, product: BuiltProduct) -> dict[str, object]:
+    folder = run / "products" / product.folder
     database = LandmarkDatabase.load(folder)
     about = json.loads((folder / "built.json").read_text(encoding="utf-8"))
     return {
-        "kind": "landmark-database",
+        "kind": product.kind,
+        "scenario": product.scenario,
+        "estimator": product.estimator,
         "folder": f"products/{folder.name}",
         "n_landmarks": len(database.means_m),
         "n_facets": len(database.facets),

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from joblib import Parallel, delayed
 
 from campaign import manifest as manifests
 from campaign.experiments.single_image import Records
-from campaign.products import Shelf
+from campaign.products import BuiltProduct, Shelf
+from campaign.request import RunRequest
 from campaign.resolve import ResolvedCampaign
 from campaign.store import RunFolder, RunLock
 from campaign.store.folder import Block, blocks
@@ -36,19 +35,6 @@ class Listener(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class RunRequest:
-    """How a campaign is to be run; nothing here but ``trials`` changes what is stored."""
-
-    out: Path
-    trials: int
-    jobs: int
-    variant: str | None
-    variant_name: str
-    keep_images: bool = False
-    command: str = ""
-
-
 def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: Listener) -> RunFolder:
     """Run what is not stored yet and return the run folder.
 
@@ -60,10 +46,8 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
     folder = RunFolder(request.out)
     with RunLock(request.out):
         previous = _previous(folder, campaign)
-        _build_products(campaign, request, listener)
-        manifest = manifests.make_manifest(
-            campaign, max(request.trials, previous), request.out, request.variant_name, request.command
-        )
+        products = _build_products(campaign, request, listener)
+        manifest = manifests.make_manifest(campaign, request, products, previous)
         folder.write_manifest(manifest)
         todo, stored = _plan(folder, campaign, request)
         total = request.trials * len(campaign.scenarios)
@@ -75,27 +59,30 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
     return folder
 
 
-def _previous(folder: RunFolder, campaign: ResolvedCampaign) -> int:
-    """Return the trials that an earlier start of the same run asked for; refuse another run's folder."""
+def _previous(folder: RunFolder, campaign: ResolvedCampaign) -> dict[str, Any] | None:
+    """Return the manifest of an earlier start of the same run, None without one; refuse another run's folder."""
     manifest = folder.read_manifest()
     if manifest is None:
         if any((folder.path / name).exists() for name in folder.table_names()):
             raise BoresightError(f"{folder.path}: has tables but no manifest: choose another folder with --out")
-        return 0
+        return None
     if manifest["digest"] != campaign.digest:
         raise BoresightError(
             f"{folder.path}: holds another run ({manifest.get('name')}, digest {manifest['digest'][:8]}, not"
             f" {campaign.digest[:8]}): choose another folder with --out"
         )
-    return int(manifest["trials"])
+    return manifest
 
 
-def _build_products(campaign: ResolvedCampaign, request: RunRequest, listener: Listener) -> None:
+def _build_products(campaign: ResolvedCampaign, request: RunRequest, listener: Listener) -> list[BuiltProduct]:
     """Let every estimator ask for its products where they may be built, before any trial."""
+    products = []
     for scenario in campaign.scenarios:
-        shelf = Shelf(scenario, request.out / "products", request.jobs, request.variant, listener.message)
         for entry in campaign.spec.estimators:
+            shelf = Shelf(scenario, request.out / "products", request.jobs, request.variant, listener.message)
             estimator_class(entry.name).from_options(entry.options, shelf)
+            products += shelf.lent_to(entry.label)
+    return products
 
 
 def _plan(folder: RunFolder, campaign: ResolvedCampaign, request: RunRequest) -> tuple[list[Block], int]:

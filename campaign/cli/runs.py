@@ -13,8 +13,9 @@ from campaign.cli.progress import ProgressListener
 from campaign.cli.terminal import console
 from campaign.fit_figures import fit_figures
 from campaign.machine import cores
+from campaign.request import RunRequest
 from campaign.resolve import ResolvedCampaign, reload, resolve
-from campaign.runner import RunRequest, run_campaign
+from campaign.runner import run_campaign
 from campaign.store import RunFolder
 from campaign.world import trial_limit
 from renderers.mitsuba3 import choose_variant
@@ -76,8 +77,7 @@ def _run(arguments: argparse.Namespace) -> int:
         out=arguments.out or RUNS / f"{campaign.spec.name}-{campaign.digest[:8]}",
         trials=trials,
         jobs=arguments.jobs,
-        variant=arguments.variant,
-        variant_name=variant.name,
+        variant=variant.name,
         keep_images=arguments.keep_images,
         command=shlex.join(["boresight", *sys.argv[1:]]),
     )
@@ -130,7 +130,7 @@ def _report(arguments: argparse.Namespace) -> int:
 def _print_report(folder: RunFolder) -> None:
     out = console()
     files = write_report(folder.path, extra=_fit_figures(folder))
-    out.print(console_table(folder.path))
+    out.print(console_table(files.content))
     out.print(f"report: {files.html}")
 
 

@@ -1,5 +1,5 @@
 """Things that are built once from a scenario's shape and lent to estimators: landmark data bases."""
 
-from campaign.products.shelf import Shelf, product_key
+from campaign.products.shelf import BuiltProduct, Shelf, product_key
 
-__all__ = ["Shelf", "product_key"]
+__all__ = ["BuiltProduct", "Shelf", "product_key"]

@@ -7,6 +7,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from campaign.products import landmark_database
@@ -39,6 +40,16 @@ def product_key(scenario: LoadedScenario, kind: str, options: DatabaseOptions) -
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 
 
+@dataclass(frozen=True, slots=True)
+class BuiltProduct:
+    """A product that an estimator asked for: its kind, for whom it is, and its folder below ``RUN/products``."""
+
+    kind: str
+    scenario: str
+    estimator: str
+    folder: str
+
+
 class Shelf:
     """Lends assets to estimators: camera, renderers of meshes, and products kept in the run folder.
 
@@ -69,6 +80,7 @@ class Shelf:
         self._jobs = jobs
         self._variant = variant
         self._tell = tell
+        self._lent: list[tuple[str, str]] = []
 
     @property
     def camera(self) -> Camera:
@@ -90,7 +102,12 @@ class Shelf:
         folder = self._folder / f"{kind}-{product_key(self._scenario, kind, wanted)}"
         if not folder.exists():
             self._fetch(wanted, folder)
+        self._lent.append((kind, folder.name))
         return landmark_database.load(folder)
+
+    def lent_to(self, estimator: str) -> list[BuiltProduct]:
+        """List the products that were asked for so far, as those of an estimator."""
+        return [BuiltProduct(kind, self._scenario.spec.name, estimator, folder) for kind, folder in self._lent]
 
     def _fetch(self, options: DatabaseOptions, folder: Path) -> None:
         if self._jobs == 0:

@@ -25,6 +25,8 @@ from reports.figures.style import (
 )
 
 DEGREES_OF_FREEDOM = 3
+# The range in which theory lives; a tail of wrong matches reaches a hundred times farther and would hide it.
+_CHI_SQUARE_EDGES = np.linspace(0.0, 30.0, 61)
 _FILL = {"color": BLUE, "linewidth": 1.5}
 
 
@@ -44,9 +46,11 @@ def draw_landmark_errors(
         Credits of real images.
     """
     figure, (left, right) = new_figure(2)
-    _draw_sample(left, error_m, "m", "landmark error, m", "frequency per metre")
-    edges = _draw_sample(right, chi_square, "", "chi-square of the landmark error", "frequency")
-    x = np.linspace(0.0, edges[-1], 400)
+    _draw_sample(
+        left, error_m, shared_edges([error_m], bins=50, percent=95.0), "m", "landmark error, m", "frequency per metre"
+    )
+    _draw_sample(right, chi_square, _CHI_SQUARE_EDGES, "", "chi-square of the landmark error", "frequency")
+    x = np.linspace(0.0, _CHI_SQUARE_EDGES[-1], 400)
     theory = f"chi-square, {DEGREES_OF_FREEDOM} degrees of freedom"
     raise_top(right, 1)
     right.plot(x, chi2.pdf(x, DEGREES_OF_FREEDOM), color=VERMILION, linestyle="--", linewidth=1.4, label=theory)
@@ -56,8 +60,7 @@ def draw_landmark_errors(
     return figure
 
 
-def _draw_sample(axes: Axes, sample: FloatArray, unit: str, label: str, frequency: str) -> FloatArray:
-    edges = shared_edges([sample], bins=50)
+def _draw_sample(axes: Axes, sample: FloatArray, edges: FloatArray, unit: str, label: str, frequency: str) -> None:
     median = float(np.median(sample))
     name = f"observed: median {median:.3g} {unit}".rstrip() + f" (n = {len(sample)})"
     beyond = step_histogram(axes, sample, edges, label=name, **_FILL)
@@ -66,7 +69,6 @@ def _draw_sample(axes: Axes, sample: FloatArray, unit: str, label: str, frequenc
     axes.set(xlabel=label, ylabel=frequency, xlim=(0, edges[-1]))
     raise_top(axes, 1)
     axes.legend(loc="upper right")
-    return edges
 
 
 @styled

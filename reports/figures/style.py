@@ -89,9 +89,9 @@ def add_credits(figure: Figure, credit_lines: Sequence[str]) -> None:
         figure.supxlabel("; ".join(credit_lines), fontsize=7, color=GREY, x=0.995, ha="right")
 
 
-def shared_edges(samples: Sequence[FloatArray], bins: int = 40) -> FloatArray:
-    """Choose bin edges (bins + 1,) from 0 to a round number that holds 99 % of every sample."""
-    top = max((float(np.percentile(sample, 99)) for sample in samples if len(sample)), default=1.0) or 1.0
+def shared_edges(samples: Sequence[FloatArray], bins: int = 40, percent: float = 99.0) -> FloatArray:
+    """Choose bin edges (bins + 1,) from 0 to a round number that holds ``percent`` of every sample."""
+    top = max((float(np.percentile(sample, percent)) for sample in samples if len(sample)), default=1.0) or 1.0
     unit = 10.0 ** np.floor(np.log10(top))
     step = next(s for s in (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0) if s * unit >= top * (1 - 1e-9))
     return np.linspace(0.0, step * unit, bins + 1)

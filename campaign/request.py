@@ -1,0 +1,34 @@
+"""How a campaign is to be run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """Where and how to run; nothing here but ``trials`` changes what is stored.
+
+    Parameters
+    ----------
+    out
+        The run folder.
+    trials
+        Trials of each scenario.
+    jobs
+        Worker processes.
+    variant
+        The Mitsuba variant.
+    keep_images
+        Whether every image is kept.
+    command
+        The command line, for the manifest.
+    """
+
+    out: Path
+    trials: int
+    jobs: int
+    variant: str
+    keep_images: bool = False
+    command: str = ""
