@@ -168,14 +168,22 @@ def _read_head(path: Path) -> Mapping[str, object]:
     return provenance
 
 
+def _number(text: object) -> float:
+    """Read a number exactly; NaN where there is none."""
+    try:
+        return float(str(text))
+    except ValueError:
+        return float("nan")
+
+
 def _read_table(path: Path, columns: list[str]) -> FloatArray:
     try:
-        table = pd.read_csv(path, float_precision="round_trip")
+        table = pd.read_csv(path, dtype=str, keep_default_na=False)
     except (OSError, ValueError) as error:
         raise BoresightError(f"{path}: cannot be read as a table: {error}") from error
     if list(table.columns) != columns:
         raise BoresightError(f"{path}: the columns must be {columns}, not {[str(name) for name in table.columns]}")
-    numbers: FloatArray = table.apply(pd.to_numeric, errors="coerce").to_numpy(dtype=np.float64)
+    numbers = np.array([[_number(text) for text in row] for row in table.to_numpy()]).reshape(-1, len(columns))
     bad = np.argwhere(~np.isfinite(numbers))
     if len(bad):
         row, column = bad[0]

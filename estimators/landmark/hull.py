@@ -87,14 +87,11 @@ class _Solid:
     """Delaunay tetrahedra of which some have been carved away; always a ball."""
 
     def __init__(self, points_m: FloatArray) -> None:
-        self._points = (points_m - points_m.mean(axis=0)) / max(float(np.ptp(points_m)), np.finfo(float).tiny)
+        self._points = _centred(points_m)
         try:
             delaunay, hull = Delaunay(self._points), ConvexHull(self._points)
-        except (QhullError, ValueError) as error:
-            raise BoresightError(
-                f"{len(points_m)} landmarks span no volume: a mesh needs at least 4 that are not in one plane;"
-                " use more images or a lower min_observations"
-            ) from error
+        except QhullError as error:
+            raise BoresightError(_no_volume(len(points_m))) from error
         corners = self._points[delaunay.simplices]
         mirrored = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0.0
         self._tetrahedra = delaunay.simplices.astype(np.intp)
@@ -102,8 +99,10 @@ class _Solid:
         self._faces = self._tetrahedra[:, _FACES]  # (T, 4, 3)
         self._faces[mirrored] = self._faces[mirrored][:, :, ::-1]
         centres, self._radii = circumspheres(corners)
-        height = centres @ hull.equations[:, :3].T + hull.equations[:, 3]
-        self._centre_outside = ~(height <= _HULL_TOLERANCE).all(axis=1)
+        self._centre_outside = ~np.isfinite(self._radii)
+        bounded = np.flatnonzero(~self._centre_outside)
+        height = centres[bounded] @ hull.equations[:, :3].T + hull.equations[:, 3]
+        self._centre_outside[bounded] = (height > _HULL_TOLERANCE).any(axis=1)
         self._alive = np.ones(len(self._tetrahedra), dtype=bool)
         self._vertex_uses = np.zeros(len(points_m), dtype=np.intp)
         self._edge_uses: dict[tuple[int, int], int] = {}
@@ -208,6 +207,21 @@ class _Solid:
             across = across[across >= 0]
             level = across[~seen[across]]
         return None
+
+
+def _centred(points_m: FloatArray) -> FloatArray:
+    extent_m = float(np.ptp(points_m)) if len(points_m) else 0.0
+    if not extent_m > 0.0:
+        raise BoresightError(_no_volume(len(points_m)))
+    centred: FloatArray = (points_m - points_m.mean(axis=0)) / extent_m
+    return centred
+
+
+def _no_volume(n_points: int) -> str:
+    return (
+        f"{n_points} landmarks span no volume: a mesh needs at least 4 that are not in one plane;"
+        " use more images or a lower min_observations"
+    )
 
 
 def _edge(a: int, b: int) -> tuple[int, int]:

@@ -1,0 +1,151 @@
+"""Centroid, whole-image alignment and the loop that shifts the mesh, on images drawn by formula."""
+
+import numpy as np
+import pytest
+
+from estimators.landmark.alignment import best_shift, correlation_pair
+from estimators.landmark.centroid import (
+    AlignmentOptions,
+    MeshView,
+    align_translation,
+    brightness_centroid,
+    centroid_pair,
+    translation_update,
+)
+from estimators.landmark.signal import extract_signal
+from estimators.landmark.stopwatch import Stopwatch
+from scenarios.geometry import Camera, Pose
+
+CAMERA = Camera(256, 200, 800.0, 800.0, 128.0, 100.0)
+RADIUS_M = 60.0
+
+
+def disc(u0, v0, radius, shape=(200, 256), oversample=8):
+    """A uniform disc, each pixel the exact share that it covers up to the oversampling."""
+    step = (np.arange(oversample) + 0.5) / oversample
+    u = (np.arange(shape[1])[:, None] + step).ravel()
+    v = (np.arange(shape[0])[:, None] + step).ravel()
+    fine = (np.hypot(u[None] - u0, v[:, None] - v0) < radius).astype(np.float32)
+    return fine.reshape(shape[0], oversample, shape[1], oversample).mean(axis=(1, 3))
+
+
+class Ball:
+    """An analytic renderer: a ball of uniform brightness, which is a disc in the image."""
+
+    def __init__(self, gain=1.0):
+        self.gain = gain
+        self.views = []
+
+    def render(self, view):
+        self.views.append(view)
+        centre = view.T_cam_body.translation_m
+        u, v = view.camera.project(centre)
+        return self.gain * disc(u, v, view.camera.fx_px * RADIUS_M / centre[2])
+
+
+@pytest.mark.parametrize("centre", [(100.0, 90.0), (100.5, 90.5), (77.3, 121.8)])
+def test_the_centroid_of_a_disc_is_its_centre(centre):
+    np.testing.assert_allclose(brightness_centroid(disc(*centre, 30.0)), centre, atol=5e-3)
+
+
+def test_one_pixel_has_its_centroid_half_a_pixel_in():
+    image = np.zeros((20, 30), dtype=np.float32)
+    image[3, 7] = 5.0
+    np.testing.assert_array_equal(brightness_centroid(image), (7.5, 3.5))
+
+
+def test_the_background_does_not_pull_the_centroid():
+    rng = np.random.default_rng(1)
+    clean = disc(70.0, 60.0, 30.0)
+    noisy = (1000.0 * clean + rng.normal(200.0, 8.0, clean.shape)).astype(np.float32)
+    raw = brightness_centroid(noisy)
+    assert np.linalg.norm(raw - (70.0, 60.0)) > 20.0
+    np.testing.assert_allclose(brightness_centroid(extract_signal(noisy).image), (70.0, 60.0), atol=0.1)
+
+
+def test_the_update_of_equation_13():
+    pose = Pose(np.eye(3), np.array([10.0, -20.0, 1500.0]))
+    seen = CAMERA.project(pose.translation_m)
+    target = seen + np.array([30.0, -12.0])
+    moved = translation_update(pose, target, seen, CAMERA)
+    np.testing.assert_allclose(CAMERA.project(moved.translation_m), target, atol=1e-9)
+    # cos(theta) makes the shift perpendicular to the new line of sight, so the range falls by cos(theta).
+    cosine = CAMERA.unproject(target) @ CAMERA.unproject(seen)
+    assert np.linalg.norm(moved.translation_m) == pytest.approx(np.linalg.norm(pose.translation_m) * cosine)
+    np.testing.assert_array_equal(moved.rotation, pose.rotation)
+
+
+@pytest.mark.parametrize("measure", [centroid_pair, correlation_pair], ids=["centroid", "image"])
+@pytest.mark.parametrize("start", [(40.0, -55.0), (-6.0, 3.0), (130.0, 90.0)])
+def test_the_loop_finds_the_ball(measure, start):
+    truth = Pose(np.eye(3), np.array([12.0, 18.0, 2000.0]))
+    ball, clock = Ball(), Stopwatch()
+    observed = ball.render(type("V", (), {"T_cam_body": truth, "camera": CAMERA}))
+    prior = truth.perturbed(np.zeros(3), np.array([*start, 0.0]))
+    view = MeshView(CAMERA, Ball(gain=0.3), np.array([0.0, 0.0, -1.0]))
+    result = align_translation(observed, prior, view, measure, AlignmentOptions(), clock)
+    assert result.failure == ""
+    miss = CAMERA.project(result.T_cam_body.translation_m) - CAMERA.project(truth.translation_m)
+    assert np.abs(miss).max() < 0.1
+    assert 2 <= len(result.steps) <= 4
+    assert set(clock.seconds) == {"mesh_rendering", "centroid"}
+    moved = [step.rendered_px for step in result.steps]
+    assert np.linalg.norm(moved[-1] - moved[-2]) < 5.0
+
+
+def test_the_loop_ends_by_tolerance_and_by_count():
+    truth = Pose(np.eye(3), np.array([0.0, 0.0, 2000.0]))
+    prior = truth.perturbed(np.zeros(3), np.array([60.0, 0.0, 0.0]))
+    observed = disc(128.0, 100.0, 24.0)
+    view = MeshView(CAMERA, Ball(), np.array([0.0, 0.0, -1.0]))
+
+    def steps(**options):
+        found = align_translation(observed, prior, view, centroid_pair, AlignmentOptions(**options), Stopwatch())
+        return len(found.steps)
+
+    assert steps(max_iterations=1) == 1
+    # The ball is 24 px off: the second image differs from the first by 24 px, the third from the second by nothing.
+    assert steps(tolerance_px=30.0) == 2
+    assert steps(tolerance_px=5.0) == 3
+
+
+def test_the_sun_stays_in_the_camera():
+    turn = Pose.from_quat_wxyz(np.array([0.9, 0.1, -0.3, 0.2]), np.array([0.0, 0.0, 2000.0]))
+    ball = Ball()
+    sun_cam = np.array([0.6, 0.0, -0.8])
+    MeshView(CAMERA, ball, sun_cam).render(turn)
+    np.testing.assert_allclose(turn.rotate(ball.views[0].sun_dir_body), sun_cam, atol=1e-12)
+
+
+def test_a_mesh_out_of_view_is_a_failure_with_a_reason():
+    prior = Pose(np.eye(3), np.array([5000.0, 0.0, 2000.0]))
+    view = MeshView(CAMERA, Ball(), np.array([0.0, 0.0, -1.0]))
+    result = align_translation(disc(128, 100, 24), prior, view, centroid_pair, AlignmentOptions(), Stopwatch())
+    assert "out of view" in result.failure
+    assert result.steps == ()
+
+
+def blob(u0, v0, seed=4):
+    """A smooth, lopsided blob."""
+    rng = np.random.default_rng(seed)
+    u, v = np.meshgrid(np.arange(256) + 0.5, np.arange(200) + 0.5)
+    image = np.zeros((200, 256))
+    for du, dv, size, gain in rng.uniform((-25, -20, 4, 0.2), (25, 20, 10, 1.0), (12, 4)):
+        image += gain * np.exp(-0.5 * ((u - u0 - du) ** 2 + (v - v0 - dv) ** 2) / size**2)
+    return np.where(image > 0.02, image, 0.0).astype(np.float32)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (17.0, -9.0), (-30.4, 22.7), (70.0, 0.3)])
+def test_the_best_shift_is_the_shift(shift):
+    found = best_shift(3.0 * blob(120.0 + shift[0], 100.0 + shift[1]), blob(120.0, 100.0))
+    np.testing.assert_allclose(found, shift, atol=0.15)
+
+
+def test_the_image_aligns_where_the_centroid_is_misled():
+    observed = blob(120.0, 100.0)
+    observed[:, 150:] = 0.0  # a part in a shadow that the mesh does not cast
+    rendered = blob(110.0, 108.0)
+    by_centroid = np.subtract(*centroid_pair(observed, rendered, np.zeros(2)))
+    by_image = np.subtract(*correlation_pair(observed, rendered, np.array([110.0, 108.0])))
+    error = [np.linalg.norm(found - (10.0, -8.0)) for found in (by_centroid, by_image)]
+    assert error[1] < 0.5 * error[0]
