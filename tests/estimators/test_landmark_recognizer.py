@@ -1,0 +1,369 @@
+"""The whole recogniser on images of a body with relief, and the contract of the estimators."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from estimators.contract import Estimate
+from estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
+from estimators.landmark.database import LandmarkDatabase
+from estimators.landmark.recognizer import PRODUCT, LandmarkOptions, LandmarkRecognizer
+from estimators.registry import estimator_class, estimator_names
+from renderers.mitsuba3 import MitsubaRenderer
+from scenarios.bodies import load_body
+from scenarios.draw import draw_lit_view
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera
+from scenarios.observation import Frame, Observation
+from scenarios.spec.body import BodySpec, BoulderSpec, DetailSpec
+from scenarios.spec.brdf import LambertSpec
+from scenarios.spec.distribution import Uniform
+from scenarios.spec.world import LightingSpec, ViewpointSpec
+
+CAMERA = Camera.from_fov(256, 256, np.radians(18.3))
+DATABASE = {
+    "images": 80,
+    "min_observations": 6,
+    "clusters": {"seed_radius_m": 4.0},
+    "corners": {"count": 60, "surroundings_px": 25, "patch_px": 9},
+}
+TRIALS = 8
+
+
+class World:
+    """A body with boulders, its renderer and a data base made of its images; lends what an estimator asks for."""
+
+    def __init__(self):
+        spec = BodySpec(
+            shape="contact-binary",
+            detail=DetailSpec(
+                facets=90_000, seed=3, boulders=BoulderSpec(count=700, min_diameter_m=8.0, max_diameter_m=45.0)
+            ),
+        )
+        self.camera = CAMERA
+        self.brdf = LambertSpec()
+        self.body = load_body(spec, ())
+        self.renderer = MitsubaRenderer(self.body.mesh, self.brdf)
+        self.asked = []
+        options = LandmarkOptions(database=DATABASE).database
+        candidates = []
+        for index in range(options.images):
+            view = self.view(np.random.default_rng(1000 + index))
+            image = self.renderer.render(view)
+            candidates.append(
+                extract_candidates(image, lambda uv, view=view: self.renderer.surface(view, uv).points_body_m, options)
+            )
+        self.database = database_from_candidates(candidates, options)
+
+    def view(self, rng):
+        lighting = LightingSpec(phase_deg=Uniform(uniform=(0.0, 60.0)))
+        return draw_lit_view(ViewpointSpec(range_m=2000.0), lighting, CAMERA, rng)
+
+    def product(self, kind, options):
+        self.asked.append((kind, options))
+        return self.database
+
+    def mesh_renderer(self, mesh):
+        return MitsubaRenderer(mesh, self.brdf, 1)
+
+    def frame(self, trial, noise_dn=0.0):
+        rng = np.random.default_rng(trial)
+        view = self.view(rng)
+        axis = rng.normal(size=3)
+        angle = np.radians(rng.uniform(-2.0, 2.0)) / np.linalg.norm(axis)
+        prior = view.T_cam_body.perturbed(angle * axis, rng.uniform((-50.0, -50.0, -5.0), (50.0, 50.0, 5.0)))
+        image = self.renderer.render(view)
+        if noise_dn:
+            image = (8000.0 * image + rng.normal(100.0, noise_dn, image.shape)).astype(np.float32)
+        sun = view.T_cam_body.rotate(view.sun_dir_body)
+        return view, Frame(image, sun, prior, np.diag([0.02] * 3 + [29.0] * 3) ** 2)
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("BORESIGHT_CACHE", str(tmp_path_factory.mktemp("cache")))
+        return World()
+
+
+def recogniser(world, **options):
+    return LandmarkRecognizer.from_options({"database": DATABASE, **options}, world)
+
+
+def estimate(estimator, *frames):
+    return estimator.estimate(Observation(CAMERA, frames), rng=np.random.default_rng(0))
+
+
+def errors(view, pose):
+    offset = pose.camera_position_m - view.T_cam_body.camera_position_m
+    return np.degrees(pose.angle_to(view.T_cam_body)), np.linalg.norm(offset)
+
+
+def test_the_mesh_of_the_landmarks_fits_the_body(world):
+    assert len(world.database) > 60
+    assert abs(world.database.mesh().volume_m3 / world.body.mesh.volume_m3 - 1.0) < 0.08
+
+
+@pytest.mark.parametrize("noise_dn", [0.0, 15.0], ids=["clean", "noisy"])
+def test_recognition_improves_on_the_prior(world, noise_dn):
+    estimator = recogniser(world)
+    before, after, landmark_errors = [], [], []
+    for trial in range(TRIALS):
+        view, frame = world.frame(trial, noise_dn)
+        result = estimate(estimator, frame)
+        assert result.status == "ok", result.reason
+        before.append(errors(view, frame.prior_T_cam_body))
+        after.append(errors(view, result.poses[0]))
+        table = result.details["landmarks"]
+        hits = world.renderer.surface(view, np.column_stack([table["u_px"], table["v_px"]])).points_body_m
+        means = np.column_stack([table["x_m"], table["y_m"], table["z_m"]])
+        landmark_errors.append(np.linalg.norm(hits - means, axis=1))
+    attitude, position = np.median(before, axis=0)
+    assert np.median(after, axis=0)[1] < 0.75 * position
+    assert np.median(after, axis=0)[0] < 0.95 * attitude
+    # Two pixels of this camera are 4.5 m on the body.
+    assert np.nanmedian(np.concatenate(landmark_errors)) < 4.5
+
+
+def test_an_estimate_holds_what_the_contract_says(world):
+    _, frame = world.frame(1)
+    result = estimate(recogniser(world), frame)
+    assert result.status == "ok"
+    assert [stage.name for stage in result.stages] == ["centroid", "recognition"]
+    assert result.stages[-1].T_cam_body is result.poses[0]
+    assert set(result.timings_s) == {"mesh_rendering", "centroid", "feature_extraction", "recognition"}
+    assert all(seconds > 0.0 for seconds in result.timings_s.values())
+    expected = {"n_landmarks", "n_predicted", "n_corners", "outlier_rounds", "centroid_iterations", "chi2", "stable"}
+    assert set(result.diagnostics) == expected
+    table = result.details["landmarks"]
+    n = result.diagnostics["n_landmarks"]
+    assert {len(column) for column in table.values()} == {n}
+    assert 4 <= n <= result.diagnostics["n_predicted"] <= len(world.database)
+    np.testing.assert_array_equal(table["x_m"], world.database.means_m[table["landmark"], 0])
+    np.testing.assert_array_equal(table["syz_m2"], world.database.covariances_m2[table["landmark"], 1, 2])
+    assert np.sum(table["d2_px"]) == pytest.approx(result.diagnostics["chi2"], rel=0.2)
+    assert (np.linalg.eigvalsh(result.covariances[0]) > 0.0).all()
+    rotation = np.sqrt(np.diag(result.covariances[0])[:3])
+    assert (np.degrees(rotation) < 5.0).all()
+
+
+def test_the_stages_can_be_looked_at(world):
+    _, frame = world.frame(2)
+    record = recogniser(world).recognise(frame, CAMERA)
+    assert record.failure == ""
+    assert record.alignment.steps[0].T_cam_body is frame.prior_T_cam_body
+    assert record.alignment.steps[0].rendered.shape == frame.image.shape
+    first, last = record.solution.rounds[0], record.solution.rounds[-1]
+    assert first.projection.uv_px.shape == (len(world.database), 2)
+    assert first.visible[first.matches.landmark].all()
+    assert last.matches.corner.max() < len(record.corners)
+
+
+def test_the_centroid_brings_the_body_into_place(world):
+    prior, moved = [], []
+    for trial in range(TRIALS):
+        view, frame = world.frame(trial)
+        result = estimate(recogniser(world), frame)
+        truth = CAMERA.project(view.T_cam_body.translation_m)
+        prior.append(np.linalg.norm(CAMERA.project(frame.prior_T_cam_body.translation_m) - truth))
+        moved.append(np.linalg.norm(CAMERA.project(result.stages[0].T_cam_body.translation_m) - truth))
+    assert np.median(prior) > 10.0
+    assert np.median(moved) < 3.0
+
+
+@pytest.mark.parametrize("alignment", ["image", "none"])
+def test_the_alignment_is_an_option(world, alignment):
+    _, frame = world.frame(2)
+    default = estimate(recogniser(world), frame)
+    other = recogniser(world, alignment=alignment).recognise(frame, CAMERA)
+    if alignment == "none":
+        assert other.alignment.steps == ()
+        assert other.alignment.T_cam_body is frame.prior_T_cam_body
+    else:
+        shift = other.alignment.T_cam_body.translation_m - default.stages[0].T_cam_body.translation_m
+        assert 0.0 < np.linalg.norm(shift) < 20.0
+
+
+def test_corners_of_the_image_may_differ_from_those_of_the_data_base(world):
+    _, frame = world.frame(2)
+    few = estimate(recogniser(world, corners={"count": 20, "surroundings_px": 25, "patch_px": 9}), frame)
+    assert few.diagnostics["n_corners"] == 20
+    assert estimate(recogniser(world), frame).diagnostics["n_corners"] == 60
+
+
+def test_a_sequence_is_estimated_frame_by_frame(world):
+    frames = [world.frame(trial)[1] for trial in (1, 2)]
+    both = estimate(recogniser(world), *frames)
+    alone = [estimate(recogniser(world), frame) for frame in frames]
+    assert len(both.poses) == 2
+    for pose, single in zip(both.poses, alone, strict=True):
+        np.testing.assert_array_equal(pose.rotation, single.poses[0].rotation)
+    counts = [single.diagnostics["n_landmarks"] for single in alone]
+    assert list(np.bincount(both.details["landmarks"]["frame"])) == counts
+    black = Frame(np.zeros_like(frames[0].image), frames[0].sun_dir_cam, frames[0].prior_T_cam_body, np.eye(6))
+    broken = estimate(recogniser(world), frames[0], black)
+    assert broken.status == "failed"
+    assert broken.poses == ()
+
+
+def spoilt(frame, image):
+    return Frame(image.astype(np.float32), frame.sun_dir_cam, frame.prior_T_cam_body, frame.prior_covariance)
+
+
+def test_hard_images_fail_with_a_reason(world):
+    _, frame = world.frame(1)
+    nan = frame.image.copy()
+    nan[100, 100] = np.nan
+    noise = np.random.default_rng(0).normal(50.0, 3.0, frame.image.shape)
+    smooth = np.zeros_like(frame.image)
+    smooth[118:138, 118:138] = 1.0
+    estimator = recogniser(world)
+    for image, reason in (
+        (np.zeros_like(frame.image), "black"),
+        (np.full_like(frame.image, 9.0), "black"),
+        (noise, "black"),
+        (nan, "NaN"),
+        (smooth, "landmarks recognised, 4 needed"),
+    ):
+        result = estimate(estimator, spoilt(frame, image))
+        assert result.status == "failed"
+        assert reason in result.reason
+        assert result.poses == result.covariances == ()
+        assert result.details == {}
+    assert estimate(estimator).status == "failed"
+    with pytest.raises(BoresightError, match=r"\(255, 256\)"):
+        estimate(estimator, spoilt(frame, frame.image[1:]))
+
+
+def test_a_prior_that_looks_past_the_body_fails_with_a_reason(world):
+    _, frame = world.frame(1)
+    away = frame.prior_T_cam_body.perturbed(np.zeros(3), np.array([3000.0, 0.0, 0.0]))
+    lost = Frame(frame.image, frame.sun_dir_cam, away, frame.prior_covariance)
+    assert "out of view" in estimate(recogniser(world), lost).reason
+    assert estimate(recogniser(world, alignment="none"), lost).status == "failed"
+
+
+def same(first: Estimate, second: Estimate) -> bool:
+    poses = all(
+        np.array_equal(a.rotation, b.rotation) and np.array_equal(a.translation_m, b.translation_m)
+        for a, b in zip(first.poses, second.poses, strict=True)
+    )
+    return poses and dict(first.diagnostics) == dict(second.diagnostics) and first.status == second.status
+
+
+@pytest.mark.parametrize("name", sorted({"landmark-harris", "prior"}))
+def test_every_estimator_keeps_the_contract(world, name):
+    assert name in estimator_names()
+    found = estimator_class(name)
+    assert found.name == name
+    assert found.version >= 1
+    options = {"database": DATABASE} if name == "landmark-harris" else {}
+    estimator = found.from_options(options, world)
+    _, frame = world.frame(3)
+    frame.image.setflags(write=False)
+    frame.prior_covariance.setflags(write=False)
+    first = estimate(estimator, frame)
+    state = {key: id(value) for key, value in vars(estimator).items()}
+    estimate(estimator, spoilt(frame, np.zeros_like(frame.image)))
+    assert {key: id(value) for key, value in vars(estimator).items()} == state
+    assert same(first, estimate(estimator, frame))
+    assert same(first, estimate(found.from_options(options, world), frame))
+    with pytest.raises(BoresightError, match=f"estimator {name}: colour"):
+        found.from_options({"colour": "red"}, world)
+
+
+def test_the_prior_is_returned_as_it_is(world):
+    _, frame = world.frame(3)
+    result = estimate(estimator_class("prior").from_options({}, world), frame)
+    assert result.poses == (frame.prior_T_cam_body,)
+    assert result.covariances[0] is frame.prior_covariance
+
+
+def test_the_data_base_is_asked_for_by_its_options(world):
+    world.asked.clear()
+    recogniser(world)
+    (kind, options), *_ = world.asked
+    assert kind == PRODUCT
+    assert DatabaseOptions.model_validate(options) == LandmarkOptions(database=DATABASE).database
+
+
+def test_a_product_of_another_kind_is_refused(world):
+    class Wrong:
+        camera = CAMERA
+
+        def product(self, kind, options):
+            return {"kind": kind, **options}
+
+        def mesh_renderer(self, mesh):
+            raise NotImplementedError
+
+    with pytest.raises(BoresightError, match="is a dict"):
+        LandmarkRecognizer.from_options({}, Wrong())
+
+
+def test_wrong_options_name_estimator_key_and_value(world):
+    with pytest.raises(BoresightError, match=r"estimator landmark-harris: database\.corners\.k: .*got 7"):
+        LandmarkRecognizer.from_options({"database": {"corners": {"k": 7}}}, world)
+    with pytest.raises(BoresightError, match="alignment"):
+        LandmarkRecognizer.from_options({"alignment": "sideways"}, world)
+
+
+def test_an_unknown_estimator_is_refused_with_the_known_ones():
+    with pytest.raises(BoresightError, match="'landmark-surf' is unknown; there are: landmark-harris, prior"):
+        estimator_class("landmark-surf")
+
+
+def test_a_saved_data_base_recognises_the_same(world, tmp_path):
+    world.database.save(tmp_path)
+    again = LandmarkDatabase.load(tmp_path)
+    _, frame = world.frame(1)
+    options = LandmarkOptions(database=DATABASE)
+    first = LandmarkRecognizer(world.database, world.mesh_renderer(world.database.mesh()), options)
+    second = LandmarkRecognizer(again, world.mesh_renderer(again.mesh()), options)
+    assert same(estimate(first, frame), estimate(second, frame))
+
+
+def third_party(folder, monkeypatch, code, target="other:Other"):
+    """Install a package of one module that offers an estimator ``other``."""
+    (folder / "other.py").write_text(code)
+    info = folder / "other-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[boresight.estimators]\nother = {target}\nprior = other:Other\n")
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.delitem(sys.modules, "other", raising=False)
+
+
+GOOD = """
+class Other:
+    name = "other"
+    version = 4
+    @classmethod
+    def from_options(cls, options, assets):
+        return cls()
+    def estimate(self, observation, *, rng):
+        raise NotImplementedError
+"""
+
+
+def test_a_third_party_adds_its_estimator_by_an_entry_point(tmp_path, monkeypatch):
+    third_party(tmp_path, monkeypatch, GOOD)
+    assert "other" in estimator_names()
+    assert estimator_class("other").version == 4
+    assert estimator_class("prior").__module__ == "estimators.prior"
+
+
+@pytest.mark.parametrize(
+    ("code", "target", "message"),
+    [
+        ("import nothing_of_that_name\n", "other:Other", "cannot be imported from other:Other"),
+        (GOOD, "other:Missing", "cannot be imported"),
+        ("class Other:\n    name = 'other'\n", "other:Other", "lacks version, from_options, estimate"),
+    ],
+)
+def test_a_broken_third_party_is_refused_in_one_line(tmp_path, monkeypatch, code, target, message):
+    third_party(tmp_path, monkeypatch, code, target)
+    with pytest.raises(BoresightError, match=message) as caught:
+        estimator_class("other")
+    assert "\n" not in str(caught.value)
