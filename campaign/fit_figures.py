@@ -20,12 +20,10 @@ from reports.figures import Fit, Overlay, draw_fit_panels
 from scenarios.geometry import Camera, Pose, TriangleMesh
 
 
-def fit_figures(
-    campaign: ResolvedCampaign, run: Path, rows: pd.DataFrame, variant: str | None
-) -> Iterator[NamedFigure]:
+def fit_figures(campaign: ResolvedCampaign, run: Path, rows: pd.DataFrame) -> Iterator[NamedFigure]:
     """Draw a typical trial of every scenario and landmark recogniser: the one of median position error."""
     for scenario in campaign.scenarios:
-        experiment = experiment_of(campaign, scenario.spec.name, Bench(run, 1, variant, keep_images=False))
+        experiment = experiment_of(campaign, scenario.spec.name, Bench(run, 1, keep_images=False))
         for label, estimator in experiment.estimators.items():
             mine = rows[(rows["scenario"] == scenario.spec.name) & (rows["estimator"] == label)]
             trial = median_trial(mine)

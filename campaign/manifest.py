@@ -45,7 +45,7 @@ def make_manifest(
         "command": request.command,
         "commit": _commit(),
         "versions": package_versions(),
-        "machine": {**describe(), "variant": request.variant},
+        "machine": {**describe(), "variant": campaign.variant},
         "products": [_product(request.out, product) for product in products],
     }
 

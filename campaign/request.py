@@ -18,8 +18,6 @@ class RunRequest:
         Trials of each scenario.
     jobs
         Worker processes.
-    variant
-        The Mitsuba variant.
     keep_images
         Whether every image is kept.
     command
@@ -29,6 +27,5 @@ class RunRequest:
     out: Path
     trials: int
     jobs: int
-    variant: str
     keep_images: bool = False
     command: str = ""

@@ -36,6 +36,7 @@ class ResolvedCampaign:
     spec: CampaignSpec
     scenarios: tuple[LoadedScenario, ...]
     seed: int
+    variant: str = ""
 
     @cached_property
     def identity(self) -> dict[str, object]:
@@ -51,7 +52,7 @@ class ResolvedCampaign:
                 {"label": e.label, "name": e.name, "options": e.options, "version": estimator_class(e.name).version}
                 for e in self.spec.estimators
             ],
-            "renderer": [MitsubaRenderer.name, MitsubaRenderer.version],
+            "renderer": [MitsubaRenderer.name, MitsubaRenderer.version, self.variant],
             "detector": Detector.version,
         }
 
@@ -86,8 +87,12 @@ def campaign_names() -> list[str]:
     return names_in(CATALOG)
 
 
-def resolve(name_or_path: str, overrides: Sequence[str] = (), seed: int | None = None) -> ResolvedCampaign:
+def resolve(
+    name_or_path: str, overrides: Sequence[str] = (), seed: int | None = None, variant: str = ""
+) -> ResolvedCampaign:
     """Read a campaign and its scenarios, with ``--set`` overrides put on every scenario.
+
+    ``variant`` is the Mitsuba variant of a run: images of two variants agree closely, but not bit for bit.
 
     Raises
     ------
@@ -104,7 +109,7 @@ def resolve(name_or_path: str, overrides: Sequence[str] = (), seed: int | None =
         raise BoresightError(f"{loaded.path}: scenarios: two of them are called the same: {names}")
     for entry in spec.estimators:
         estimator_class(entry.name)
-    return ResolvedCampaign(spec, scenarios, spec.seed if seed is None else seed)
+    return ResolvedCampaign(spec, scenarios, spec.seed if seed is None else seed, variant)
 
 
 def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
@@ -127,5 +132,5 @@ def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
         )
     except (KeyError, ValidationError):
         return None
-    campaign = ResolvedCampaign(spec, scenarios, int(manifest["seed"]))
+    campaign = ResolvedCampaign(spec, scenarios, int(manifest["seed"]), manifest["machine"]["variant"])
     return campaign if campaign.digest == manifest["digest"] else None

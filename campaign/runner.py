@@ -79,7 +79,7 @@ def _build_products(campaign: ResolvedCampaign, request: RunRequest, listener: L
     products = []
     for scenario in campaign.scenarios:
         for entry in campaign.spec.estimators:
-            shelf = Shelf(scenario, request.out / "products", request.jobs, request.variant, listener.message)
+            shelf = Shelf(scenario, request.out / "products", request.jobs, campaign.variant, listener.message)
             estimator_class(entry.name).from_options(entry.options, shelf)
             products += shelf.lent_to(entry.label)
     return products
@@ -96,7 +96,7 @@ def _computed(
     campaign: ResolvedCampaign, todo: Sequence[Block], request: RunRequest
 ) -> Iterator[tuple[Block, Records]]:
     """Yield each block with its records, in order, holding only what is in flight."""
-    bench = Bench(request.out, request.jobs, request.variant, request.keep_images)
+    bench = Bench(request.out, request.jobs, request.keep_images)
     parallel = Parallel(n_jobs=request.jobs, return_as="generator", pre_dispatch="2*n_jobs", batch_size=1)
     results = parallel(delayed(run_block)(campaign, block, bench) for block in todo)
     yield from zip(todo, results, strict=True)

@@ -28,7 +28,6 @@ class Bench:
 
     run: Path
     jobs: int
-    variant: str | None
     keep_images: bool
 
 
@@ -47,13 +46,13 @@ def run_block(campaign: ResolvedCampaign, block: Block, bench: Bench) -> Records
 def experiment_of(campaign: ResolvedCampaign, scenario_name: str, bench: Bench) -> SingleImage:
     """Build the experiment once per process and scenario."""
     scenario = campaign.scenario(scenario_name)
-    shelf = Shelf(scenario, bench.run / "products", jobs=0, variant=bench.variant)
+    shelf = Shelf(scenario, bench.run / "products", jobs=0, variant=campaign.variant)
     estimators = {
         entry.label: estimator_class(entry.name).from_options(entry.options, shelf)
         for entry in campaign.spec.estimators
     }
     sink = _image_sink(bench.run / "images" / scenario_name) if bench.keep_images else None
-    return SingleImage(open_world(scenario, bench.variant), estimators, campaign.seed, sink)
+    return SingleImage(open_world(scenario, campaign.variant), estimators, campaign.seed, sink)
 
 
 def _image_sink(folder: Path) -> ImageSink:

@@ -122,7 +122,7 @@ def trial_limit(scenario: LoadedScenario) -> int | None:
 
 
 @lru_cache(maxsize=1)
-def open_world(scenario: LoadedScenario, variant: str | None) -> World:
+def open_world(scenario: LoadedScenario, variant: str) -> World:
     """Build a scenario's world once per process; scenes do not pickle, so every worker has its own."""
     spec = scenario.spec
     camera = spec.camera.camera()

@@ -69,15 +69,14 @@ def _integer(text: str, lowest: int) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    campaign = resolve(arguments.name, arguments.overrides, arguments.seed)
-    trials = _trials(campaign, arguments.trials)
     variant = choose_variant(arguments.variant)
+    campaign = resolve(arguments.name, arguments.overrides, arguments.seed, variant.name)
+    trials = _trials(campaign, arguments.trials)
     out = console()
     request = RunRequest(
         out=arguments.out or RUNS / f"{campaign.spec.name}-{campaign.digest[:8]}",
         trials=trials,
         jobs=arguments.jobs,
-        variant=variant.name,
         keep_images=arguments.keep_images,
         command=shlex.join(["boresight", *sys.argv[1:]]),
     )
@@ -145,7 +144,7 @@ def _fit_figures(folder: RunFolder) -> list[NamedFigure]:
     if campaign is None:
         console().print("no figure of a single fit: the run was made by another version of boresight or of its data")
         return []
-    return list(fit_figures(campaign, folder.path, folder.table("rows"), manifest["machine"].get("variant")))
+    return list(fit_figures(campaign, folder.path, folder.table("rows")))
 
 
 def find_run(name: str) -> RunFolder:

@@ -24,7 +24,7 @@ VERSION = 1
 _CHUNK_IMAGES = 10
 
 
-def build(scenario: LoadedScenario, options: DatabaseOptions, folder: Path, jobs: int, variant: str | None) -> None:
+def build(scenario: LoadedScenario, options: DatabaseOptions, folder: Path, jobs: int, variant: str) -> None:
     """Build the data base of ``scenario`` and store it in ``folder``.
 
     The images are noise free, of the scenario's own body, camera and BRDF, from random directions at the
@@ -43,7 +43,7 @@ def load(folder: Path) -> LandmarkDatabase:
 
 
 def _candidates(
-    scenario: LoadedScenario, options: DatabaseOptions, images: Sequence[int], variant: str | None, jobs: int
+    scenario: LoadedScenario, options: DatabaseOptions, images: Sequence[int], variant: str, jobs: int
 ) -> list[NDArray[np.float64]]:
     use_threads(jobs)
     world = open_world(scenario, variant)

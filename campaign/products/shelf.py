@@ -12,7 +12,7 @@ from pathlib import Path
 
 from campaign.products import landmark_database
 from estimators.contract import ImageRenderer
-from estimators.landmark.build import DatabaseOptions
+from estimators.landmark.build import METHOD_VERSION, DatabaseOptions
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.bodies import body_digest
 from scenarios.cache import default_cache
@@ -21,7 +21,7 @@ from scenarios.geometry import Camera, TriangleMesh
 from scenarios.load import LoadedScenario, canonical_json
 
 
-def product_key(scenario: LoadedScenario, kind: str, options: DatabaseOptions) -> str:
+def product_key(scenario: LoadedScenario, kind: str, options: DatabaseOptions, variant: str) -> str:
     """Return the content hash of a product: whatever would change it changes the key."""
     spec = scenario.spec
     parts = {
@@ -35,7 +35,8 @@ def product_key(scenario: LoadedScenario, kind: str, options: DatabaseOptions) -
                 ("viewpoint", spec.viewpoint), ("images", spec.images),
             )
         },
-        "versions": [landmark_database.VERSION, MitsubaRenderer.version],
+        "versions": [landmark_database.VERSION, METHOD_VERSION, MitsubaRenderer.version],
+        "variant": variant,
     }  # fmt: skip
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 
@@ -62,7 +63,7 @@ class Shelf:
     jobs
         Workers to build with; 0 where nothing may be built (in a worker).
     variant
-        The Mitsuba variant, or None to choose.
+        The Mitsuba variant.
     tell
         Told before something is built.
     """
@@ -72,7 +73,7 @@ class Shelf:
         scenario: LoadedScenario,
         folder: Path,
         jobs: int,
-        variant: str | None,
+        variant: str,
         tell: Callable[[str], None] | None = None,
     ) -> None:
         self._scenario = scenario
@@ -99,7 +100,7 @@ class Shelf:
         if kind != landmark_database.KIND:
             raise BoresightError(f"no product is called {kind!r}: the only kind is {landmark_database.KIND}")
         wanted = DatabaseOptions.model_validate(options)
-        folder = self._folder / f"{kind}-{product_key(self._scenario, kind, wanted)}"
+        folder = self._folder / f"{kind}-{product_key(self._scenario, kind, wanted, self._variant)}"
         if not folder.exists():
             self._fetch(wanted, folder)
         self._lent.append((kind, folder.name))

@@ -20,6 +20,7 @@ import trimesh
 
 from campaign.experiments.single_image import SingleImage
 from campaign.world import open_world
+from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
 from scenarios.load import load_scenario
 from scenarios.spec.base import SpecModel
@@ -192,7 +193,7 @@ def _models(annotation: object) -> Iterator[type[SpecModel]]:
 
 def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
     """Hash what three trials show to an estimator, and the truth that they are scored against."""
-    world = open_world(load_scenario(str(file), overrides), None)
+    world = open_world(load_scenario(str(file), overrides), choose_variant().name)
     experiment = SingleImage(world, {}, seed=3)
     parts = []
     for trial in range(3):
