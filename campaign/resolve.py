@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from estimators.registry import estimator_class
 from renderers.detector import Detector
+from renderers.images import PosedImageSet
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.bodies import body_digest
 from scenarios.errors import BoresightError
@@ -45,7 +46,12 @@ class ResolvedCampaign:
             "experiment": [self.spec.experiment, EXPERIMENT_VERSION],
             "seed": self.seed,
             "scenarios": [
-                {"name": s.spec.name, "digest": digest(s.spec), "body": body_digest(s.spec.body, s.search_dirs)}
+                {
+                    "name": s.spec.name,
+                    "digest": digest(s.spec),
+                    "body": body_digest(s.spec.body, s.search_dirs),
+                    "images": _images_digest(s),
+                }
                 for s in self.scenarios
             ],
             "estimators": [
@@ -80,6 +86,14 @@ class ResolvedCampaign:
 
     def __hash__(self) -> int:
         return hash(self.digest)
+
+
+def _images_digest(scenario: LoadedScenario) -> str:
+    """Digest the real images of a scenario; empty where images are rendered."""
+    spec = scenario.spec
+    if spec.images is None:
+        return ""
+    return PosedImageSet.open(spec.images, spec.camera.camera(), scenario.search_dirs).content_digest()
 
 
 def campaign_names() -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,6 +102,22 @@ class PosedImageSet:
                 f" but the camera has {self.camera.width_px} x {self.camera.height_px}"
             )
         return image[::-1].copy() if self.spec.first_row == "bottom" else image
+
+    def content_digest(self) -> str:
+        """Digest (hexadecimal SHA-256) of the table and of every image: what results depend on.
+
+        Raises
+        ------
+        BoresightError
+            If a file cannot be read.
+        """
+        digest = hashlib.sha256()
+        for path in (self.folder / self.spec.table, *(self.folder / name for name in self.names)):
+            try:
+                digest.update(hashlib.sha256(path.read_bytes()).digest())
+            except OSError as error:
+                raise BoresightError(f"{path}: cannot be read: {error.strerror or error}") from error
+        return digest.hexdigest()
 
     def check_images(self) -> None:
         """Read every image once, so that a damaged one is found before a campaign starts.
