@@ -54,11 +54,13 @@ def sine(cosine: Array, xp: ArrayMath) -> Array:
     return xp.sqrt(xp.maximum(1.0 - cosine * cosine, 0.0))
 
 
-def cos_azimuth(cos_i: Array, cos_e: Array, cos_g: Array, xp: ArrayMath) -> Array:
-    """Cosine of the azimuth between the planes of incidence and emission.
+def azimuth_haversine(cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
+    """sin^2(psi / 2) of the azimuth psi between the planes of incidence and emission.
 
-    It follows from the spherical law of cosines ``cos g = cos i cos e + sin i sin e cos psi``. Where one of
-    the directions is the normal the azimuth is undefined; any value in [-1, 1] then gives the same reflectance.
+    It follows from the spherical law of haversines ``hav g = hav(i - e) + sin i sin e hav psi``, which keeps its
+    digits in single precision towards opposition, where the law of cosines loses them. Where one of the
+    directions is the normal the azimuth is undefined; any value in [0, 1] then gives the same reflectance.
     """
+    half_g, half_difference = xp.sin(0.5 * phase_rad), xp.sin(0.5 * (xp.acos(cos_i) - xp.acos(cos_e)))
     sines = xp.maximum(sine(cos_i, xp) * sine(cos_e, xp), 1e-9)
-    return xp.minimum(xp.maximum((cos_g - cos_i * cos_e) / sines, -1.0), 1.0)
+    return xp.minimum(xp.maximum((half_g * half_g - half_difference * half_difference) / sines, 0.0), 1.0)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import pi, radians
 from typing import Literal
 
-from renderers.brdf.arrays import Array, ArrayMath, cos_azimuth, grazing_safe, sine
+from renderers.brdf.arrays import Array, ArrayMath, azimuth_haversine, grazing_safe, sine
 from scenarios.spec.brdf import HapkeSpec
 
 _TINY = 1e-12
@@ -54,6 +54,7 @@ def hapke(p: HapkeParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: 
 
     The two cases of the roughness correction (i <= e and e <= i) are one when they are written in the smaller
     angle a and the larger angle b, and the cosine of incidence cancels: reciprocity then holds by construction.
+    The opposition surge adds light: with w near 1 and B0 of 1 the model reflects up to 6 % more than it receives.
 
     Parameters
     ----------
@@ -67,11 +68,10 @@ def hapke(p: HapkeParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: 
         The array library of the angles.
     """
     cos_i, cos_e = grazing_safe(cos_i, xp), grazing_safe(cos_e, xp)
-    cos_g = xp.cos(phase_rad)
-    cos_psi = cos_azimuth(cos_i, cos_e, cos_g, xp)
+    half = azimuth_haversine(cos_i, cos_e, phase_rad, xp)
     cos_a, cos_b = xp.maximum(cos_i, cos_e), xp.minimum(cos_i, cos_e)
-    mu_a, mu_b, shadowing = _rough_surface(p.theta_bar_rad, cos_a, cos_b, cos_psi, xp)
-    single = (1.0 + opposition_surge(p, phase_rad, xp)) * phase_function(p, cos_g, xp)
+    mu_a, mu_b, shadowing = _rough_surface(p.theta_bar_rad, cos_a, cos_b, half, xp)
+    single = (1.0 + opposition_surge(p, phase_rad, xp)) * phase_function(p, xp.cos(phase_rad), xp)
     multiple = h_function(p, mu_a, xp) * h_function(p, mu_b, xp) - 1.0
     return p.w / (4.0 * pi) / (mu_a + mu_b) * (single + multiple) * shadowing
 
@@ -100,18 +100,19 @@ def h_function(p: HapkeParameters, x: Array, xp: ArrayMath) -> Array:
 
 
 def _rough_surface(
-    theta_bar_rad: Array, cos_a: Array, cos_b: Array, cos_psi: Array, xp: ArrayMath
+    theta_bar_rad: Array, cos_a: Array, cos_b: Array, half: Array, xp: ArrayMath
 ) -> tuple[Array, Array, Array]:
     """Effective cosines of the angles a <= b, and the shadowing S mu_a mu_b / (mu_a0 mu_b0) of the BRDF.
 
-    A slope of zero is a smooth surface; it is approached to 1e-5 rad, so that its cotangent stays finite.
+    ``half`` is sin^2(psi / 2) of the azimuth psi. A slope of zero is a smooth surface; it is approached to
+    1e-5 rad, so that its cotangent stays finite.
     """
     tan_t = xp.maximum(xp.sin(theta_bar_rad) / xp.cos(theta_bar_rad), 1e-5)
     chi = 1.0 / xp.sqrt(1.0 + pi * tan_t * tan_t)
     sin_a, sin_b = sine(cos_a, xp), sine(cos_b, xp)
     e1_a, e2_a = _roughness_exponentials(cos_a, sin_a, tan_t, xp)
     e1_b, e2_b = _roughness_exponentials(cos_b, sin_b, tan_t, xp)
-    half = 0.5 * (1.0 - cos_psi)  # sin^2(psi / 2)
+    cos_psi = 1.0 - 2.0 * half
     tilt = tan_t / (2.0 - e1_b - xp.acos(cos_psi) / pi * e1_a)
     mu_a = chi * (cos_a + sin_a * tilt * (cos_psi * e2_b + half * e2_a))
     mu_b = chi * (cos_b + sin_b * tilt * (e2_b - half * e2_a))
