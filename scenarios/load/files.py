@@ -87,7 +87,14 @@ def load_scenario(
     layers = [settings(base, (ScenarioSpec,))] if base is not None else []
     layers += [parse_override(text) for text in overrides]
     root = apply(merge(defaults(ScenarioSpec), file.root, (ScenarioSpec,)), layers, (ScenarioSpec,))
-    return LoadedScenario(validated(ScenarioSpec, root), path, file.folders)
+    return LoadedScenario(validated(ScenarioSpec, _without_nulls(root)), path, file.folders)
+
+
+def _without_nulls(root: Entry) -> Entry:
+    """Let ``section: null`` take a section back to its default, whatever the file builds on said."""
+    section = root.section or {}
+    kept = {key: entry for key, entry in section.items() if entry.value is not None}
+    return Entry(kept, root.place)
 
 
 def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = ()) -> LoadedCampaign:

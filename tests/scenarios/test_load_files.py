@@ -431,7 +431,7 @@ def test_overrides_of_a_campaign_and_of_its_scenarios(here, tmp_path):
     assert (spec.camera.fov_deg, spec.camera.width_px, spec.camera.height_px, spec.viewpoint.range_m) == (
         30,
         64,
-        256,
+        512,
         7,
     )
     assert fault("quickstart", base=loaded.overrides) == "c.yaml:8: viewpoint.range_m: -5 is not above 0"
@@ -473,3 +473,13 @@ def test_the_digest_is_the_same_in_another_process():
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert run.stdout.strip() == digest(load_scenario("quickstart").spec)
+
+
+def test_null_takes_a_section_back_to_its_default(tmp_path):
+    (tmp_path / "parent.yaml").write_text(
+        "camera: {fov_deg: 10}\nviewpoint: {range_m: 900}\nlighting: {phase_deg: {uniform: [5, 9]}}\ndetector: {}\n"
+    )
+    (tmp_path / "child.yaml").write_text("extends: parent.yaml\nlighting: null\ndetector: null\n")
+    spec = load_scenario(str(tmp_path / "child.yaml")).spec
+    assert spec.lighting.phase_deg.uniform == (0.0, 60.0)
+    assert spec.detector is None

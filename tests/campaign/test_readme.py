@@ -1,0 +1,52 @@
+"""The README's tutorial works as it is printed."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+README = Path(__file__).parents[2] / "README.md"
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def tutorial(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write every file of the tutorial and run every command, in the order of the page."""
+    folder = tmp_path_factory.mktemp("tutorial")
+    text = README.read_text(encoding="utf-8")
+    section = text[text.index("## Tutorial") : text.index("## More")]
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "BORESIGHT_CACHE": str(folder / "cache")}
+    for language, body in BLOCK.findall(section):
+        if language == "bash":
+            done = subprocess.run(
+                ["bash", "-euo", "pipefail", "-c", body],
+                cwd=folder, env=environment, capture_output=True, text=True, check=False,
+            )  # fmt: skip
+            assert done.returncode == 0, f"{body}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
+        else:
+            name = re.match(r"# file: (\S+)\n", body)
+            assert name is not None, f"a {language} block names no file:\n{body}"
+            (folder / name.group(1)).write_text(body, encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize(("run", "trials"), [("my_run", 20), ("real_run", 18)])
+def test_both_campaigns_improve_on_the_prior(tutorial: Path, run: str, trials: int):
+    rows = pd.read_parquet(tutorial / run / "rows")
+    found = rows[rows["estimator"] == "landmark-harris"]
+    assert len(found) == trials
+    assert (found["status"] == "ok").sum() >= 0.8 * trials
+    assert found["position_error_m"].median() < found["prior_position_error_m"].median()
+
+
+def test_the_real_campaign_names_its_images(tutorial: Path):
+    rows = pd.read_parquet(tutorial / "real_run" / "rows")
+    assert sorted(set(rows["image"])) == [f"{i}.png" for i in range(6)]
+    assert (tutorial / "real_run" / "report" / "report.html").stat().st_size > 10_000
