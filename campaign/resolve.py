@@ -50,7 +50,7 @@ class ResolvedCampaign:
                     "name": s.spec.name,
                     "digest": digest(s.spec),
                     "body": body_digest(s.spec.body, s.search_dirs),
-                    "images": _images_digest(s),
+                    "images": images_digest(s),
                 }
                 for s in self.scenarios
             ],
@@ -88,7 +88,7 @@ class ResolvedCampaign:
         return hash(self.digest)
 
 
-def _images_digest(scenario: LoadedScenario) -> str:
+def images_digest(scenario: LoadedScenario) -> str:
     """Digest the real images of a scenario; empty where images are rendered."""
     spec = scenario.spec
     if spec.images is None:

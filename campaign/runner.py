@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any, Protocol
 
-from joblib import Parallel, delayed
-
 from campaign import manifest as manifests
 from campaign.experiments.single_image import Records
+from campaign.parallel import in_order
 from campaign.products import BuiltProduct, Shelf
 from campaign.request import RunRequest
 from campaign.resolve import ResolvedCampaign
@@ -45,6 +44,7 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
     """
     folder = RunFolder(request.out)
     with RunLock(request.out):
+        folder.sweep()
         previous = _previous(folder, campaign)
         products = _build_products(campaign, request, listener)
         manifest = manifests.make_manifest(campaign, request, products, previous)
@@ -97,6 +97,5 @@ def _computed(
 ) -> Iterator[tuple[Block, Records]]:
     """Yield each block with its records, in order, holding only what is in flight."""
     bench = Bench(request.out, request.jobs, request.keep_images)
-    parallel = Parallel(n_jobs=request.jobs, return_as="generator", pre_dispatch="2*n_jobs", batch_size=1)
-    results = parallel(delayed(run_block)(campaign, block, bench) for block in todo)
+    results = in_order(request.jobs, run_block, ((campaign, block, bench) for block in todo))
     yield from zip(todo, results, strict=True)

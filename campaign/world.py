@@ -9,10 +9,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from campaign.resolve import images_digest
 from renderers.detector import Detector
 from renderers.images import PosedImageSet
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
-from scenarios.bodies import Body, load_body
+from scenarios.bodies import Body, body_digest, load_body
 from scenarios.draw import Stream, draw_view, generator
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, View
@@ -121,9 +122,14 @@ def trial_limit(scenario: LoadedScenario) -> int | None:
     return len(images) * spec.images.noise_realisations
 
 
-@lru_cache(maxsize=1)
 def open_world(scenario: LoadedScenario, variant: str) -> World:
     """Build a scenario's world once per process; scenes do not pickle, so every worker has its own."""
+    # A file that changed under the same name is another world.
+    return _built(scenario, variant, body_digest(scenario.spec.body, scenario.search_dirs), images_digest(scenario))
+
+
+@lru_cache(maxsize=1)
+def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     spec = scenario.spec
     camera = spec.camera.camera()
     body = load_body(spec.body, scenario.search_dirs)

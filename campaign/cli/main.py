@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 
 from campaign.cli import catalog, machine, runs
+from campaign.store.atomic import explain
 from scenarios.errors import BoresightError
 
 EXIT_OK, EXIT_USER_ERROR, EXIT_ESTIMATOR_ERRORS, EXIT_INTERRUPTED = 0, 2, 3, 130
@@ -22,15 +23,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return int(parsed.handler(parsed))
     except BoresightError as error:
-        for line in str(error).splitlines():
-            print(f"boresight: {line}", file=sys.stderr)  # noqa: T201  the command line speaks
+        _complain(str(error))
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
-        print("boresight: interrupted; the same command continues", file=sys.stderr)  # noqa: T201
+        _complain("interrupted; the same command continues")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         sys.stderr.close()
         return EXIT_OK
+    except OSError as error:
+        _complain(explain(error.filename or "standard output", error))
+        return EXIT_USER_ERROR
+
+
+def _complain(text: str) -> None:
+    for line in text.splitlines():
+        print(f"boresight: {line}", file=sys.stderr)  # noqa: T201  the command line speaks
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -11,6 +11,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from campaign.check import check
 from campaign.score import no_pose_error, pose_error
 from campaign.world import Sight, World
 from estimators.contract import Estimate, Estimator, Table
@@ -56,11 +57,9 @@ class SingleImage:
         records: Records = {}
         for label, estimator in self.estimators.items():
             key: Record = {"trial": trial, "scenario": self.world.scenario.spec.name, "estimator": label}
-            estimate, trace = self._estimate(estimator, observation, trial)
-            self._record(records, key, sight, observation, estimate)
+            for table, added in self._judged(estimator, observation, sight, trial).items():
+                _add(records, table, key, added)
             _add(records, "timings", key, [{"stage": "image", "seconds": image_seconds}])
-            if trace:
-                _add(records, "tracebacks", key, [{"traceback": trace}])
         return records
 
     def observe(self, sight: Sight, trial: int) -> Observation:
@@ -78,41 +77,37 @@ class SingleImage:
         )
         return Observation(self.world.camera, (frame,))
 
-    def _estimate(self, estimator: Estimator, observation: Observation, trial: int) -> tuple[Estimate | None, str]:
+    def _judged(self, estimator: Estimator, observation: Observation, sight: Sight, trial: int) -> Records:
+        """Let an estimator work and score what it returns: records without their key, whatever goes wrong."""
         rng = generator(self.seed, Stream.ESTIMATOR, trial)
         try:
             estimate = estimator.estimate(observation, rng=rng)
-            _check(estimate, observation)
+            check(estimate, observation)
+            return self._scored(estimate, observation, sight)
         except Exception:  # noqa: BLE001  the one place: an estimator's fault is a result, recorded with its trace
-            return None, traceback.format_exc()
-        return estimate, ""
+            reason = "the estimator raised or returned rubbish: see the table tracebacks"
+            row = {**_circumstances(observation, sight), **no_pose_error(), "status": "error", "reason": reason}
+            return {"rows": [{**row, "n_landmarks": 0}], "tracebacks": [{"traceback": traceback.format_exc()}]}
 
-    def _record(
-        self, records: Records, key: Record, sight: Sight, observation: Observation, estimate: Estimate | None
-    ) -> None:
+    def _scored(self, estimate: Estimate, observation: Observation, sight: Sight) -> Records:
         true = sight.view.T_cam_body
-        prior = pose_error(observation.frames[0].prior_T_cam_body, true)
-        final = estimate.poses[0] if estimate is not None and estimate.status == "ok" else None
+        final = estimate.poses[0] if estimate.status == "ok" else None
         row: Record = {
-            "status": "error" if estimate is None else estimate.status,
-            "reason": "the estimator raised: see the table tracebacks" if estimate is None else estimate.reason,
-            **{f"prior_{name}": value for name, value in prior.items()},
+            **_circumstances(observation, sight),
             **(no_pose_error() if final is None else pose_error(final, true)),
-            "n_landmarks": 0,
-            "image": sight.image_name,
-            "range_m": float(np.linalg.norm(true.translation_m)),
-            "phase_deg": float(np.degrees(sight.view.phase_angle_rad)),
+            "status": estimate.status,
+            "reason": estimate.reason,
+            "n_landmarks": int(estimate.diagnostics.get("n_landmarks", 0)),
         }
-        if estimate is not None:
-            row["n_landmarks"] = int(estimate.diagnostics.get("n_landmarks", 0))
-            _add(records, "stages", key, [{"stage": s.name, **pose_error(s.T_cam_body, true)} for s in estimate.stages])
-            _add(records, "references", key, _references(final, sight))
-            _add(records, "landmarks", key, self._landmarks(estimate.details.get("landmarks"), sight))
-            numbers = [(n, v) for n, v in estimate.diagnostics.items() if not isinstance(v, str)]
-            _add(records, "diagnostics", key, [{"name": n, "value": float(v)} for n, v in numbers])
-            seconds = [{"stage": n, "seconds": v} for n, v in estimate.timings_s.items()]
-            _add(records, "timings", key, seconds)
-        _add(records, "rows", key, [row])
+        numbers = {name: float(value) for name, value in estimate.diagnostics.items() if not isinstance(value, str)}
+        return {
+            "stages": [{"stage": str(s.name), **pose_error(s.T_cam_body, true)} for s in estimate.stages],
+            "references": _references(final, sight),
+            "landmarks": self._landmarks(estimate.details.get("landmarks"), sight),
+            "diagnostics": [{"name": str(name), "value": value} for name, value in numbers.items()],
+            "timings": [{"stage": str(name), "seconds": float(value)} for name, value in estimate.timings_s.items()],
+            "rows": [row],
+        }
 
     def _landmarks(self, table: Table | None, sight: Sight) -> list[Record]:
         """Score recognised landmarks: the corner's true surface point against the landmark's distribution.
@@ -141,6 +136,18 @@ class SingleImage:
         ]
 
 
+def _circumstances(observation: Observation, sight: Sight) -> Record:
+    """Describe a trial as far as no estimator can change it."""
+    true = sight.view.T_cam_body
+    prior = pose_error(observation.frames[0].prior_T_cam_body, true)
+    return {
+        **{f"prior_{name}": value for name, value in prior.items()},
+        "image": sight.image_name,
+        "range_m": float(np.linalg.norm(true.translation_m)),
+        "phase_deg": float(np.degrees(sight.view.phase_angle_rad)),
+    }
+
+
 def _columns(table: Table, *names: str) -> NDArray[np.float64]:
     return np.column_stack([np.asarray(table[name], dtype=np.float64) for name in names])
 
@@ -159,19 +166,3 @@ def _read_only(array: NDArray[T]) -> NDArray[T]:
     view = array.view()
     view.setflags(write=False)
     return view
-
-
-def _check(estimate: Estimate, observation: Observation) -> None:
-    """Refuse an estimate that is not one: it would poison the statistics."""
-    if estimate.status not in {"ok", "failed"}:
-        raise ValueError(f"status is {estimate.status!r}, not ok or failed")
-    if estimate.status == "failed":
-        if not estimate.reason:
-            raise ValueError("a failed estimate gives no reason")
-        return
-    if len(estimate.poses) != len(observation.frames):
-        raise ValueError(f"{len(estimate.poses)} poses for {len(observation.frames)} frames")
-    for pose in estimate.poses:
-        residual = np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max()
-        if not (np.isfinite(pose.translation_m).all() and residual < 1e-6 and np.linalg.det(pose.rotation) > 0):
-            raise ValueError(f"not a rigid pose: rotation off by {residual:.1e}, translation {pose.translation_m}")

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from campaign.machine import use_threads
+from campaign.parallel import in_order
 from campaign.world import World, open_world
 from estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
 from estimators.landmark.database import LandmarkDatabase
@@ -31,8 +31,8 @@ def build(scenario: LoadedScenario, options: DatabaseOptions, folder: Path, jobs
     scenario's range, with the Sun anywhere within the largest phase angle (Rowell et al. 2015, section 4.1).
     """
     chunks = [range(i, min(i + _CHUNK_IMAGES, options.images)) for i in range(0, options.images, _CHUNK_IMAGES)]
-    tasks = (delayed(_candidates)(scenario, options, chunk, variant, jobs) for chunk in chunks)
-    candidates = [points for chunk in Parallel(n_jobs=jobs)(tasks) for points in chunk]
+    calls = ((scenario, options, chunk, variant, jobs) for chunk in chunks)
+    candidates = [points for found in in_order(jobs, _candidates, calls) for points in found]
     database = database_from_candidates(candidates, options)
     database.save(folder)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from campaign.products import landmark_database
+from campaign.store.atomic import explain
 from estimators.contract import ImageRenderer
 from estimators.landmark.build import METHOD_VERSION, DatabaseOptions
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
@@ -123,7 +124,18 @@ class Shelf:
             (place / "built.json").write_text(json.dumps(about), encoding="utf-8")
 
         cached = default_cache().folder(landmark_database.KIND, folder.name.rsplit("-", 1)[1], build)
-        temporary = folder.with_name(f".{folder.name}.tmp")
+        _place(cached, folder)
+
+
+def _place(cached: Path, folder: Path) -> None:
+    """Copy a product into the run, whole or not at all."""
+    temporary = folder.with_name(f".{folder.name}.tmp")
+    try:
         shutil.rmtree(temporary, ignore_errors=True)
-        shutil.copytree(cached, temporary)
+        temporary.mkdir(parents=True)
+        for file in sorted(cached.iterdir()):
+            shutil.copy2(file, temporary)
         temporary.replace(folder)
+    except OSError as error:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise BoresightError(explain(folder, error)) from error

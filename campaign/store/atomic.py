@@ -27,7 +27,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         temporary.replace(path)
         _flush(path.parent)
     except OSError as error:
-        raise BoresightError(_explain(path, error)) from error
+        raise BoresightError(explain(path, error)) from error
     finally:
         # A failed clean-up must not hide the fault above; the name marks the file as no result.
         with contextlib.suppress(OSError):
@@ -51,7 +51,8 @@ def _flush(path: Path) -> None:
         os.close(descriptor)
 
 
-def _explain(path: Path, error: OSError) -> str:
+def explain(path: Path | str, error: OSError) -> str:
+    """Say in one line why a file could not be written, and what to do."""
     advice = {
         errno.ENOSPC: "the disk is full: free some space and run the same command again, it will continue",
         errno.EDQUOT: "the disk quota is used up: free some space and run the same command again, it will continue",
@@ -61,5 +62,5 @@ def _explain(path: Path, error: OSError) -> str:
         errno.EROFS: "the folder is read-only: choose another one with --out",
         errno.ENOTDIR: "a part of that path is a file: choose another folder with --out",
         errno.EEXIST: "a part of that path is a file: choose another folder with --out",
-    }.get(error.errno or 0, f"{error.strerror or error}")
+    }.get(error.errno or 0, error.strerror or str(error))
     return f"{path}: could not be written: {advice}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,6 +74,15 @@ class RunFolder:
     def write_manifest(self, manifest: Mapping[str, object]) -> None:
         """Write the manifest atomically."""
         write_text(self.manifest_path, json.dumps(manifest, indent=1, sort_keys=True, default=str) + "\n")
+
+    def sweep(self) -> None:
+        """Remove what a killed process left half written; only for who holds the lock."""
+        patterns = [".manifest.json.*.tmp", *(f"{place}/.*.tmp" for place in (*TABLES, "products", "images/*"))]
+        for leftover in [path for pattern in patterns for path in self.path.glob(pattern)]:
+            if leftover.is_dir():
+                shutil.rmtree(leftover, ignore_errors=True)
+            else:
+                leftover.unlink(missing_ok=True)
 
     def write_block(self, block: Block, tables: Mapping[str, Records]) -> None:
         """Store a block: its detail tables first, its rows last, so that rows stand for the whole block."""

@@ -1,0 +1,7 @@
+"""``python -m campaign.cli``: the command line where the script ``boresight`` is not on the path."""
+
+import sys
+
+from campaign.cli import main
+
+sys.exit(main())

@@ -1,0 +1,40 @@
+"""Work spread over processes, its results in order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures.process import BrokenProcessPool
+from typing import TypeVar
+
+from joblib import Parallel, delayed
+
+from scenarios.errors import BoresightError
+
+T = TypeVar("T")
+
+
+def in_order(jobs: int, function: Callable[..., T], calls: Iterable[tuple[object, ...]]) -> Iterator[T]:
+    """Yield ``function(*call)`` for each call, in order, holding only what is in flight.
+
+    Parameters
+    ----------
+    jobs
+        Worker processes; with one the calls are made in this process.
+    function
+        A function of a module, so that it can be sent to a worker.
+    calls
+        Arguments of each call.
+
+    Raises
+    ------
+    BoresightError
+        If a worker dies; what a call raises is raised as it is.
+    """
+    parallel = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch="2*n_jobs", batch_size=1)
+    try:
+        yield from parallel(delayed(function)(*call) for call in calls)
+    except BrokenProcessPool as error:
+        raise BoresightError(
+            "a worker process was killed, most likely because memory ran out: use fewer --jobs; the same command"
+            " continues the run"
+        ) from error
