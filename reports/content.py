@@ -129,6 +129,15 @@ def _notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
     yield from run.manifest.notes
 
 
+def _scenario_lines(run: RunData) -> Iterator[str]:
+    """Say what each scenario is, in the words of its file."""
+    scenarios = run.manifest.scenarios
+    if isinstance(scenarios, dict):
+        for name, spec in scenarios.items():
+            if isinstance(spec, dict) and spec.get("description"):
+                yield f"Scenario {name}: {spec['description']}"
+
+
 def draw_figures(content: Content) -> Iterator[NamedFigure]:
     """Draw every figure that the run's tables allow."""
     run = content.run

@@ -56,6 +56,7 @@ class Manifest(BaseModel):
 
     name: str
     title: str = ""
+    description: str = ""
     seed: int
     trials: int
     created: str = ""

@@ -9,37 +9,34 @@ from pydantic import Field, model_validator
 from scenarios.spec.base import SpecModel
 
 
-class BoulderSpec(SpecModel):
+class SizesSpec(SpecModel):
+    """A range of diameters."""
+
+    min_diameter_m: float = Field(gt=0, description="Smallest diameter")
+    max_diameter_m: float = Field(gt=0, description="Largest diameter")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.min_diameter_m > self.max_diameter_m:
+            raise ValueError("min_diameter_m is above max_diameter_m")
+        return self
+
+
+class BoulderSpec(SizesSpec):
     """Boulders whose cumulative number follows N(>D) ~ D**-exponent."""
 
     count: int = Field(ge=0, le=2_000_000)
-    min_diameter_m: float = Field(gt=0)
-    max_diameter_m: float = Field(gt=0)
     exponent: float = Field(3.0, gt=0, lt=10, description="Slope of the cumulative size distribution")
     height_ratio: float = Field(0.35, gt=0, le=1, description="Typical height over diameter of the part above ground")
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.min_diameter_m > self.max_diameter_m:
-            raise ValueError("min_diameter_m is above max_diameter_m")
-        return self
 
-
-class CraterSpec(SpecModel):
+class CraterSpec(SizesSpec):
     """Bowl-shaped craters with raised rims; cumulative number N(>D) ~ D**-exponent."""
 
     count: int = Field(ge=0, le=200_000)
-    min_diameter_m: float = Field(gt=0)
-    max_diameter_m: float = Field(gt=0)
     exponent: float = Field(2.5, gt=0, lt=10)
     depth_ratio: float = Field(0.12, gt=0, le=0.4, description="Depth over diameter")
     rim_ratio: float = Field(0.03, ge=0, le=0.1, description="Rim height over diameter")
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.min_diameter_m > self.max_diameter_m:
-            raise ValueError("min_diameter_m is above max_diameter_m")
-        return self
 
 
 class RoughnessSpec(SpecModel):
