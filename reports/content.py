@@ -104,6 +104,7 @@ def read_content(folder: Path) -> Content:
 
 
 def _notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
+    yield from filter(None, (run.manifest.description, *_scenario_lines(run)))
     done, total = run.progress()
     if done < total:
         yield f"The run is not finished: {done} of {total} trials."
