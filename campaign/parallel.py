@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
@@ -31,10 +32,17 @@ def in_order(jobs: int, function: Callable[..., T], calls: Iterable[tuple[object
         If a worker dies; what a call raises is raised as it is.
     """
     parallel = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch="2*n_jobs", batch_size=1)
+    results = parallel(delayed(function)(*call) for call in calls)
     try:
-        yield from parallel(delayed(function)(*call) for call in calls)
+        # Not `yield from`, which would close the results before the warning below is silenced.
+        for result in results:  # noqa: UP028
+            yield result
     except BrokenProcessPool as error:
         raise BoresightError(
             "a worker process was killed, most likely because memory ran out: use fewer --jobs; the same command"
             " continues the run"
         ) from error
+    finally:
+        # What was under way when the consumer stopped is not stored, which is as it should be.
+        with warnings.catch_warnings(action="ignore", category=UserWarning):
+            results.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -19,7 +20,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     0: done; 2: bad input, said in one line; 3: done, but an estimator raised in some trials; 130: interrupted.
     """
-    parsed = _parser().parse_args(arguments)
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    parsed = _parser().parse_args(words, argparse.Namespace(command=shlex.join(["boresight", *words])))
     try:
         return int(parsed.handler(parsed))
     except BoresightError as error:

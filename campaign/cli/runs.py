@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -78,7 +76,7 @@ def _run(arguments: argparse.Namespace) -> int:
         trials=trials,
         jobs=arguments.jobs,
         keep_images=arguments.keep_images,
-        command=shlex.join(["boresight", *sys.argv[1:]]),
+        command=arguments.command,
     )
     out.print(f"{campaign.spec.name}: {trials} trials into {request.out}, {request.jobs} job(s), {variant.name}")
     if variant.advice:
@@ -114,7 +112,7 @@ def _status(arguments: argparse.Namespace) -> int:
     out.print(f"{folder.path}: {manifest['name']}, {done} of {total} trials stored, seed {manifest['seed']}")
     out.print(f"started {manifest['created']}, " + (f"finished {finished}" if finished else "not finished"))
     if not finished:
-        out.print(f"to continue: {manifest['command']}")
+        out.print(f"to continue: {manifest['command'] or 'run the campaign again into the same folder'}")
     for (scenario, estimator), group in rows.groupby(["scenario", "estimator"]):
         counts = group["status"].value_counts()
         out.print(f"  {scenario} / {estimator}: " + ", ".join(f"{n} {status}" for status, n in counts.items()))

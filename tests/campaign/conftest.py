@@ -1,0 +1,43 @@
+"""A cache of the tests' own, and one small run that many tests read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from tiny_campaign import write_campaign
+
+from campaign.cli import main
+
+
+@dataclass(frozen=True)
+class TinyRun:
+    """A finished run and the campaign file that it came from; tests only read it."""
+
+    file: Path
+    folder: Path
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Keep bodies and data bases away from the user's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        folder = tmp_path_factory.mktemp("cache")
+        patch.setenv("BORESIGHT_CACHE", str(folder))
+        yield folder
+
+
+@pytest.fixture(scope="session")
+def tiny_run(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> TinyRun:
+    file = write_campaign(tmp_path_factory.mktemp("tiny"))
+    folder = file.parent / "run"
+    assert main(["run", str(file), "--jobs", "1", "--out", str(folder)]) == 0
+    return TinyRun(file, folder)
+
+
+@pytest.fixture
+def tiny_file(cache: Path, tmp_path: Path) -> Path:
+    """A campaign file of the test's own."""
+    return write_campaign(tmp_path / "campaign")

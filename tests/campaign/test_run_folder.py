@@ -1,0 +1,222 @@
+"""What a finished run holds, and what `status` and `report` make of it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import subprocess
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from tiny_campaign import CAMPAIGN, DATABASE, RESULTS, TRIALS, compute, files, run
+
+from campaign.cli import main
+from campaign.cli.progress import RunningMedian
+from campaign.experiments.single_image import SingleImage
+from campaign.resolve import reload, resolve
+from campaign.score import pose_error
+from campaign.store import TABLES, RunFolder
+from campaign.world import open_world
+from renderers.mitsuba3 import choose_variant
+from scenarios.load import canonical_json, load_scenario
+
+
+def test_rows_are_one_for_each_trial_and_estimator(tiny_run):
+    rows = pd.read_parquet(tiny_run.folder / "rows")
+    expected = list(itertools.product(range(TRIALS), ["scene"], ["prior", "landmark-harris"]))
+    assert list(rows[["trial", "scenario", "estimator"]].itertuples(index=False, name=None)) == expected
+    assert np.isfinite(rows.select_dtypes("number")).all(axis=None), "this campaign has no failures"
+    assert set(rows["status"]) == {"ok"}
+
+
+def test_stored_columns_are_the_documented_ones(tiny_run):
+    for name in (*RESULTS, "timings"):
+        if name != "references":
+            stored = pd.read_parquet(tiny_run.folder / name)
+            assert list(stored.columns) == [column.name for column in TABLES[name]], name
+            assert len(stored), name
+    assert not (tiny_run.folder / "references").exists(), "rendered images have one truth"
+    assert not (tiny_run.folder / "tracebacks").exists()
+
+
+def test_wall_times_are_in_their_own_table_alone(tiny_run):
+    times = pd.read_parquet(tiny_run.folder / "timings")
+    assert {"image", "mesh_rendering", "centroid", "feature_extraction", "recognition"} <= set(times["stage"])
+    assert (times["seconds"] > 0).all()
+    for name in RESULTS:
+        assert "seconds" not in RunFolder(tiny_run.folder).table(name).columns
+    assert not RunFolder(tiny_run.folder).table("diagnostics")["name"].isin(set(times["stage"])).any()
+
+
+def test_the_control_row_is_the_prior(tiny_run):
+    rows = pd.read_parquet(tiny_run.folder / "rows")
+    control = rows[rows["estimator"] == "prior"]
+    for name in ("position_error_m", "attitude_error_deg", "position_error_x_m"):
+        np.testing.assert_array_equal(control[name], control[f"prior_{name}"])
+    found = rows[rows["estimator"] == "landmark-harris"]
+    priors = [name for name in rows.columns if name.startswith("prior_")]
+    np.testing.assert_array_equal(found[priors], control[priors])
+    assert (found["n_landmarks"] >= 4).all()
+
+
+def test_a_row_is_the_score_of_what_the_estimator_returned(tiny_run):
+    rows, stages = (pd.read_parquet(tiny_run.folder / name) for name in ("rows", "stages"))
+    landmarks = pd.read_parquet(tiny_run.folder / "landmarks")
+    campaign = resolve(str(tiny_run.file), variant=choose_variant().name)
+    experiment = SingleImage(open_world(campaign.scenarios[0], campaign.variant), {}, seed=5)
+    for trial in range(3):
+        sight = experiment.world.source.sight(5, trial)
+        frame = experiment.observe(sight, trial).frames[0]
+        row = rows[(rows["trial"] == trial) & (rows["estimator"] == "landmark-harris")].iloc[0]
+        for name, value in pose_error(frame.prior_T_cam_body, sight.view.T_cam_body).items():
+            assert row[f"prior_{name}"] == value
+        assert row["range_m"] == pytest.approx(2000.0)
+        assert row["phase_deg"] == pytest.approx(np.degrees(sight.view.phase_angle_rad))
+        mine = stages[stages["trial"] == trial]
+        assert mine["stage"].tolist() == ["centroid", "recognition"]
+        assert mine.iloc[-1]["position_error_m"] == row["position_error_m"]
+        assert (landmarks["trial"] == trial).sum() == row["n_landmarks"]
+
+
+def test_the_manifest_says_what_was_asked(tiny_run):
+    manifest = RunFolder(tiny_run.folder).read_manifest()
+    assert manifest["seed"] == 5
+    assert manifest["trials"] == TRIALS
+    assert manifest["estimators"] == ["prior", "landmark-harris"]
+    assert manifest["campaign"]["estimators"][1]["landmark-harris"]["database"] == DATABASE
+    assert manifest["scenarios"]["scene"]["camera"]["fov_deg"] == 18.3
+    assert manifest["scenarios"]["scene"]["rendering"] == {"samples_per_pixel": 4}, "defaults are filled in"
+    (product,) = manifest["products"]
+    assert (product["kind"], product["scenario"]) == ("landmark-database", "scene")
+    landmarks = pd.read_csv(tiny_run.folder / product["folder"] / "landmarks.csv", comment="#")
+    assert product["n_landmarks"] == len(landmarks) > 10
+
+
+def test_the_manifest_says_from_what_and_where_the_run_came(tiny_run):
+    manifest = RunFolder(tiny_run.folder).read_manifest()
+    assert manifest["versions"]["numpy"] == np.__version__
+    assert manifest["versions"]["mitsuba"] == version("mitsuba")
+    assert manifest["versions"]["boresight"] == version("boresight")
+    assert manifest["machine"]["cores"] == len(os.sched_getaffinity(0))
+    assert manifest["machine"]["variant"] == choose_variant().name
+    assert manifest["machine"]["memory_gib"] > 0
+    assert manifest["machine"]["processor"]
+    assert manifest["command"] == f"boresight run {tiny_run.file} --jobs 1 --out {tiny_run.folder}"
+    assert manifest["commit"].removesuffix("-dirty") == _commit()
+    created, finished = (datetime.fromisoformat(manifest[key]) for key in ("created", "finished"))
+    assert created <= finished
+    assert created.utcoffset().total_seconds() == 0
+
+
+def _commit() -> str:
+    described = ["git", "describe", "--always", "--abbrev=12", "--match="]
+    here = Path(__file__).parent
+    return subprocess.run(described, cwd=here, capture_output=True, text=True, check=False).stdout.strip()
+
+
+def test_a_run_is_resolved_again_from_its_manifest_alone(tiny_run, tmp_path):
+    manifest = RunFolder(tiny_run.folder).read_manifest()
+    campaign = reload(manifest)
+    assert campaign is not None
+    assert campaign.digest == manifest["digest"]
+    assert canonical_json(campaign.scenarios[0].spec) == canonical_json(
+        load_scenario(str(tiny_run.file.parent / "scene.yaml")).spec
+    )
+    assert reload({**manifest, "seed": 6}) is None
+    assert reload({key: value for key, value in manifest.items() if key != "scenarios"}) is None
+
+
+def test_the_campaign_in_the_manifest_can_be_run_again(tiny_run, tmp_path):
+    manifest = RunFolder(tiny_run.folder).read_manifest()
+    (tmp_path / "scene.yaml").write_text(json.dumps(manifest["scenarios"]["scene"]))
+    (tmp_path / "again.yaml").write_text(json.dumps(manifest["campaign"]))
+    again = resolve(str(tmp_path / "again.yaml"), variant=choose_variant().name)
+    assert again.digest == manifest["digest"]
+
+
+def test_status_counts_what_is_stored(tiny_run, tmp_path, capsys):
+    out = tmp_path / "run"
+    compute(tiny_run.file, out)
+    capsys.readouterr()
+    assert main(["status", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert f"{out}: tiny, 24 of 24 trials stored, seed 5" in said
+    assert "finished 20" in said
+    assert "scene / landmark-harris: 24 ok" in said
+    (out / "rows" / "scene-0000001.parquet").unlink()
+    assert main(["status", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "14 of 24 trials stored" in said
+    assert "not finished" in said
+    assert "to continue: run the campaign again" in said, "it was run from Python"
+
+
+def test_status_and_report_find_the_newest_run_by_name(tiny_run, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for seed in ("1", "2"):
+        assert main(["run", str(tiny_run.file), "--jobs", "1", "--trials", "2", "--seed", seed]) == 0
+    capsys.readouterr()
+    assert main(["status", "tiny"]) == 0
+    assert "seed 2" in capsys.readouterr().out
+    assert main(["status", "tin"]) == 2
+    assert (
+        capsys.readouterr().err
+        == "boresight: tin: no run there, nor in runs/ as tin-...: give a run folder, or run it first\n"
+    )
+
+
+def test_report_reads_a_run_and_changes_none_of_it(tiny_run, tmp_path, capsys):
+    out = tmp_path / "run"
+    compute(tiny_run.file, out)
+    before = files(out)
+    assert main(["report", str(out)]) == 0
+    said = capsys.readouterr().out
+    after = files(out)
+    assert {name: after[name] for name in before} == before
+    report = {name for name in after if name not in before}
+    assert {"report/report.html", "report/report.md", "report/table.csv", "report/timings.csv"} <= report
+    median = pd.read_parquet(out / "rows").query("estimator == 'prior'")["position_error_m"].median()
+    assert f"{median:.3g}" in said
+    assert main(["report", str(out)]) == 0
+    again = files(out)
+    assert again["report/table.csv"] == after["report/table.csv"]
+    assert not list((out / "report").glob(".*")), "nothing half-written stays"
+
+
+def test_kept_images_read_back_as_they_were_seen(tiny_file, tmp_path):
+    file, out = tiny_file, tmp_path / "run"
+    file.write_text(CAMPAIGN.replace("estimators:", "set: {detector: {bits: 12}}\nestimators:"))
+    assert run(file, out, "--trials", 2, "--keep-images") == 0
+    campaign = resolve(str(file), variant=choose_variant().name)
+    source = open_world(campaign.scenarios[0], campaign.variant).source
+    for trial in range(2):
+        kept = cv2.imread(str(out / "images" / "scene" / f"{trial:07d}.tiff"), cv2.IMREAD_UNCHANGED)
+        seen = source.sight(5, trial).image
+        assert kept.dtype == seen.dtype == np.float32
+        np.testing.assert_array_equal(kept, seen)
+        assert len(np.unique(kept)) > 100, "an image of the body, not a blank one"
+    assert sorted(path.name for path in (out / "images" / "scene").iterdir()) == ["0000000.tiff", "0000001.tiff"]
+
+
+def test_the_running_median_is_within_its_bin():
+    rng = np.random.default_rng(3)
+    for values in (rng.lognormal(3.0, 1.0, 4001), np.array([7.0]), rng.uniform(1e-3, 1e-2, 999)):
+        median = RunningMedian()
+        assert median.value is None
+        for value in values:
+            median.add(float(value))
+        # Bins are 1/200 of a decade wide: their middle is within half of that, 0.6 %, of any value inside.
+        assert median.value == pytest.approx(np.median(values), rel=10 ** (0.5 / 200) - 1 + 1e-3)
+
+
+def test_the_running_median_takes_a_perfect_answer():
+    median = RunningMedian()
+    for value in (0.0, 0.0, 5.0):
+        median.add(value)
+    assert median.value == pytest.approx(1e-9, rel=0.01)

@@ -1,0 +1,224 @@
+"""A run's rows do not depend on how it came about: workers, order, kills, interruptions, continuation."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import trimesh
+from tiny_campaign import (
+    SCENE,
+    TRIALS,
+    assert_same_results,
+    boresight,
+    compute,
+    files,
+    gone,
+    members,
+    run,
+    start,
+    stop,
+    wait_for_blocks,
+    write_campaign,
+)
+
+from campaign.cli import main
+from campaign.resolve import resolve
+from campaign.store import BLOCK_TRIALS, TABLES, RunFolder
+from campaign.store.folder import blocks
+from campaign.worker import Bench, run_block
+from renderers.mitsuba3 import choose_variant
+
+LONG = 60
+N_BLOCKS = LONG // BLOCK_TRIALS
+
+
+@pytest.fixture(scope="module")
+def long_run(tiny_run, tmp_path_factory):
+    """An undisturbed run of many blocks, to hold disturbed ones against."""
+    out = tmp_path_factory.mktemp("long") / "run"
+    compute(tiny_run.file, out, LONG)
+    return out
+
+
+def with_two_jobs(tiny_run, out: Path) -> tuple[object, ...]:
+    return ("run", tiny_run.file, "--jobs", 2, "--trials", LONG, "--out", out)
+
+
+def test_two_jobs_give_the_same_bytes(tiny_run, tmp_path):
+    done = boresight("run", tiny_run.file, "--jobs", 2, "--out", tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert_same_results(tiny_run.folder, tmp_path / "run")
+
+
+def test_the_order_of_the_blocks_does_not_matter(tiny_run, tmp_path):
+    campaign = resolve(str(tiny_run.file), variant=choose_variant().name)
+    bench = Bench(tiny_run.folder, jobs=1, keep_images=False)
+    folder = RunFolder(tmp_path)
+    for block in reversed(list(blocks(["scene"], TRIALS))):
+        folder.write_block(block, run_block(campaign, block, bench))
+    assert_same_results(tiny_run.folder, tmp_path)
+
+
+def test_kills_at_random_instants_change_nothing(tiny_run, long_run, tmp_path):
+    rng = np.random.default_rng(20150709)
+    out = tmp_path / "run"
+    arguments = with_two_jobs(tiny_run, out)
+    stored = []
+    for blocks_seen in np.sort(rng.choice(np.arange(1, N_BLOCKS - 1), 3, replace=False)):
+        process = start(*arguments)
+        wait_for_blocks(process, out, blocks_seen)
+        time.sleep(rng.uniform(0.0, 0.03))
+        stop(process)
+        stored.append(len(RunFolder(out).table("rows")) // 2)
+        assert "finished" not in RunFolder(out).read_manifest()
+    assert 0 < stored[0] <= stored[1] <= stored[2] < LONG, "each kill came while the run was under way"
+    done = boresight(*arguments)
+    assert done.returncode == 0, done.stderr
+    assert f"{stored[-1]} of {LONG} trials are stored already" in done.stdout
+    assert_same_results(long_run, out)
+
+
+def test_what_a_kill_left_half_written_is_swept(tiny_run, tmp_path):
+    out = tmp_path / "run"
+    compute(tiny_run.file, out, 10)
+    left = [out / "rows" / ".scene-0000001.parquet.77.tmp", out / "products" / ".landmark-database-1.tmp" / "x.csv"]
+    mine = [out / ".mine.tmp", out / "notes" / ".mine.tmp"]
+    for path in (*left, *mine):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("half")
+    compute(tiny_run.file, out)
+    assert not any(path.exists() for path in left)
+    assert all(path.exists() for path in mine), "only boresight's own leftovers go"
+    assert_same_results(tiny_run.folder, out)
+
+
+def test_an_interrupted_run_says_so_and_continues(tiny_run, long_run, tmp_path):
+    out = tmp_path / "run"
+    for blocks_seen, workers_too in ((1, True), (3, False)):
+        process = start(*with_two_jobs(tiny_run, out))
+        wait_for_blocks(process, out, blocks_seen)
+        errors = stop(process, signal.SIGINT, workers_too)
+        assert process.returncode == 130
+        assert errors == "boresight: interrupted; the same command continues\n"
+        assert gone(process.pid), "no worker goes on alone"
+        stored = files(out, "rows")
+        assert blocks_seen <= len(stored) < N_BLOCKS
+    compute(tiny_run.file, out, LONG)
+    assert files(out, "rows").items() >= stored.items()
+    assert_same_results(long_run, out)
+
+
+def test_a_second_process_is_refused_and_the_first_goes_on(tiny_run, long_run, tmp_path, capsys):
+    out = tmp_path / "run"
+    process = start(*with_two_jobs(tiny_run, out))
+    wait_for_blocks(process, out, 1)
+    os.killpg(process.pid, signal.SIGSTOP)
+    before = files(out)
+    code, error = run(tiny_run.file, out, "--trials", LONG), capsys.readouterr().err
+    assert code == 2
+    assert error == f"boresight: {out}: another boresight process is working on this run: wait for it, or use --out\n"
+    assert files(out) == before
+    os.killpg(process.pid, signal.SIGCONT)
+    wait_for_blocks(process, out, 3)
+    stop(process)
+    compute(tiny_run.file, out, LONG)
+    assert_same_results(long_run, out)
+
+
+def test_a_killed_worker_is_told_and_the_run_continues(tiny_run, long_run, tmp_path):
+    out = tmp_path / "run"
+    process = start(*with_two_jobs(tiny_run, out))
+    wait_for_blocks(process, out, 1)
+    worker = next(pid for pid, line in members(process.pid).items() if "loky.backend.popen" in line)
+    os.kill(worker, signal.SIGKILL)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert errors == (
+        "boresight: a worker process was killed, most likely because memory ran out: use fewer --jobs; the same"
+        " command continues the run\n"
+    )
+    compute(tiny_run.file, out, LONG)
+    assert_same_results(long_run, out)
+
+
+def test_more_trials_extend_a_run(tiny_run, long_run, tmp_path):
+    out = tmp_path / "run"
+    compute(tiny_run.file, out, 15)
+    first = RunFolder(out).table("rows")
+    stamp = (out / "rows" / "scene-0000000.parquet").stat().st_mtime_ns
+    compute(tiny_run.file, out, LONG)
+    rows = RunFolder(out).table("rows")
+    pd.testing.assert_frame_equal(rows[rows["trial"] < 15].reset_index(drop=True), first, check_exact=True)
+    assert (out / "rows" / "scene-0000000.parquet").stat().st_mtime_ns == stamp, "a whole block is not run again"
+    assert_same_results(long_run, out)
+
+
+def test_fewer_trials_take_nothing_away(tiny_run, tmp_path):
+    out = tmp_path / "run"
+    compute(tiny_run.file, out, 12)
+    before = files(out, *TABLES)
+    compute(tiny_run.file, out, 3)
+    assert files(out, *TABLES) == before
+    assert RunFolder(out).read_manifest()["trials"] == 12
+
+
+def test_a_damaged_block_is_run_again(tiny_run, tmp_path):
+    out = tmp_path / "run"
+    compute(tiny_run.file, out)
+    path = out / "rows" / "scene-0000001.parquet"
+    path.write_bytes(path.read_bytes()[:-20])
+    compute(tiny_run.file, out)
+    assert_same_results(tiny_run.folder, out)
+
+
+@pytest.mark.parametrize(
+    "change", [("--seed", "6"), ("--set", "lighting.phase_deg.uniform=[0, 20]"), ("--variant", "scalar_rgb")]
+)
+def test_another_request_is_another_run(tiny_run, tmp_path, monkeypatch, change):
+    if change[0] == "--variant" and choose_variant().name == change[1]:
+        pytest.skip("scalar_rgb is the only variant here")
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", str(tiny_run.file), "--jobs", "1", "--trials", "3", *change]) == 0
+    (path,) = Path("runs").iterdir()
+    digests = [RunFolder(folder).read_manifest()["digest"] for folder in (tiny_run.folder, path)]
+    assert digests[0] != digests[1]
+    assert path.name == f"tiny-{digests[1][:8]}"
+    rows = RunFolder(tiny_run.folder).table("rows")
+    assert not RunFolder(path).table("rows").equals(rows[rows["trial"] < 3].reset_index(drop=True))
+
+
+def test_the_folder_of_another_run_is_refused_and_left_alone(tiny_run, capsys):
+    before = files(tiny_run.folder)
+    for change in (("--seed", "6"), ("--set", "viewpoint.range_m=2100")):
+        assert run(tiny_run.file, tiny_run.folder, *change) == 2
+        error = capsys.readouterr().err
+        assert error.startswith(f"boresight: {tiny_run.folder}: holds another run (tiny, digest ")
+        assert error.endswith("choose another folder with --out\n")
+        assert error.count("\n") == 1
+    assert files(tiny_run.folder) == before
+
+
+def test_tables_without_a_manifest_are_not_taken_over(tiny_run, tmp_path, capsys):
+    (tmp_path / "run" / "rows").mkdir(parents=True)
+    assert run(tiny_run.file, tmp_path / "run") == 2
+    assert "has tables but no manifest" in capsys.readouterr().err
+
+
+def test_a_shape_that_changed_under_its_name_is_read_again(tmp_path):
+    scene = SCENE.replace("body:\n", "body:\n  shape: egg.obj\n")
+    file = write_campaign(tmp_path, "scenarios: [scene]\nestimators: [prior]\ntrials: 2\nseed: 5\n", scene)
+    images = []
+    for number, scale in enumerate(([1.5, 1.0, 0.8], [1.0, 1.5, 0.8])):
+        trimesh.creation.icosphere(subdivisions=2, radius=200.0).apply_scale(scale).export(tmp_path / "egg.obj")
+        out = tmp_path / f"run{number}"
+        assert run(file, out, "--keep-images") == 0
+        images.append((out / "images" / "scene" / "0000000.tiff").read_bytes())
+        assert run(file, tmp_path / "run0") == 2 * number, "the first folder is not that of the second shape"
+    assert images[0] != images[1]
