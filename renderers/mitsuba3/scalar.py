@@ -33,7 +33,8 @@ class ScalarTracer:
     """Traces one body sample by sample in compiled code.
 
     The samples are those of the wavefront tracer: the film has n x n pixels for each of the image's, and each is
-    sampled in its middle.
+    sampled in its middle. Shadows next to what casts them are a little shorter than there: Mitsuba starts its shadow
+    rays 9e-5 of the largest coordinate off the surface, the wavefront tracer 1e-5 of the radius.
     """
 
     def __init__(

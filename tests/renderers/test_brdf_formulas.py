@@ -190,6 +190,38 @@ def test_hapke_is_the_papers_two_cases(spec, i, e, psi):
     assert value(spec, i, e, psi) == pytest.approx(expected, rel=2e-6)
 
 
+@pytest.mark.parametrize(
+    ("spec", "zenith", "oblique"),
+    [
+        (
+            HapkeSpec(kind="hapke", w=0.5, b=0.0, c=0.0, B0=0.0, theta_bar_deg=0.0, H_function="1981"),
+            0.0965097,
+            0.0832883,
+        ),
+        (
+            HapkeSpec(kind="hapke", w=0.52, b=0.0, c=0.0, B0=1.0, h=1.0, theta_bar_deg=30.0, H_function="1981"),
+            0.16145,
+            0.111525,
+        ),
+        (
+            HapkeSpec(kind="hapke", w=0.52, b=0.213, c=1.0, B0=1.0, h=1.0, theta_bar_deg=30.0, H_function="1981"),
+            0.286048,
+            0.1342,
+        ),
+    ],
+    ids=["smooth", "rough", "rough-backward"],
+)
+def test_hapke_gives_the_radiance_factors_that_isis_publishes(spec, zenith, oblique):
+    """Six digits from the unit test of the photometric model Hapke of USGS ISIS (Hapke.truth, CC0-1.0).
+
+    Its cases are g = i = e = 0, and g = 60, i = 45, e = 30 deg; its weight Hg2 = 1 of the backward lobe is c = 1.
+    """
+    for (g, i, e), expected in (((0, 0, 0), zenith), ((60, 45, 30), oblique)):
+        cos_i, cos_e = math.cos(math.radians(i)), math.cos(math.radians(e))
+        f = float(brdf_value(spec, np.array(cos_i), np.array(cos_e), np.array(math.radians(g))))
+        assert math.pi * f * cos_i == pytest.approx(expected, rel=5e-6)
+
+
 @pytest.mark.parametrize("H_function", ["2002", "1981"])
 @given(i=st.floats(0.0, 1.5), e=st.floats(0.0, 1.5), psi=st.floats(0.0, 3.1))
 def test_hapke_without_roughness_is_the_smooth_model(H_function, i, e, psi):

@@ -231,6 +231,26 @@ def test_the_same_call_gives_the_same_bits(variant, rock, looking):
     np.testing.assert_array_equal(MitsubaRenderer(rock, HAPKE, 9, "smooth", variant).render(view), first)
 
 
+def test_a_new_pose_compiles_no_new_kernel(llvm, rock, looking):
+    """Poses, windows, cameras and Suns are data: every image runs the same kernels, told by their hashes."""
+    import drjit as dr
+
+    renderer = MitsubaRenderer(rock, HAPKE, 4, "smooth", llvm)
+    views = [
+        looking(CAMERA, POSITION, SUN),
+        looking(ODD, [1500.0, 900.0, 20.0], [0.3, -0.9, 0.2]),
+        looking(ODD, [0.0, 0.0, 2900.0], [0.0, 0.0, 1.0], 0.0),
+    ]
+    hashes = []
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for view in views:
+            dr.kernel_history_clear()
+            assert renderer.render(view).any()
+            hashes.append([entry["hash"] for entry in dr.kernel_history([dr.KernelType.JIT])])
+    assert hashes[0]
+    assert hashes[1:] == [hashes[0], hashes[0]]
+
+
 _DIGEST = """
 import hashlib, json, sys
 import numpy as np
