@@ -50,7 +50,7 @@ class ProgressListener:
         )  # fmt: skip
         self._task: TaskID | None = None
         self._medians: dict[str, RunningMedian] = {}
-        self._done = self._total = self._fresh = self.errors = 0
+        self._done = self._total = self._fresh = 0
         self._began = self._last_line = time.monotonic()
 
     def __enter__(self) -> Self:
@@ -78,7 +78,6 @@ class ProgressListener:
         self._done += trials
         self._fresh += trials
         for row in records["rows"]:
-            self.errors += row["status"] == "error"
             error = row["position_error_m"]
             if isinstance(error, float):
                 self._medians.setdefault(str(row["estimator"]), RunningMedian()).add(error)

@@ -84,7 +84,7 @@ def _run(arguments: argparse.Namespace) -> int:
     with ProgressListener(out) as listener:
         folder = run_campaign(campaign, request, listener)
     _print_report(folder)
-    return 3 if listener.errors else 0
+    return 3 if (folder.table("rows")["status"] == "error").any() else 0
 
 
 def _trials(campaign: ResolvedCampaign, asked: int | None) -> int:
