@@ -32,11 +32,11 @@ class Assets(Protocol):
         ...
 
     def mesh_renderer(self, mesh: TriangleMesh) -> ImageRenderer:
-        """A renderer of ``mesh`` in the scenario's BRDF, with self-shadowing."""
+        """Lend a renderer of ``mesh`` in the scenario's BRDF, with self-shadowing."""
         ...
 
     def product(self, kind: str, options: Mapping[str, object]) -> object:
-        """A product built beforehand from the scenario's shape, by kind (for example a landmark data base)."""
+        """Lend a product built beforehand from the scenario's shape, by kind (for example a landmark data base)."""
         ...
 
 

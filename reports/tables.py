@@ -15,6 +15,7 @@ NO_VALUE = "-"
 _STAGES = {
     CONTROL: "prior",
     "centroid": "after centroiding",
+    "alignment": "after alignment",
     "recognition": "after recognition",
     "final": "final",
     FAILURES_AT_PRIOR: "failures at prior",

@@ -166,18 +166,19 @@ class LandmarkRecognizer:
             reason=last.failure,
             poses=tuple(fit.T_cam_body for fit in fits) if ok else (),
             covariances=tuple(fit.covariance for fit in fits) if ok else (),
-            stages=_stages(last),
+            stages=self._stages(last),
             details={"landmarks": landmark_table(results, self._database, camera)} if ok else {},
             diagnostics=_diagnostics(last),
             timings_s=last.timings_s,
         )
 
-
-def _stages(result: Recognition) -> tuple[Stage, ...]:
-    stages = [Stage("centroid", result.alignment.T_cam_body)] if result.alignment.steps else []
-    if result.solution is not None and result.solution.fit is not None:
-        stages.append(Stage("recognition", result.solution.fit.T_cam_body))
-    return tuple(stages)
+    def _stages(self, result: Recognition) -> tuple[Stage, ...]:
+        """Name the poses on the way; the first stage by what it brought together, centroids or whole images."""
+        aligned = "centroid" if self._options.alignment == "centroid" else "alignment"
+        stages = [Stage(aligned, result.alignment.T_cam_body)] if result.alignment.steps else []
+        if result.solution is not None and result.solution.fit is not None:
+            stages.append(Stage("recognition", result.solution.fit.T_cam_body))
+        return tuple(stages)
 
 
 def _diagnostics(result: Recognition) -> dict[str, float | int | str]:

@@ -103,13 +103,18 @@ def _draw_stages(
         label = f"{name} (n = {len(sample)})"
         if len(sample):
             median = float(np.median(sample))
-            label = f"{name}: median {median:.3g} {unit} (n = {len(sample)})"
+            label = f"{name}: median {_short(median)} {unit} (n = {len(sample)})"
             axes.axvline(median, ymax=0.8, color=line["color"], linewidth=0.9, linestyle=":")
         beyond += step_histogram(axes, sample, edges, label=label, **line)
     axes.set_xlim(0, edges[-1])
     raise_top(axes, len(samples))
     axes.legend(loc="upper right")
     return beyond_text(beyond, float(edges[-1]), unit)
+
+
+def _short(value: float) -> str:
+    """Print three digits, and no exponent for what people read as metres."""
+    return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
 
 
 def _mark_published(axes: Axes, value: float, colour: str) -> None:
