@@ -29,7 +29,8 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _doctor(_: argparse.Namespace) -> int:
-    variant, search, machine = choose_variant(), find_llvm(), describe()
+    search = find_llvm()  # before the variant is chosen, which hands the library on in the environment
+    variant, machine = choose_variant(), describe()
     facts = Table(box=None, show_header=False, pad_edge=False)
     facts.add_row("system", f"{machine['system']}, Python {machine['python']}")
     facts.add_row("processor", f"{machine['processor']}, {cores()} core(s) for this process")
