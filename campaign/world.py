@@ -16,8 +16,9 @@ from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.bodies import Body, body_digest, load_body
 from scenarios.draw import Stream, draw_view, generator
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, View
+from scenarios.geometry import Camera, TriangleMesh, View
 from scenarios.load import LoadedScenario
+from scenarios.spec.world import ViewpointSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,6 +150,21 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
         return World(scenario, camera, body, renderer, source, float(np.median(ranges)))
     if spec.viewpoint is None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
+    _check_range(scenario, body.mesh, spec.viewpoint)
     detector = Detector(spec.detector) if spec.detector is not None else None
     source = RenderedSource(scenario, camera, renderer, detector)
     return World(scenario, camera, body, renderer, source, spec.viewpoint.range_m)
+
+
+def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: ViewpointSpec) -> None:
+    """Refuse a range at which some of the drawn views would be from inside the body, before the first of them."""
+    x, y, z = mesh.vertices_m.T
+    latitudes_deg = np.degrees(np.arctan2(z, np.hypot(x, y)))
+    south_deg, north_deg = viewpoint.latitude_deg.uniform
+    below = (latitudes_deg >= south_deg) & (latitudes_deg <= north_deg)
+    reach_m = float(np.linalg.norm(mesh.vertices_m[below], axis=1).max(initial=0.0))
+    if viewpoint.range_m <= reach_m:
+        raise BoresightError(
+            f"{scenario.path}: viewpoint.range_m: {viewpoint.range_m:g} m leads into the body, which reaches"
+            f" {reach_m:.6g} m from its origin at those latitudes: choose a larger range"
+        )

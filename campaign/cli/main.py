@@ -7,6 +7,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
+from typing import NoReturn
 
 from campaign.cli import catalog, machine, runs
 from campaign.store.atomic import explain
@@ -21,8 +22,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0: done; 2: bad input, said in one line; 3: done, but an estimator raised in some trials; 130: interrupted.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
-    parsed = _parser().parse_args(words, argparse.Namespace(command=shlex.join(["boresight", *words])))
     try:
+        parsed = _parser().parse_args(words, argparse.Namespace(command=shlex.join(["boresight", *words])))
         return int(parsed.handler(parsed))
     except BoresightError as error:
         _complain(str(error))
@@ -43,8 +44,15 @@ def _complain(text: str) -> None:
         print(f"boresight: {line}", file=sys.stderr)  # noqa: T201  the command line speaks
 
 
+class _Parser(argparse.ArgumentParser):
+    """Complains in one line, as everything else here does."""
+
+    def error(self, message: str) -> NoReturn:
+        raise BoresightError(f"{message}; see {self.prog} --help")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser: argparse.ArgumentParser = _Parser(
         prog="boresight", description="Monte Carlo evaluation of camera navigation around asteroids."
     )
     parser.add_argument("--version", action="version", version=f"boresight {version('boresight')}")
