@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from renderers.mitsuba3 import choose_variant, find_llvm, gpu_status, limit_threads
-from renderers.mitsuba3.llvm import PATH_VARIABLE
+from renderers.mitsuba3.llvm import HIDE_VARIABLE, PATH_VARIABLE
 from scenarios.errors import BoresightError
 
 _RENDER = """
@@ -25,6 +25,12 @@ image = renderer.render(View(Camera.from_fov(16, 16, 0.5), look_at(at), at))
 assert image.max() > 0.05, image.max()
 print(renderer.variant.name, "|", renderer.variant.why)
 """
+
+
+@pytest.fixture(autouse=True)
+def nothing_hidden(monkeypatch):
+    """Let each test hide what it wants hidden, also where the whole suite runs with BORESIGHT_HIDE_LLVM."""
+    monkeypatch.delenv(HIDE_VARIABLE, raising=False)
 
 
 def run(script: str, **environment: str) -> str:
@@ -72,10 +78,14 @@ def test_every_library_that_is_found_is_new_enough():
 
 
 def test_hidden_libraries_are_not_found(monkeypatch):
-    monkeypatch.setenv("BORESIGHT_HIDE_LLVM", "1")
-    assert find_llvm().found is None
-    monkeypatch.setenv("BORESIGHT_HIDE_LLVM", "0")
-    assert find_llvm().found is not None or find_llvm().rejected
+    search = find_llvm()
+    for value in ("", "0"):
+        monkeypatch.setenv(HIDE_VARIABLE, value)
+        assert find_llvm() == search
+    monkeypatch.setenv(HIDE_VARIABLE, "1")
+    hidden = find_llvm()
+    assert hidden.found is None
+    assert hidden.rejected == ()
 
 
 @pytest.mark.parametrize(
@@ -123,6 +133,7 @@ def _rejected_as(path: Path):
         return [item for item in find_llvm().rejected if item.path == path]
 
 
+@pytest.mark.usefixtures("llvm")
 def test_a_program_that_imported_drjit_first_falls_back(other_library):
     """Dr.Jit has then taken what it was told, and no LLVM can be handed over any more."""
     output = run(f"import drjit\n{_RENDER}", DRJIT_LIBLLVM_PATH=str(other_library))
@@ -130,6 +141,7 @@ def test_a_program_that_imported_drjit_first_falls_back(other_library):
     assert "Dr.Jit could not start LLVM" in output
 
 
+@pytest.mark.usefixtures("llvm")
 def test_a_program_that_imported_drjit_with_an_old_llvm_falls_back():
     """LLVM 15 and 16 start well and abort later, so the version decides."""
     old = sorted(Path("/usr/lib").glob("*/libLLVM-1[56].so"))
