@@ -107,7 +107,6 @@ class World:
     body: Body
     renderer: MitsubaRenderer
     source: Source
-    typical_range_m: float
 
 
 def trial_limit(scenario: LoadedScenario) -> int | None:
@@ -121,6 +120,17 @@ def trial_limit(scenario: LoadedScenario) -> int | None:
     images = PosedImageSet.open(spec.images, spec.camera.camera(), scenario.search_dirs)
     images.check_images()
     return len(images) * spec.images.noise_realisations
+
+
+def typical_range_m(scenario: LoadedScenario) -> float:
+    """Return the range of a scenario's views: of its viewpoint, or the median over its real images."""
+    spec = scenario.spec
+    if spec.viewpoint is not None:
+        return spec.viewpoint.range_m
+    if spec.images is None:
+        raise BoresightError(f"{scenario.path}: give either viewpoint or images")
+    images = PosedImageSet.open(spec.images, spec.camera.camera(), scenario.search_dirs)
+    return float(np.median([np.linalg.norm(images.view(i).T_cam_body.translation_m) for i in range(len(images))]))
 
 
 def open_world(scenario: LoadedScenario, variant: str) -> World:
@@ -143,17 +153,14 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     )
     if spec.images is not None:
         images = PosedImageSet.open(spec.images, camera, scenario.search_dirs)
-        ranges = [
-            np.linalg.norm(images.view(i, spec.images.truth).T_cam_body.translation_m) for i in range(len(images))
-        ]
         source: Source = RealSource(images, spec.images.truth, spec.images.also_score, spec.images.noise_realisations)
-        return World(scenario, camera, body, renderer, source, float(np.median(ranges)))
+        return World(scenario, camera, body, renderer, source)
     if spec.viewpoint is None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
     _check_range(scenario, body.mesh, spec.viewpoint)
     detector = Detector(spec.detector) if spec.detector is not None else None
     source = RenderedSource(scenario, camera, renderer, detector)
-    return World(scenario, camera, body, renderer, source, spec.viewpoint.range_m)
+    return World(scenario, camera, body, renderer, source)
 
 
 def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: ViewpointSpec) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from campaign.machine import use_threads
 from campaign.parallel import in_order
-from campaign.world import World, open_world
+from campaign.world import World, open_world, typical_range_m
 from estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
 from estimators.landmark.database import LandmarkDatabase
 from scenarios.draw import Stream, draw_lit_view, generator
@@ -47,13 +47,11 @@ def _candidates(
 ) -> list[NDArray[np.float64]]:
     use_threads(jobs)
     world = open_world(scenario, variant)
-    return [_candidates_of(world, view, options) for view in (_view(world, options, i) for i in images)]
-
-
-def _view(world: World, options: DatabaseOptions, image: int) -> View:
-    viewpoint = ViewpointSpec(range_m=world.typical_range_m)
+    viewpoint = ViewpointSpec(range_m=typical_range_m(scenario))
     lighting = LightingSpec(phase_deg=Uniform(uniform=(0.0, options.phase_deg_max)))
-    return draw_lit_view(viewpoint, lighting, world.camera, generator(options.seed, Stream.DATABASE, image))
+    streams = (generator(options.seed, Stream.DATABASE, image) for image in images)
+    views = (draw_lit_view(viewpoint, lighting, world.camera, rng) for rng in streams)
+    return [_candidates_of(world, view, options) for view in views]
 
 
 def _candidates_of(world: World, view: View, options: DatabaseOptions) -> NDArray[np.float64]:

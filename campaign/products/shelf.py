@@ -12,6 +12,7 @@ from pathlib import Path
 
 from campaign.products import landmark_database
 from campaign.store.atomic import explain
+from campaign.world import typical_range_m
 from estimators.contract import ImageRenderer
 from estimators.landmark.build import METHOD_VERSION, DatabaseOptions
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
@@ -29,16 +30,12 @@ def product_key(scenario: LoadedScenario, kind: str, options: DatabaseOptions, v
         "kind": kind,
         "options": json.loads(options.model_dump_json()),
         "body": body_digest(spec.body, scenario.search_dirs),
-        "scenario": {
-            name: json.loads(canonical_json(part)) if part is not None else None
-            for name, part in (
-                ("camera", spec.camera), ("brdf", spec.brdf), ("rendering", spec.rendering),
-                ("viewpoint", spec.viewpoint), ("images", spec.images),
-            )
-        },
+        "scenario": [canonical_json(part) for part in (spec.camera, spec.brdf, spec.rendering)],
+        "shading": spec.body.shading,
+        "range_m": typical_range_m(scenario),
         "versions": [landmark_database.VERSION, METHOD_VERSION, MitsubaRenderer.version],
         "variant": variant,
-    }  # fmt: skip
+    }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 
 

@@ -50,7 +50,8 @@ UNIFORM = RENDERED + (
     "pose_error: {position_cam_px: {uniform: [[-9, 9], [-9, 9], [-2, 2]]},"
     " attitude: {rotation_vector_deg: {uniform: [[-1, 1], [-1, 1], [-1, 1]]}}}\n"
 )
-SHAPE = RENDERED.replace("body:\n", "body:\n  shape: egg.obj\n  unit: m\n")
+# From so far that the egg may be 600 m or 600 km long.
+SHAPE = RENDERED.replace("body:\n", "body:\n  shape: egg.obj\n  unit: m\n").replace("range_m: 2000", "range_m: 800000")
 GRID = RENDERED.replace("body:\n", "body:\n  shape: grid.tab\n  unit: m\n  format: pds-grid\n")
 REAL = """
 body: {shape: sphere}

@@ -1,0 +1,262 @@
+"""Bad input: one clear line on standard error (what, where, what to do), exit code 2, nothing half written."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from tiny_campaign import CAMPAIGN, SCENE, assert_same_results, boresight, compute, files, run, write_campaign
+
+from campaign.cli import main
+
+PRIOR_ALONE = "scenarios: [scene]\nestimators: [prior]\ntrials: 4\nseed: 5\n"
+REAL = """\
+body: {shape: sphere}
+camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
+images: {folder: set, truth: ref}
+"""
+HEADING = "file,time_s,ref_qw,ref_qx,ref_qy,ref_qz,ref_tx_m,ref_ty_m,ref_tz_m,sun_body_x,sun_body_y,sun_body_z"
+GOOD_ROW = "a.png,0,1,0,0,0,0,0,2000,0,0,-1"
+
+
+def shaped(shape: str) -> str:
+    return SCENE.replace("body:\n", f"body:\n  shape: {shape}\n")
+
+
+# name: (campaign, scene, further arguments, what the line must say)
+FILES = {
+    "missing shape": (CAMPAIGN, shaped("none.obj"), (), ["none.obj was not found", "BORESIGHT_DATA"]),
+    "broken shape": (CAMPAIGN, shaped("broken.obj"), (), ["broken.obj:2: 'f 1 2' is not a vertex", "OBJ file"]),
+    "open shape": (CAMPAIGN, shaped("open.obj"), (), ["open.obj: the mesh is not closed", "mend the holes"]),
+    "binary rubbish": (CAMPAIGN, shaped("rubbish.ply"), (), ["rubbish.ply: not a PLY file"]),
+    "mesh in the wrong unit": (CAMPAIGN, shaped("km.obj"), (), ["km.obj: with body.unit m", "set body.unit: km"]),
+    "unknown key": (
+        CAMPAIGN, SCENE.replace("fov_deg", "fov_dge"), (),
+        ["scene.yaml:8: camera.fov_dge: unknown key; did you mean fov_deg?"],
+    ),
+    "unknown key of the campaign": (CAMPAIGN + "trails: 3\n", SCENE, (), [":9: trails: unknown key", "mean trials?"]),
+    "duplicate key": (
+        CAMPAIGN, SCENE + "viewpoint: {range_m: 3}\n", (),
+        ["scene.yaml:11: viewpoint: duplicate key", "first given at", "scene.yaml:9"],
+    ),
+    "not YAML": (CAMPAIGN, SCENE + "lighting: [1,\n", (), ["scene.yaml:"]),
+    "wrong type": (CAMPAIGN.replace("seed: 5", "seed: five"), SCENE, (), ["tiny.yaml:8: seed: 'five' is not a whole"]),
+    "camera inside the body": (
+        CAMPAIGN, SCENE.replace("2000", "200"), (),
+        ["scene.yaml: viewpoint.range_m: 200 m leads into the body", "choose a larger range"],
+    ),
+    "unknown scenario": (CAMPAIGN.replace("[scene]", "[scne]"), SCENE, (), ["scne: no such scenario"]),
+    "unknown estimator": (
+        CAMPAIGN.replace("landmark-harris", "landmark-surf"), SCENE, (),
+        ["estimator 'landmark-surf' is unknown; there are: landmark-harris, prior"],
+    ),
+    "unknown estimator option": (
+        CAMPAIGN.replace("images: 40", "imges: 40"), SCENE, (), ["estimator landmark-harris: database.imges: "],
+    ),
+    "wrong estimator option": (
+        CAMPAIGN.replace("images: 40", "images: 0"), SCENE, (), ["estimator landmark-harris: database.images: "],
+    ),
+    "too few images for landmarks": (
+        CAMPAIGN.replace("images: 40", "images: 1"), SCENE, (), ["landmarks came out of", "use more images"],
+    ),
+    "two estimators of one label": (CAMPAIGN.replace("- prior", "- prior\n  - prior"), SCENE, (), ["twice", "label"]),
+    "wrong --set key": (CAMPAIGN, SCENE, ("--set", "camera.fov=3"), ["--set camera.fov=3: camera.fov: unknown key"]),
+    "wrong --set value": (CAMPAIGN, SCENE, ("--set", "camera.fov_deg=wide"), ["fov_deg: 'wide' is not a number"]),
+    "NaN by --set": (CAMPAIGN, SCENE, ("--set", "viewpoint.range_m=.nan"), ["range_m: nan is not a finite number"]),
+    "--set without a value": (CAMPAIGN, SCENE, ("--set", "camera"), ["--set camera: write it as key=value"]),
+    "--trials 0": (CAMPAIGN, SCENE, ("--trials", "0"), ["--trials: 0 is below 1", "--help"]),
+    "--trials many": (CAMPAIGN, SCENE, ("--trials", "many"), ["--trials: 'many' is not a whole number"]),
+    "--jobs 0": (CAMPAIGN, SCENE, ("--jobs", "0"), ["--jobs: 0 is below 1"]),
+    "--seed -1": (CAMPAIGN, SCENE, ("--seed", "-1"), ["--seed: -1 is below 0"]),
+    "unknown option": (CAMPAIGN, SCENE, ("--fast",), ["unrecognized arguments: --fast; see boresight --help"]),
+    "unknown variant": (CAMPAIGN, SCENE, ("--variant", "cuda"), ["variant 'cuda' is unknown: choose", "scalar_rgb"]),
+}  # fmt: skip
+# name: (table, image of height x width, further arguments, what the line must say)
+IMAGES = {
+    "NaN in the pose table": (
+        [GOOD_ROW.replace("2000", "nan")], (40, 48), (), ["poses.csv:2: ref_tz_m: 'nan' is not a finite number"],
+    ),
+    "text in the pose table": ([GOOD_ROW, "b.png,soon"], (40, 48), (), ["poses.csv:3: time_s: 'soon' is not"]),
+    "a quaternion that is none": ([GOOD_ROW.replace(",1,0", ",2,0", 1)], (40, 48), (), ["poses.csv:2: ref_qw", "is 2"]),
+    "image of another size": (
+        [GOOD_ROW], (40, 40), (), ["a.png: the image is 40 x 40 pixels, but the camera has 48 x 40"],
+    ),
+    "missing image": ([GOOD_ROW, GOOD_ROW.replace("a.", "b.")], (40, 48), (), ["b.png is not in"]),
+    "more trials than images": ([GOOD_ROW], (40, 48), ("--trials", "2"), ["--trials 2", "1 trials at most"]),
+}  # fmt: skip
+
+
+def the_one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    error = capsys.readouterr().err
+    assert error.startswith("boresight: ")
+    assert error.endswith("\n")
+    assert error.count("\n") == 1, error
+    return error
+
+
+def results(out: Path) -> set[str]:
+    """List what a refused run left, but for its lock."""
+    return {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()} - {".lock"}
+
+
+@pytest.mark.parametrize("fault", FILES)
+def test_a_wrong_file_or_argument(tmp_path, capsys, fault):
+    campaign, scene, arguments, expected = FILES[fault]
+    file = write_campaign(tmp_path, campaign, scene)
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.25)
+    ball.export(tmp_path / "km.obj")
+    trimesh.Trimesh(250 * 4 * ball.vertices, ball.faces[1:], process=False).export(tmp_path / "open.obj")
+    (tmp_path / "broken.obj").write_text("v 1 2 3\nf 1 2\n")
+    (tmp_path / "rubbish.ply").write_bytes(bytes(range(256)))
+    assert run(file, tmp_path / "run", *arguments) == 2
+    error = the_one_line(capsys)
+    assert all(part in error for part in expected), error
+    assert not results(tmp_path / "run")
+
+
+@pytest.mark.parametrize("fault", IMAGES)
+def test_a_wrong_image_set(tmp_path, capsys, fault):
+    table, size, arguments, expected = IMAGES[fault]
+    file = write_campaign(tmp_path, PRIOR_ALONE.replace("4", "1"), REAL)
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "poses.csv").write_text("\n".join([HEADING, *table]) + "\n")
+    cv2.imwrite(str(tmp_path / "set" / "a.png"), np.full(size, 7, dtype=np.uint8))
+    assert run(file, tmp_path / "run", *arguments) == 2
+    error = the_one_line(capsys)
+    assert all(part in error for part in expected), error
+    assert not results(tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["run", "quickstrat"], ["quickstrat: no such campaign; did you mean quickstart?"]),
+        (["run", "no/such/campaign.yaml"], ["no/such/campaign.yaml: no such campaign"]),
+        (["show", "itokawa"], ["itokawa: no such file, nor a name"]),
+        (["validate", "."], ["is a folder, not a YAML file"]),
+        (["status", "nowhere"], ["nowhere: no run there", "run it first"]),
+        (["report", "nowhere"], ["nowhere: no run there", "run it first"]),
+        (["schema", "camera"], ["invalid choice: 'camera'", "'scenario', 'campaign'"]),
+        (["fly"], ["invalid choice: 'fly'", "boresight --help"]),
+        ([], ["COMMAND", "boresight --help"]),
+    ],
+    ids=" ".join,
+)
+def test_a_wrong_command(tmp_path, monkeypatch, capsys, arguments, expected):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    error = the_one_line(capsys)
+    assert all(part in error for part in expected), error
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("place", ["file", "file/below", "/proc/boresight/run"])
+def test_a_folder_that_cannot_be_written(tiny_run, tmp_path, monkeypatch, capsys, place):
+    # As root no permission is ever denied; these places refuse everyone.
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("mine")
+    assert run(tiny_run.file, Path(place), "--trials", 2) == 2
+    error = the_one_line(capsys)
+    assert f"boresight: {place}: cannot be used as a run folder" in error
+    assert "--out" in error
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_without_permission(tiny_run, tmp_path, capsys):
+    (tmp_path / "locked").mkdir(mode=0o555)
+    assert run(tiny_run.file, tmp_path / "locked" / "run", "--trials", 2) == 2
+    assert "--out" in the_one_line(capsys)
+
+
+@pytest.mark.parametrize("name", ["landmarks", "products"])
+def test_a_file_in_the_place_of_a_table(tiny_run, tmp_path, capsys, name):
+    out = tmp_path / "run"
+    compute(tiny_run.file, out, 10)
+    before = files(out)
+    for path in sorted((out / name).rglob("*"), reverse=True):
+        path.rmdir() if path.is_dir() else path.unlink()
+    (out / name).rmdir()
+    (out / name).write_text("in the way")
+    assert run(tiny_run.file, out, "--trials", 15) == 2
+    assert str(out / name) in the_one_line(capsys)
+    after = files(out)
+    for path, content in before.items():
+        if not path.startswith((name, "manifest.json")):
+            assert after[path] == content, path
+
+
+def with_file_size_limit(limit: int, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run the command line where no file may grow beyond a size: like a full disk, a write fails in its middle.
+
+    The limit is inherited by the workers.
+    """
+    code = (
+        "import os, resource, signal, sys;"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}));"
+        "os.execv(sys.executable, [sys.executable, '-m', 'campaign.cli', *sys.argv[1:]])"
+    )
+    words = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
+
+
+@pytest.mark.parametrize(
+    ("limit", "jobs", "options", "stopped_at"),
+    [
+        (1_000, 1, (), "products/landmark-database"),
+        (8_000, 2, (), "scene-0000001.parquet"),
+        (40_000, 2, ("--keep-images",), "images/scene/00000"),
+        (40_000, 1, (), "report"),
+    ],
+    ids=["product", "table", "image in a worker", "report"],
+)
+def test_a_full_disk(tiny_run, tmp_path, limit, jobs, options, stopped_at):
+    out = tmp_path / "run"
+    if stopped_at.endswith("parquet"):
+        compute(tiny_run.file, out, 10)
+    before = files(out)
+    done = with_file_size_limit(limit, "run", tiny_run.file, "--jobs", jobs, "--out", out, *options)
+    assert done.returncode == 2
+    assert done.stderr.startswith("boresight: ")
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert stopped_at in done.stderr
+    after = files(out)
+    assert {path: after[path] for path in before if path != "manifest.json"} == {
+        path: content for path, content in before.items() if path != "manifest.json"
+    }
+    assert not [path for path in after if ".tmp" in path], "nothing half written stays"
+    compute(tiny_run.file, out)
+    assert_same_results(tiny_run.folder, out)
+
+
+def test_standard_output_on_a_full_disk():
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "campaign.cli", "list"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "disk is full" in done.stderr
+
+
+def test_a_reader_that_stops_reading_is_no_fault():
+    code = f"{sys.executable} -m campaign.cli schema | head -c 5; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, '{\n "$', "")
+
+
+def test_a_fault_of_the_user_shows_no_traceback_in_a_process_of_its_own(tmp_path):
+    file = write_campaign(tmp_path, scene=SCENE.replace("fov_deg", "fov_dge"))
+    done = boresight("run", file, "--out", tmp_path / "run")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,177 @@
+"""Every estimator of the name table keeps the contract, in the real renderer's images and with a real data base."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tiny_campaign import DATABASE, SCENE
+
+from campaign.check import check
+from campaign.experiments.single_image import SingleImage
+from campaign.products import Shelf
+from campaign.world import open_world
+from estimators.contract import Assets, Estimate, Estimator
+from estimators.registry import estimator_class, estimator_names
+from renderers.mitsuba3 import choose_variant
+from scenarios.errors import BoresightError
+from scenarios.load import load_scenario
+from scenarios.observation import Frame, Observation
+
+# What a table entry needs to be built quickly; whoever is not here is built with its defaults.
+QUICK = {"landmark-harris": {"database": DATABASE}}
+# The control row answers whatever the image shows.
+BLIND = {"prior"}
+
+
+@dataclass(frozen=True)
+class Bench:
+    shelf: Shelf
+    experiment: SingleImage
+
+    def observation(self, trial: int) -> Observation:
+        return self.experiment.observe(self.experiment.world.source.sight(5, trial), trial)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    folder = tmp_path_factory.mktemp("bench")
+    (folder / "scene.yaml").write_text(SCENE)
+    scenario, variant = load_scenario(str(folder / "scene.yaml")), choose_variant().name
+    return Bench(
+        Shelf(scenario, folder / "products", 1, variant), SingleImage(open_world(scenario, variant), {}, seed=5)
+    )
+
+
+@pytest.fixture(params=estimator_names())
+def estimator(request: pytest.FixtureRequest, bench: Bench) -> Estimator:
+    return estimator_class(request.param).from_options(QUICK.get(request.param, {}), bench.shelf)
+
+
+class DefaultDatabase:
+    """Lends the quick data base to whoever asks for one by default options."""
+
+    def __init__(self, shelf: Shelf) -> None:
+        self.camera = shelf.camera
+        self.mesh_renderer = shelf.mesh_renderer
+        self._shelf = shelf
+
+    def product(self, kind: str, options: object) -> object:
+        return self._shelf.product(kind, DATABASE)
+
+
+def answer(estimator: Estimator, observation: Observation, seed: int = 1) -> Estimate:
+    return estimator.estimate(observation, rng=np.random.default_rng(seed))
+
+
+def content(estimate: Estimate) -> bytes:
+    """Everything of an estimate but the wall times, as bytes."""
+    poses = [*estimate.poses, *(stage.T_cam_body for stage in estimate.stages)]
+    return pickle.dumps(
+        [
+            estimate.status, estimate.reason, sorted(estimate.diagnostics.items()),
+            [(p.rotation.tobytes(), p.translation_m.tobytes(), p.to_frame, p.from_frame) for p in poses],
+            [covariance.tobytes() for covariance in estimate.covariances], [s.name for s in estimate.stages],
+            [(name, column, table[column].tobytes()) for name, table in sorted(estimate.details.items())
+             for column in sorted(table)],
+        ]
+    )  # fmt: skip
+
+
+def with_image(observation: Observation, image: np.ndarray) -> Observation:
+    (frame,) = observation.frames
+    changed = Frame(image, frame.sun_dir_cam, frame.prior_T_cam_body, frame.prior_covariance, frame.time_s)
+    return Observation(observation.camera, (changed,))
+
+
+@pytest.mark.parametrize("name", estimator_names())
+def test_default_options_build(bench, name):
+    found = estimator_class(name)
+    assets: Assets = DefaultDatabase(bench.shelf)
+    estimator = found.from_options({}, assets)
+    assert isinstance(estimator, found)
+    assert found.name == name
+    assert found.version >= 1
+    assert answer(estimator, bench.observation(0)).status == "ok"
+
+
+@pytest.mark.parametrize("name", estimator_names())
+def test_an_unknown_option_is_refused_by_name(bench, name):
+    with pytest.raises(BoresightError, match=rf"estimator {name}: colour: .*\S") as caught:
+        estimator_class(name).from_options({**QUICK.get(name, {}), "colour": "red"}, bench.shelf)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_good_image_is_answered_by_the_contract(estimator, bench):
+    for trial in range(3):
+        observation = bench.observation(trial)
+        estimate = answer(estimator, observation)
+        assert estimate.status == "ok"
+        check(estimate, observation)
+        for covariance in estimate.covariances:
+            np.testing.assert_allclose(covariance, covariance.T)
+            assert (np.linalg.eigvalsh(covariance) > 0).all()
+        lengths = {name: {len(column) for column in table.values()} for name, table in estimate.details.items()}
+        assert all(len(found) == 1 for found in lengths.values()), lengths
+
+
+@pytest.mark.parametrize("level", [0.0, 100.0])
+def test_a_black_image_fails_with_a_reason(estimator, bench, level):
+    observation = bench.observation(0)
+    black = with_image(observation, np.full_like(observation.frames[0].image, level))
+    estimate = answer(estimator, black)
+    if estimator.name in BLIND:
+        assert estimate.status == "ok"
+        return
+    assert estimate.status == "failed"
+    assert "black" in estimate.reason
+    assert estimate.poses == estimate.covariances == ()
+    check(estimate, black)
+
+
+def test_the_same_rng_gives_the_same_answer_whatever_came_before(estimator, bench):
+    first, other = bench.observation(1), bench.observation(2)
+    before = content(answer(estimator, first))
+    answer(estimator, other)
+    answer(estimator, with_image(first, np.zeros_like(first.frames[0].image)))
+    assert content(answer(estimator, first)) == before
+    assert content(answer(estimator, other)) != before
+
+
+def test_a_rebuilt_estimator_gives_the_same_answer(estimator, bench):
+    again = type(estimator).from_options(QUICK.get(estimator.name, {}), bench.shelf)
+    assert content(answer(again, bench.observation(1))) == content(answer(estimator, bench.observation(1)))
+
+
+def test_inputs_are_not_changed(estimator, bench):
+    observation = bench.observation(1)
+    (frame,) = observation.frames
+    writable = Frame(
+        frame.image.copy(), frame.sun_dir_cam.copy(), frame.prior_T_cam_body, frame.prior_covariance.copy()
+    )
+    arrays = [writable.image, writable.sun_dir_cam, writable.prior_covariance]
+    poses = [writable.prior_T_cam_body.rotation, writable.prior_T_cam_body.translation_m]
+    before = [array.tobytes() for array in (*arrays, *poses)]
+    answer(estimator, Observation(observation.camera, (writable,)))
+    assert [array.tobytes() for array in (*arrays, *poses)] == before
+
+
+def test_calls_leave_nothing_behind(estimator, bench, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    observation = bench.observation(1)
+    answer(estimator, observation)
+    state, environment = _state(estimator), dict(os.environ)
+    numpy_state = np.random.get_state()[1].tobytes()  # noqa: NPY002  the global generator must stay untouched
+    answer(estimator, bench.observation(2))
+    assert _state(estimator) == state
+    assert dict(os.environ) == environment
+    assert np.random.get_state()[1].tobytes() == numpy_state  # noqa: NPY002
+    assert not list(Path(tmp_path).iterdir())
+
+
+def _state(estimator: Estimator) -> dict[str, int]:
+    return {name: id(value) for name, value in vars(estimator).items()}

@@ -1,0 +1,175 @@
+"""The landmark data base as a product: its key, its cache, and that it does not depend on who built it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from tiny_campaign import DATABASE, SCENE, assert_same_results, compute, files, write_campaign
+
+from campaign.products import Shelf, landmark_database, product_key
+from estimators.landmark.build import DatabaseOptions
+from estimators.landmark.database import LandmarkDatabase
+from renderers.mitsuba3 import choose_variant
+from scenarios.bodies import load_body
+from scenarios.cache import default_cache
+from scenarios.errors import BoresightError
+from scenarios.load import LoadedScenario, load_scenario
+
+KIND = landmark_database.KIND
+OPTIONS = DatabaseOptions.model_validate(DATABASE)
+CONTENT = ("landmarks.csv", "facets.csv", "database.json")
+
+
+def scene(folder: Path, *overrides: str) -> LoadedScenario:
+    write_campaign(folder)
+    return load_scenario(str(folder / "scene.yaml"), overrides)
+
+
+def key(loaded: LoadedScenario, options: DatabaseOptions = OPTIONS, variant: str = "llvm_ad_mono") -> str:
+    return product_key(loaded, KIND, options, variant)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "body.detail.seed=4", "body.detail.facets=30000", "body.shading=smooth", "camera.fov_deg=19",
+        "camera.width_px=130", "brdf.albedo=0.2", "brdf.kind=oren-nayar", "rendering.samples_per_pixel=1",
+        "viewpoint.range_m=1900",
+    ],
+)  # fmt: skip
+def test_what_would_change_the_landmarks_changes_the_key(tmp_path, change):
+    assert key(scene(tmp_path, change)) != key(scene(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "viewpoint.roll_deg.uniform=[0, 10]", "viewpoint.latitude_deg.uniform=[-9, 9]",
+        "name=other", "description=another", "lighting.phase_deg.uniform=[0, 10]", "detector.bits=10",
+        "pose_error.position_cam_m.uniform=[[-5, 5], [-5, 5], [-5, 5]]",
+    ],
+)  # fmt: skip
+def test_what_only_trials_see_leaves_the_key_alone(tmp_path, change):
+    assert key(scene(tmp_path, change)) == key(scene(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"images": 41}, {"seed": 1}, {"phase_deg_max": 50.0}, {"min_observations": 7},
+        {"clusters": {"seed_radius_m": 14.0}}, {"corners": {"k": 0.05}},
+    ],
+    ids=lambda change: next(iter(change)),
+)  # fmt: skip
+def test_every_option_of_the_data_base_changes_the_key(tmp_path, change):
+    changed = DatabaseOptions.model_validate({**DATABASE, **change})
+    assert key(scene(tmp_path), changed) != key(scene(tmp_path))
+
+
+def test_the_variant_and_the_shape_file_change_the_key(tmp_path):
+    loaded = scene(tmp_path)
+    assert key(loaded, variant="scalar_rgb") != key(loaded, variant="llvm_ad_mono")
+    (tmp_path / "scene.yaml").write_text(SCENE.replace("body:\n", "body:\n  shape: ball.obj\n"))
+    keys = set()
+    for radius in (200.0, 210.0):
+        trimesh.creation.icosphere(subdivisions=2, radius=radius).export(tmp_path / "ball.obj")
+        keys.add(key(load_scenario(str(tmp_path / "scene.yaml"))))
+    assert len(keys) == 2
+
+
+def test_the_range_of_real_images_changes_the_key_and_their_pixels_do_not(tmp_path):
+    (tmp_path / "set").mkdir()
+    (tmp_path / "scene.yaml").write_text(
+        "body: {shape: sphere}\ncamera: {width_px: 48, height_px: 40, fov_deg: 18.3}\nimages: {folder: set}\n"
+    )
+    poses = "file,time_s,{0}_qw,{0}_qx,{0}_qy,{0}_qz,{0}_tx_m,{0}_ty_m,{0}_tz_m,sun_body_x,sun_body_y,sun_body_z\n"
+    keys = []
+    for grey, range_m in ((7, 2000), (8, 2000), (8, 2500)):
+        cv2.imwrite(str(tmp_path / "set" / "a.png"), np.full((40, 48), grey, dtype=np.uint8))
+        row = f"a.png,0,1,0,0,0,0,0,{range_m},0,0,-1\n"
+        (tmp_path / "set" / "poses.csv").write_text(poses.format("ref") + row)
+        keys.append(key(load_scenario(str(tmp_path / "scene.yaml"))))
+    assert keys[0] == keys[1] != keys[2]
+
+
+def shelf(loaded: LoadedScenario, folder: Path, jobs: int, said: list[str] | None = None) -> Shelf:
+    return Shelf(loaded, folder, jobs, choose_variant().name, (said if said is not None else []).append)
+
+
+def test_a_data_base_does_not_depend_on_workers_or_cache(tmp_path, monkeypatch):
+    loaded = scene(tmp_path)
+    built = {}
+    for name, jobs in (("one", 1), ("two", 2), ("kept", 1)):
+        # "kept" takes what "two" left in the cache; the others build.
+        monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / ("cache-two" if name == "kept" else f"cache-{name}")))
+        said: list[str] = []
+        database = shelf(loaded, tmp_path / name, jobs, said).product(KIND, DATABASE)
+        assert isinstance(database, LandmarkDatabase)
+        assert len(said) == (name != "kept")
+        (folder,) = (tmp_path / name).iterdir()
+        built[name] = {file: (folder / file).read_bytes() for file in CONTENT}
+    assert built["one"] == built["two"] == built["kept"]
+
+
+def test_landmarks_lie_on_the_body(tiny_run, tmp_path):
+    (folder,) = (tiny_run.folder / "products").iterdir()
+    database = LandmarkDatabase.load(folder)
+    mesh = load_body(load_scenario(str(tiny_run.file.parent / "scene.yaml")).spec.body).mesh
+    nearest = np.array([np.linalg.norm(mesh.vertices_m - mean, axis=1).min() for mean in database.means_m])
+    # Clusters of corners seen from many sides, with pixels of 5 m and facets of 8 m.
+    assert np.median(nearest) < 10.0
+    assert nearest.max() < 60.0
+    assert (database.n_observations >= DATABASE["min_observations"]).all()
+
+
+def test_a_worker_builds_nothing(tmp_path):
+    with pytest.raises(BoresightError, match="the product is missing from the run folder: run the campaign again"):
+        shelf(scene(tmp_path), tmp_path / "run", jobs=0).product(KIND, DATABASE)
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_unknown_kind_of_product_is_refused(tmp_path):
+    with pytest.raises(BoresightError, match="no product is called 'crater-map': the only kind is landmark-database"):
+        shelf(scene(tmp_path), tmp_path / "run", jobs=1).product("crater-map", {})
+
+
+def test_two_estimators_of_the_same_options_share_a_product(tmp_path):
+    text = """\
+scenarios: [scene]
+estimators:
+  - landmark-harris: {label: plain, database: {images: 40, min_observations: 6, clusters: {seed_radius_m: 15}}}
+  - landmark-harris:
+      {label: aligned, alignment: image, database: {images: 40, min_observations: 6, clusters: {seed_radius_m: 15}}}
+trials: 2
+seed: 5
+"""
+    file = write_campaign(tmp_path, text)
+    compute(file, tmp_path / "run", 2)
+    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    assert [product["estimator"] for product in manifest["products"]] == ["plain", "aligned"]
+    assert len({product["folder"] for product in manifest["products"]}) == 1
+    assert len(list((tmp_path / "run" / "products").iterdir())) == 1
+
+
+def test_a_run_stands_alone_without_the_cache(tiny_run, tmp_path, monkeypatch):
+    compute(tiny_run.file, tmp_path / "run", 10)
+    before = files(tmp_path / "run", "products")
+    monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "empty"))
+    compute(tiny_run.file, tmp_path / "run")
+    assert files(tmp_path / "run", "products") == before
+    assert_same_results(tiny_run.folder, tmp_path / "run")
+    assert KIND not in {entry.kind for entry in default_cache().entries()}, "the data base was not built again"
+
+
+@pytest.mark.parametrize("place", ["/proc/boresight", "file"])
+def test_a_cache_that_cannot_be_written_does_not_break_a_run(tiny_run, tmp_path, monkeypatch, caplog, place):
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / place))
+    compute(tiny_run.file, tmp_path / "run")
+    assert "working without the cache" in caplog.text
+    assert_same_results(tiny_run.folder, tmp_path / "run")
