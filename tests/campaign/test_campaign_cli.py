@@ -1,0 +1,207 @@
+"""The commands beside `run`: they print what is, and everything in the catalogue is sound."""
+
+from __future__ import annotations
+
+import json
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import cv2
+import jsonschema
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+from tiny_campaign import CAMPAIGN, SCENE, boresight, compute, write_campaign
+
+from campaign.cli import main
+from campaign.resolve import CATALOG, campaign_names
+from campaign.store import RunFolder
+from estimators.registry import estimator_names
+from scenarios.bodies.load import DATA_VARIABLE
+from scenarios.load import load_campaign, load_scenario, scenario_names
+from scenarios.load.files import CATALOG as SCENARIOS
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Run a command that must succeed, and return what it printed."""
+    assert main(list(arguments)) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    return captured.out
+
+
+def test_list_names_everything(capsys):
+    text = said(capsys, "list")
+    for name in (*campaign_names(), *scenario_names(), *estimator_names()):
+        assert name in text
+    quickstart = next(line for line in text.splitlines() if line.startswith("quickstart"))
+    assert str(load_campaign("quickstart", CATALOG).spec.trials) in quickstart.split()
+
+
+@pytest.mark.parametrize("name", campaign_names())
+def test_every_campaign_of_the_catalogue_is_sound(capsys, name):
+    loaded = load_campaign(name, CATALOG)
+    assert loaded.spec.name == name
+    assert loaded.spec.title
+    assert loaded.spec.description
+    for scenario in loaded.spec.scenarios:
+        assert load_scenario(scenario).spec.name == scenario
+    labels = [estimator.name for estimator in loaded.spec.estimators]
+    assert labels[0] == "prior", "there is always a control row"
+    assert "ok, a campaign of" in said(capsys, "validate", name)
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_every_scenario_of_the_catalogue_is_sound(capsys, name):
+    path = next(path for path in SCENARIOS.glob("*.yaml") if path.stem == name)
+    assert f"ok, the scenario {name}" in said(capsys, "validate", str(path))
+    assert load_scenario(name).spec.description
+
+
+@pytest.mark.parametrize("kind", ["scenario", "campaign"])
+def test_the_schema_takes_the_catalogue_and_refuses_a_wrong_key(capsys, kind):
+    schema = json.loads(said(capsys, "schema", kind))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
+    for path in (SCENARIOS if kind == "scenario" else CATALOG).glob("*.yaml"):
+        content = YAML(typ="safe", pure=True).load(path.read_text())
+        validator.validate(content)
+        assert list(validator.iter_errors({**content, "colour": "red"})), path
+
+
+def test_show_prints_a_campaign_that_reads_back_the_same(tiny_run, tmp_path, capsys):
+    text = said(capsys, "show", str(tiny_run.file), "--set", "camera.fov_deg=20")
+    shown = YAML(typ="safe", pure=True).load(text)
+    (scenario,) = shown["scenarios"]
+    assert scenario["camera"]["fov_deg"] == 20
+    assert scenario["rendering"] == {"samples_per_pixel": 4}, "defaults are filled in"
+    (tmp_path / "again.yaml").write_text(json.dumps(scenario))
+    own = load_scenario(str(tiny_run.file.parent / "scene.yaml"), ["camera.fov_deg=20"]).spec
+    assert load_scenario(str(tmp_path / "again.yaml")).spec == own
+
+
+def test_show_prints_a_scenario(capsys):
+    shown = YAML(typ="safe", pure=True).load(said(capsys, "show", "itokawa-2km-lambert"))["scenario"]
+    assert shown["body"]["shape"] == "itokawa_gaskell_q64.ply"
+    assert shown["lighting"]["phase_deg"] == {"uniform": [0, 60]}
+
+
+def test_validate_tells_campaigns_from_scenarios(tiny_run, capsys):
+    scene = tiny_run.file.parent / "scene.yaml"
+    assert said(capsys, "validate", str(scene)) == f"{scene}: ok, the scenario scene\n"
+    text = said(capsys, "validate", str(tiny_run.file))
+    assert text == f"{tiny_run.file}: ok, a campaign of 1 scenario(s) and 2 estimator(s)\n"
+
+
+def test_validate_tries_the_overrides(tiny_run, capsys):
+    assert main(["validate", str(tiny_run.file), "--set", "camera.width_px=2.5"]) == 2
+    assert "--set camera.width_px=2.5: camera.width_px: 2.5 is not a whole number" in capsys.readouterr().err
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out == f"boresight {version('boresight')}\n"
+
+
+def test_cache_shows_and_clears_its_own_folder_alone(tiny_file, tmp_path, monkeypatch, capsys):
+    store = tmp_path / "cache"
+    monkeypatch.setenv("BORESIGHT_CACHE", str(store))
+    neighbour = tmp_path / "neighbour.txt"
+    neighbour.write_text("mine")
+    compute(tiny_file, tmp_path / "run", 1)
+    text = said(capsys, "cache")
+    assert text.startswith(f"{store}: ")
+    assert "  bodies  " in text
+    assert "  landmark-database  " in text
+    assert f"{store}: 2 entries removed" in said(capsys, "cache", "--clear")
+    assert not [path for path in store.rglob("*") if path.is_file()]
+    assert neighbour.read_text() == "mine"
+    assert "0 entries removed, 0.0 MiB" in said(capsys, "cache", "--clear")
+
+
+def test_doctor_tells_what_is_there(capsys, monkeypatch, tmp_path):
+    monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "here"))
+    monkeypatch.setenv(DATA_VARIABLE, "/somewhere")
+    text = said(capsys, "doctor")
+    for part in (sys.version.split()[0], version("mitsuba"), version("numpy"), str(tmp_path / "here"), "/somewhere"):
+        assert part in text
+    monkeypatch.delenv(DATA_VARIABLE)
+    assert f"- set {DATA_VARIABLE} to the folder of your shapes and images" in said(capsys, "doctor")
+
+
+def test_doctor_without_llvm_says_what_to_do():
+    done = boresight("doctor", BORESIGHT_HIDE_LLVM="1")
+    assert done.returncode == 0
+    assert "scalar_rgb" in done.stdout
+    assert "none that is usable" in done.stdout
+    advice = done.stdout.split("What to do:")[1]
+    assert "pip install karellen-llvm-core" in advice
+    assert "libllvm19" in advice
+
+
+def test_a_run_without_llvm_gives_nearly_the_same_rows(tiny_run, tmp_path):
+    out = tmp_path / "run"
+    done = boresight("run", tiny_run.file, "--jobs", 1, "--out", out, BORESIGHT_HIDE_LLVM="1")
+    assert done.returncode == 0, done.stderr
+    assert "scalar_rgb" in done.stdout
+    assert "pip install karellen-llvm-core" in done.stdout
+    manifest = RunFolder(out).read_manifest()
+    assert manifest["machine"]["variant"] == "scalar_rgb"
+    with_llvm, without = (RunFolder(folder).table("rows") for folder in (tiny_run.folder, out))
+    controls = [rows[rows["estimator"] == "prior"].reset_index(drop=True) for rows in (with_llvm, without)]
+    assert controls[0].equals(controls[1]), "the draws do not depend on the variant"
+    found = [rows[rows["estimator"] == "landmark-harris"] for rows in (with_llvm, without)]
+    assert (found[1]["status"] == "ok").mean() > 0.8
+    stages = [RunFolder(folder).table("stages") for folder in (tiny_run.folder, out)]
+    centroids = [table[table["stage"] == "centroid"]["position_error_m"].median() for table in stages]
+    assert centroids[1] == pytest.approx(centroids[0], rel=0.2), "brightness centroids hardly feel single pixels"
+
+
+def test_two_scenarios_are_compared_on_the_same_draws(tmp_path):
+    file = write_campaign(tmp_path, CAMPAIGN.replace("[scene]", "[scene, dull]"))
+    (tmp_path / "dull.yaml").write_text(SCENE + "brdf: {kind: oren-nayar}\n")
+    compute(file, tmp_path / "run", 3)
+    rows = RunFolder(tmp_path / "run").table("rows")
+    priors = [name for name in rows.columns if name.startswith("prior_")] + ["range_m", "phase_deg"]
+    first, second = (rows[rows["scenario"] == name].reset_index(drop=True) for name in ("scene", "dull"))
+    assert first[priors].equals(second[priors])
+    assert not first.equals(second.assign(scenario="scene"))
+    assert sorted(path.name for path in (tmp_path / "run" / "rows").iterdir()) == [
+        "dull-0000000.parquet",
+        "scene-0000000.parquet",
+    ]
+
+
+def test_a_campaign_of_real_images_scores_against_every_reference(tmp_path):
+    (tmp_path / "set").mkdir()
+    poses = ["file", "time_s", "sun_body_x", "sun_body_y", "sun_body_z"]
+    for prefix in ("ref", "label"):
+        poses += [f"{prefix}_{part}" for part in ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")]
+    rows = [",".join(poses)]
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / "set" / f"{number}.png"), np.full((40, 48), 9 * number, dtype=np.uint8))
+        rows.append(f"{number}.png,{number},0,0,-1,1,0,0,0,0,0,2000,1,0,0,0,3,4,2000")
+    (tmp_path / "set" / "poses.csv").write_text("\n".join(rows) + "\n")
+    scene = "body: {shape: sphere}\ncamera: {width_px: 48, height_px: 40, fov_deg: 18.3}\n"
+    scene += "images: {folder: set, also_score: [label], noise_realisations: 2, credit: A. N. Other}\n"
+    scene += (
+        "pose_error: {position_cam_m: {uniform: [[0, 0], [0, 0], [0, 0]]}, attitude: {angle_deg: {uniform: [0, 0]}}}\n"
+    )
+    file = write_campaign(tmp_path, "scenarios: [scene]\nestimators: [prior]\ntrials: 6\nseed: 1\n", scene)
+    assert main(["run", str(file), "--jobs", "1", "--out", str(tmp_path / "run")]) == 0
+    folder = RunFolder(tmp_path / "run")
+    assert folder.table("rows")["image"].tolist() == ["0.png", "1.png", "2.png"] * 2
+    np.testing.assert_allclose(folder.table("rows")["position_error_m"], 0.0, atol=1e-9)
+    references = folder.table("references").set_index("reference")["position_error_m"]
+    np.testing.assert_allclose(references["ref"], 0.0, atol=1e-9)
+    np.testing.assert_allclose(references["label"], 5.0)
+    assert folder.read_manifest()["credits"] == ["A. N. Other"]
+    assert "A. N. Other" in (tmp_path / "run" / "report" / "report.html").read_text()
+
+
+def test_the_package_has_a_module_to_run(capsys):
+    done = boresight("--version", cwd=Path("/"))
+    assert (done.returncode, done.stdout) == (0, f"boresight {version('boresight')}\n")
