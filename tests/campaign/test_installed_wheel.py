@@ -1,4 +1,4 @@
-"""The wheel works outside the checkout: data of the packages included, nothing of the checkout needed."""
+"""The wheel, built from this checkout and installed elsewhere, works without the checkout."""
 
 from __future__ import annotations
 
@@ -7,109 +7,98 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-import venv
 import zipfile
 from pathlib import Path
 
-import pandas as pd
 import pytest
+from tiny_campaign import assert_same_results, write_campaign
 
 ROOT = Path(__file__).parents[2]
-PARTS = ("scenarios", "renderers", "estimators", "reports", "campaign")
-CAMPAIGN = """
-scenarios: [scene.yaml]
-estimators:
-  - prior
-  - landmark-harris: {database: {images: 25, min_observations: 3, clusters: {seed_radius_m: 8}}}
-trials: 3
-seed: 5
-"""
-SCENE = """
-body: {detail: {facets: 12000, boulders: {count: 300, min_diameter_m: 15, max_diameter_m: 60}}}
-camera: {width_px: 128, height_px: 128, fov_deg: 18.3}
-viewpoint: {range_m: 2000}
-"""
+PACKAGES = ("scenarios", "renderers", "estimators", "reports", "campaign")
+
+
+def checked(*words: object, cwd: Path, **environment: str) -> str:
+    """Run a command that must succeed, where nothing leads to the checkout or to the user's data."""
+    kept = {k: v for k, v in os.environ.items() if k not in {"PYTHONPATH", "BORESIGHT_DATA", "PYTHONHOME"}}
+    done = subprocess.run(
+        [str(word) for word in words],
+        cwd=cwd, env={**kept, **environment}, capture_output=True, text=True, check=False, timeout=180,
+    )  # fmt: skip
+    assert done.returncode == 0, f"{words}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+    return done.stdout
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build from a copy, so that no build folder appears in the checkout."""
-    folder = tmp_path_factory.mktemp("wheel")
+    """Build the wheel from a copy of the source, so that the checkout stays as it is."""
+    folder = tmp_path_factory.mktemp("build")
     source = folder / "source"
     source.mkdir()
-    for part in PARTS:
-        shutil.copytree(ROOT / part, source / part, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, source)
-    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(source)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-3000:]
+        shutil.copy2(ROOT / name, source)
+    for name in (*PACKAGES, "tests"):
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+    checked(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, source, cwd=folder)
     (built,) = folder.glob("*.whl")
     return built
 
 
 @pytest.fixture(scope="module")
-def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Install into an empty environment elsewhere; only the dependencies are lent, as plain packages."""
-    folder = tmp_path_factory.mktemp("installed")
-    venv.create(folder / "venv", symlinks=True)
-    site = Path(sysconfig.get_path("purelib", vars={"base": str(folder / "venv")}))
-    command = [sys.executable, "-m", "pip", "--python", str(folder / "venv" / "bin" / "python"), "install", "--no-deps"]
-    subprocess.run([*command, "--no-index", "--quiet", str(wheel)], check=True)
-    lent = folder / "lent"
-    lent.mkdir()
-    for item in Path(sysconfig.get_path("purelib")).iterdir():
-        if "boresight" not in item.name and item.suffix != ".pth":
-            (lent / item.name).symlink_to(item)
-    (site / "lent.pth").write_text(f"{lent}\n")
+def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Install the wheel into an environment of its own, which borrows the dependencies of this one.
+
+    A plain path in a .pth file lends the packages, but not the editable install of the checkout: its own .pth
+    is not read from there.
+    """
+    folder = tmp_path_factory.mktemp("venv") / "venv"
+    checked(sys.executable, "-m", "venv", "--without-pip", folder, cwd=folder.parent)
+    python = folder / "bin" / "python"
+    site = Path(checked(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder).strip())
+    (site / "borrowed.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    pip = [sys.executable, "-m", "pip", "--python", python, "--disable-pip-version-check", "--quiet"]
+    checked(*pip, "install", "--no-deps", "--no-index", "--force-reinstall", wheel, cwd=folder)
     return folder
 
 
-def run(installed: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = {key: value for key, value in os.environ.items() if key not in ("BORESIGHT_DATA", "PYTHONPATH")}
-    environment["BORESIGHT_CACHE"] = str(installed / "cache")
-    command = [str(installed / "venv" / "bin" / "boresight"), *arguments]
-    return subprocess.run(command, cwd=installed, env=environment, capture_output=True, text=True, check=False)
-
-
-def test_the_wheel_holds_the_data_of_the_packages_and_no_tests(wheel: Path):
+def test_the_wheel_holds_the_data_and_no_tests(wheel):
     names = zipfile.ZipFile(wheel).namelist()
-    for name in (
-        "campaign/catalog/quickstart.yaml",
-        "scenarios/catalog/quickstart.yaml",
-        "reports/published/rowell2015.yaml",
-        "reports/page.html",
-        "reports/page.css",
-    ):
-        assert name in names
-    assert not [name for name in names if name.startswith("tests") or "/test_" in name]
-    assert {name.split("/")[0] for name in names if ".dist-info" not in name} == set(PARTS)
+    assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == set(PACKAGES)
+    assert not [name for name in names if "test" in Path(name).name.lower() or "conftest" in name]
+    expected = {
+        path.relative_to(ROOT).as_posix()
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*")
+        if path.suffix in {".py", ".yaml", ".html", ".css", ".typed"} and "__pycache__" not in path.parts
+    }
+    assert expected <= set(names), f"left out: {sorted(expected - set(names))}"
+    for name in ("campaign/catalog/quickstart.yaml", "reports/page.html", "reports/page.css"):
+        assert name in expected
+    assert any(name.startswith("reports/published/") and name.endswith(".yaml") for name in expected)
+    assert any(name.endswith("licenses/LICENSE") for name in names)
 
 
-def test_it_runs_from_the_installed_files(installed: Path):
-    code = "import campaign, scenarios, renderers, estimators, reports as r; print(campaign.__file__, r.__file__)"
-    done = subprocess.run(
-        [str(installed / "venv" / "bin" / "python"), "-c", code],
-        cwd=installed,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert all(path.startswith(str(installed / "venv")) for path in done.stdout.split())
+def test_every_package_comes_from_the_wheel(environment, tmp_path):
+    code = f"import importlib; print(*(importlib.import_module(n).__file__ for n in {PACKAGES}), sep='\\n')"
+    found = checked(environment / "bin" / "python", "-c", code, cwd=tmp_path).split()
+    assert len(found) == len(PACKAGES)
+    assert all(Path(path).is_relative_to(environment) for path in found), found
 
 
-def test_list_names_every_campaign_and_scenario(installed: Path):
-    done = run(installed, "list")
-    assert done.returncode == 0, done.stderr
-    for name in ("quickstart", "rowell2015-simulated", "navcam67p-real", "itokawa-2km-lambert"):
-        assert name in done.stdout
+def test_the_command_lists_the_catalogue_elsewhere(environment, tmp_path):
+    text = checked(environment / "bin" / "boresight", "list", cwd=tmp_path)
+    assert all(name in text for name in ("quickstart", "rowell2015-simulated", "landmark-harris"))
+    assert not list(tmp_path.iterdir())
+    shown = checked(environment / "bin" / "boresight", "show", "quickstart", cwd=tmp_path)
+    assert "contact-binary" in shown
 
 
-def test_a_tiny_campaign_runs_to_its_report(installed: Path):
-    (installed / "scene.yaml").write_text(SCENE)
-    (installed / "tiny.yaml").write_text(CAMPAIGN)
-    done = run(installed, "run", "tiny.yaml", "--jobs", "1", "--out", "out")
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
-    assert len(pd.read_parquet(installed / "out" / "rows")) == 6
-    assert (installed / "out" / "report" / "report.html").exists()
-    assert '"commit": ""' in (installed / "out" / "manifest.json").read_text()
+def test_a_campaign_runs_elsewhere_with_the_same_rows(environment, tiny_run, tmp_path):
+    file = write_campaign(tmp_path / "mine")
+    cache = str(tmp_path / "cache")
+    command = [environment / "bin" / "boresight", "run", file, "--jobs", "2", "--out", "run"]
+    text = checked(*command, cwd=tmp_path, BORESIGHT_CACHE=cache)
+    assert "building the landmark data base" in text
+    assert (tmp_path / "run" / "report" / "report.html").is_file()
+    assert_same_results(tiny_run.folder, tmp_path / "run")
+    manifest = (tmp_path / "run" / "manifest.json").read_text()
+    assert '"commit": ""' in manifest, "it runs from no checkout"
