@@ -9,17 +9,13 @@ from typing import TYPE_CHECKING
 from campaign.cli.catalog import add_overrides
 from campaign.cli.progress import ProgressListener
 from campaign.cli.terminal import console
-from campaign.fit_figures import fit_figures
 from campaign.machine import cores
 from campaign.request import RunRequest
-from campaign.resolve import ResolvedCampaign, reload, resolve
+from campaign.resolve import ResolvedCampaign, resolve
 from campaign.runner import run_campaign
 from campaign.store import RunFolder
 from campaign.world import trial_limit
 from renderers.mitsuba3 import choose_variant
-from reports.build import write_report
-from reports.console import console_table
-from reports.content import NamedFigure
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -125,24 +121,10 @@ def _report(arguments: argparse.Namespace) -> int:
 
 
 def _print_report(folder: RunFolder) -> None:
-    out = console()
-    files = write_report(folder.path, extra=_fit_figures(folder))
-    out.print(console_table(files.content))
-    out.print(f"report: {files.html}")
+    # Imported here: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
+    from campaign.cli.report import print_report
 
-
-def _fit_figures(folder: RunFolder) -> list[NamedFigure]:
-    """Draw a typical trial, unless the run was made by other code or from data that are gone."""
-    manifest = folder.read_manifest() or {}
-    try:
-        campaign = reload(manifest)
-    except BoresightError as error:
-        console().print(f"no figure of a single fit: {error}")
-        return []
-    if campaign is None:
-        console().print("no figure of a single fit: the run was made by another version of boresight or of its data")
-        return []
-    return list(fit_figures(campaign, folder.path, folder.table("rows")))
+    print_report(folder)
 
 
 def find_run(name: str) -> RunFolder:

@@ -211,7 +211,7 @@ def with_file_size_limit(limit: int, *arguments: object) -> subprocess.Completed
     ("limit", "jobs", "options", "stopped_at"),
     [
         (1_000, 1, (), "products/landmark-database"),
-        (8_000, 2, (), "scene-0000001.parquet"),
+        (8_000, 1, (), "scene-0000001.parquet"),
         (40_000, 2, ("--keep-images",), "images/scene/00000"),
         (40_000, 1, (), "report"),
     ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -18,6 +19,7 @@ from campaign.cli import main
 from campaign.resolve import CATALOG, campaign_names
 from campaign.store import RunFolder
 from estimators.registry import estimator_names
+from renderers.mitsuba3 import choose_variant
 from scenarios.bodies.load import DATA_VARIABLE
 from scenarios.load import load_campaign, load_scenario, scenario_names
 from scenarios.load.files import CATALOG as SCENARIOS
@@ -158,6 +160,16 @@ def test_a_run_without_llvm_gives_nearly_the_same_rows(tiny_run, tmp_path):
     stages = [RunFolder(folder).table("stages") for folder in (tiny_run.folder, out)]
     centroids = [table[table["stage"] == "centroid"]["position_error_m"].median() for table in stages]
     assert centroids[1] == pytest.approx(centroids[0], rel=0.2), "brightness centroids hardly feel single pixels"
+
+
+def test_a_report_is_written_where_the_variant_of_the_run_does_not_work(tiny_run, tmp_path):
+    if choose_variant().name == "scalar_rgb":
+        pytest.skip("the run was made by scalar_rgb, which works everywhere")
+    shutil.copytree(tiny_run.folder, tmp_path / "run", ignore=shutil.ignore_patterns("report"))
+    done = boresight("report", tmp_path / "run", BORESIGHT_HIDE_LLVM="1")
+    assert done.returncode == 0, done.stderr
+    assert "no figure of a single fit: the Mitsuba variant" in done.stdout
+    assert (tmp_path / "run" / "report" / "report.html").is_file()
 
 
 def test_two_scenarios_are_compared_on_the_same_draws(tmp_path):

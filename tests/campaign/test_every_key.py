@@ -62,7 +62,7 @@ images: {folder: set, truth: ref, also_score: [label], noise_realisations: 2}
 # key: (scenario, new value)
 CHANGES: dict[str, tuple[str, str]] = {
     "body.shape": (RENDERED, "sphere"),
-    "body.unit": (SHAPE, "m"),
+    "body.unit": (SHAPE, "km"),
     "body.longitude": (GRID, "west"),
     "body.shading": (RENDERED, "smooth"),
     "body.detail.facets": (RENDERED, "40000"),
@@ -146,7 +146,7 @@ NO_RESULT = {
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("keys")
-    trimesh.creation.icosphere(subdivisions=2, radius=1.0).apply_scale([1.5, 1.0, 0.8]).export(folder / "egg.obj")
+    trimesh.creation.icosphere(subdivisions=2, radius=200.0).apply_scale([1.5, 1.0, 0.8]).export(folder / "egg.obj")
     lines = [
         f"{latitude:9.3f} {longitude:9.3f} {200 + 30 * np.sin(np.radians(longitude)):9.3f}"
         for latitude in range(-90, 91, 15)

@@ -46,8 +46,8 @@ def long_run(tiny_run, tmp_path_factory):
     return out
 
 
-def with_two_jobs(tiny_run, out: Path) -> tuple[object, ...]:
-    return ("run", tiny_run.file, "--jobs", 2, "--trials", LONG, "--out", out)
+def asked(tiny_run, out: Path, jobs: int = 2) -> tuple[object, ...]:
+    return ("run", tiny_run.file, "--jobs", jobs, "--trials", LONG, "--out", out)
 
 
 def test_two_jobs_give_the_same_bytes(tiny_run, tmp_path):
@@ -69,17 +69,17 @@ def test_the_order_of_the_blocks_does_not_matter(tiny_run, tmp_path):
 def test_kills_at_random_instants_change_nothing(tiny_run, long_run, tmp_path):
     rng = np.random.default_rng(20150709)
     out = tmp_path / "run"
-    arguments = with_two_jobs(tiny_run, out)
     stored = []
-    for blocks_seen in np.sort(rng.choice(np.arange(1, N_BLOCKS - 1), 3, replace=False)):
-        process = start(*arguments)
+    instants = np.sort(rng.choice(np.arange(1, N_BLOCKS - 1), 3, replace=False))
+    for jobs, blocks_seen in zip((2, 1, 1), instants, strict=True):
+        process = start(*asked(tiny_run, out, jobs))
         wait_for_blocks(process, out, blocks_seen)
-        time.sleep(rng.uniform(0.0, 0.03))
+        time.sleep(rng.uniform(0.0, 0.02))
         stop(process)
         stored.append(len(RunFolder(out).table("rows")) // 2)
         assert "finished" not in RunFolder(out).read_manifest()
     assert 0 < stored[0] <= stored[1] <= stored[2] < LONG, "each kill came while the run was under way"
-    done = boresight(*arguments)
+    done = boresight(*asked(tiny_run, out, 1))
     assert done.returncode == 0, done.stderr
     assert f"{stored[-1]} of {LONG} trials are stored already" in done.stdout
     assert_same_results(long_run, out)
@@ -102,7 +102,7 @@ def test_what_a_kill_left_half_written_is_swept(tiny_run, tmp_path):
 def test_an_interrupted_run_says_so_and_continues(tiny_run, long_run, tmp_path):
     out = tmp_path / "run"
     for blocks_seen, workers_too in ((1, True), (3, False)):
-        process = start(*with_two_jobs(tiny_run, out))
+        process = start(*asked(tiny_run, out))
         wait_for_blocks(process, out, blocks_seen)
         errors = stop(process, signal.SIGINT, workers_too)
         assert process.returncode == 130
@@ -117,7 +117,7 @@ def test_an_interrupted_run_says_so_and_continues(tiny_run, long_run, tmp_path):
 
 def test_a_second_process_is_refused_and_the_first_goes_on(tiny_run, long_run, tmp_path, capsys):
     out = tmp_path / "run"
-    process = start(*with_two_jobs(tiny_run, out))
+    process = start(*asked(tiny_run, out, 1))
     wait_for_blocks(process, out, 1)
     os.killpg(process.pid, signal.SIGSTOP)
     before = files(out)
@@ -134,7 +134,7 @@ def test_a_second_process_is_refused_and_the_first_goes_on(tiny_run, long_run, t
 
 def test_a_killed_worker_is_told_and_the_run_continues(tiny_run, long_run, tmp_path):
     out = tmp_path / "run"
-    process = start(*with_two_jobs(tiny_run, out))
+    process = start(*asked(tiny_run, out))
     wait_for_blocks(process, out, 1)
     worker = next(pid for pid, line in members(process.pid).items() if "loky.backend.popen" in line)
     os.kill(worker, signal.SIGKILL)
