@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import TypeVar
 
 from joblib import Parallel, delayed
@@ -32,7 +35,8 @@ def in_order(jobs: int, function: Callable[..., T], calls: Iterable[tuple[object
         If a worker dies; what a call raises is raised as it is.
     """
     parallel = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch="2*n_jobs", batch_size=1)
-    results = parallel(delayed(function)(*call) for call in calls)
+    with _workers_deaf_to_interrupts():
+        results = parallel(delayed(function)(*call) for call in calls)
     try:
         # Not `yield from`, which would close the results before the warning below is silenced.
         for result in results:  # noqa: UP028
@@ -46,3 +50,16 @@ def in_order(jobs: int, function: Callable[..., T], calls: Iterable[tuple[object
         # What was under way when the consumer stopped is not stored, which is as it should be.
         with warnings.catch_warnings(action="ignore", category=UserWarning):
             results.close()
+
+
+@contextmanager
+def _workers_deaf_to_interrupts() -> Iterator[None]:
+    """Let processes that start here inherit a deaf ear: a terminal sends Ctrl-C to all, but the parent ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

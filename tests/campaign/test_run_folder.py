@@ -108,16 +108,15 @@ def test_the_manifest_says_from_what_and_where_the_run_came(tiny_run):
     assert manifest["machine"]["memory_gib"] > 0
     assert manifest["machine"]["processor"]
     assert manifest["command"] == f"boresight run {tiny_run.file} --jobs 1 --out {tiny_run.folder}"
-    assert manifest["commit"].removesuffix("-dirty") == _commit()
+    commit = manifest["commit"].removesuffix("-dirty")
+    if (Path(__file__).parents[2] / ".git").exists():
+        known = ["git", "merge-base", "--is-ancestor", commit, "HEAD"]
+        assert subprocess.run(known, cwd=Path(__file__).parent, check=False).returncode == 0
+    else:
+        assert commit == ""
     created, finished = (datetime.fromisoformat(manifest[key]) for key in ("created", "finished"))
     assert created <= finished
     assert created.utcoffset().total_seconds() == 0
-
-
-def _commit() -> str:
-    described = ["git", "describe", "--always", "--abbrev=12", "--match="]
-    here = Path(__file__).parent
-    return subprocess.run(described, cwd=here, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def test_a_run_is_resolved_again_from_its_manifest_alone(tiny_run, tmp_path):

@@ -1,0 +1,33 @@
+"""The report of a run, written to its folder and summed up on the console."""
+
+from __future__ import annotations
+
+from campaign.cli.terminal import console
+from campaign.fit_figures import fit_figures
+from campaign.resolve import reload
+from campaign.store import RunFolder
+from reports.build import write_report
+from reports.console import console_table
+from reports.content import NamedFigure
+from scenarios.errors import BoresightError
+
+
+def print_report(folder: RunFolder) -> None:
+    """Write the report of a run and print its table."""
+    out = console()
+    files = write_report(folder.path, extra=_fit_figures(folder))
+    out.print(console_table(files.content))
+    out.print(f"report: {files.html}")
+
+
+def _fit_figures(folder: RunFolder) -> list[NamedFigure]:
+    """Draw a typical trial, unless code, data or machine can no longer make its image."""
+    why = "the run was made by another version of boresight or of its data"
+    try:
+        campaign = reload(folder.read_manifest() or {})
+        if campaign is not None:
+            return list(fit_figures(campaign, folder.path, folder.table("rows")))
+    except BoresightError as error:
+        why = str(error)
+    console().print(f"no figure of a single fit: {why}")
+    return []
