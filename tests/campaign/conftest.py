@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from tiny_campaign import write_campaign
-
-from campaign.cli import main
+from tiny_campaign import compute, write_campaign
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def tiny_run(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> TinyRun:
     file = write_campaign(tmp_path_factory.mktemp("tiny"))
     folder = file.parent / "run"
-    assert main(["run", str(file), "--jobs", "1", "--out", str(folder)]) == 0
+    compute(file, folder)
     return TinyRun(file, folder)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import time
 from pathlib import Path
@@ -51,9 +52,7 @@ def asked(tiny_run, out: Path, jobs: int = 2) -> tuple[object, ...]:
 
 
 def test_two_jobs_give_the_same_bytes(tiny_run, tmp_path):
-    done = boresight("run", tiny_run.file, "--jobs", 2, "--out", tmp_path / "run")
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    compute(tiny_run.file, tmp_path / "run", jobs=2)
     assert_same_results(tiny_run.folder, tmp_path / "run")
 
 
@@ -185,11 +184,13 @@ def test_another_request_is_another_run(tiny_run, tmp_path, monkeypatch, change)
     if change[0] == "--variant" and choose_variant().name == change[1]:
         pytest.skip("scalar_rgb is the only variant here")
     monkeypatch.chdir(tmp_path)
-    assert main(["run", str(tiny_run.file), "--jobs", "1", "--trials", "3", *change]) == 0
+    asked_for = ["run", str(tiny_run.file), "--jobs", "1", "--trials", "3", *change]
+    assert main(asked_for) == 0
     (path,) = Path("runs").iterdir()
     digests = [RunFolder(folder).read_manifest()["digest"] for folder in (tiny_run.folder, path)]
     assert digests[0] != digests[1]
     assert path.name == f"tiny-{digests[1][:8]}"
+    assert RunFolder(path).read_manifest()["command"] == shlex.join(["boresight", *asked_for])
     rows = RunFolder(tiny_run.folder).table("rows")
     assert not RunFolder(path).table("rows").equals(rows[rows["trial"] < 3].reset_index(drop=True))
 

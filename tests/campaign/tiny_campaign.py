@@ -71,10 +71,10 @@ class Silent:
     def block(self, records: Records, trials: int) -> None: ...
 
 
-def compute(file: Path, out: Path, trials: int = TRIALS) -> None:
+def compute(file: Path, out: Path, trials: int = TRIALS, jobs: int = 1) -> None:
     """Run a campaign from Python, without the report."""
     campaign = resolve(str(file), variant=choose_variant().name)
-    run_campaign(campaign, RunRequest(out, trials, jobs=1), Silent())
+    run_campaign(campaign, RunRequest(out, trials, jobs), Silent())
 
 
 def command(*arguments: object) -> list[str]:
