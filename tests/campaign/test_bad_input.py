@@ -14,6 +14,7 @@ import trimesh
 from tiny_campaign import CAMPAIGN, SCENE, assert_same_results, boresight, compute, files, run, write_campaign
 
 from campaign.cli import main
+from campaign.store import RunFolder
 
 PRIOR_ALONE = "scenarios: [scene]\nestimators: [prior]\ntrials: 4\nseed: 5\n"
 REAL = """\
@@ -187,6 +188,7 @@ def test_a_file_in_the_place_of_a_table(tiny_run, tmp_path, capsys, name):
     (out / name).write_text("in the way")
     assert run(tiny_run.file, out, "--trials", 15) == 2
     assert str(out / name) in the_one_line(capsys)
+    assert RunFolder(out).table("rows")["trial"].max() == 9, "a block has rows only when all of it is stored"
     after = files(out)
     for path, content in before.items():
         if not path.startswith((name, "manifest.json")):

@@ -6,7 +6,6 @@ import json
 import shutil
 import sys
 from importlib.metadata import version
-from pathlib import Path
 
 import cv2
 import jsonschema
@@ -217,8 +216,3 @@ def test_a_campaign_of_real_images_scores_against_every_reference(tmp_path):
     np.testing.assert_allclose(references["label"], 5.0)
     assert folder.read_manifest()["credits"] == ["A. N. Other"]
     assert "A. N. Other" in (tmp_path / "run" / "report" / "report.html").read_text()
-
-
-def test_the_package_has_a_module_to_run(capsys):
-    done = boresight("--version", cwd=Path("/"))
-    assert (done.returncode, done.stdout) == (0, f"boresight {version('boresight')}\n")

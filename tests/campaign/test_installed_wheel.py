@@ -88,8 +88,6 @@ def test_the_command_lists_the_catalogue_elsewhere(environment, tmp_path):
     text = checked(environment / "bin" / "boresight", "list", cwd=tmp_path)
     assert all(name in text for name in ("quickstart", "rowell2015-simulated", "landmark-harris"))
     assert not list(tmp_path.iterdir())
-    shown = checked(environment / "bin" / "boresight", "show", "quickstart", cwd=tmp_path)
-    assert "contact-binary" in shown
 
 
 def test_a_campaign_runs_elsewhere_with_the_same_rows(environment, tiny_run, tmp_path):
