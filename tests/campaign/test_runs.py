@@ -20,11 +20,12 @@ from tiny_campaign import (
     compute,
     files,
     gone,
-    members,
+    ignores,
     run,
     start,
     stop,
     wait_for_blocks,
+    workers,
     write_campaign,
 )
 
@@ -33,6 +34,7 @@ from campaign.resolve import resolve
 from campaign.store import BLOCK_TRIALS, TABLES, RunFolder
 from campaign.store.folder import blocks
 from campaign.worker import Bench, run_block
+from campaign.world import open_world
 from renderers.mitsuba3 import choose_variant
 
 LONG = 60
@@ -103,6 +105,7 @@ def test_an_interrupted_run_says_so_and_continues(tiny_run, long_run, tmp_path):
     for blocks_seen, workers_too in ((1, True), (3, False)):
         process = start(*asked(tiny_run, out))
         wait_for_blocks(process, out, blocks_seen)
+        assert all(ignores(pid, signal.SIGINT) for pid in workers(process.pid)), "else they would print tracebacks"
         errors = stop(process, signal.SIGINT, workers_too)
         assert process.returncode == 130
         assert errors == "boresight: interrupted; the same command continues\n"
@@ -135,8 +138,7 @@ def test_a_killed_worker_is_told_and_the_run_continues(tiny_run, long_run, tmp_p
     out = tmp_path / "run"
     process = start(*asked(tiny_run, out))
     wait_for_blocks(process, out, 1)
-    worker = next(pid for pid, line in members(process.pid).items() if "loky.backend.popen" in line)
-    os.kill(worker, signal.SIGKILL)
+    os.kill(workers(process.pid)[0], signal.SIGKILL)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 2
     assert errors == (
@@ -212,14 +214,17 @@ def test_tables_without_a_manifest_are_not_taken_over(tiny_run, tmp_path, capsys
     assert "has tables but no manifest" in capsys.readouterr().err
 
 
-def test_a_shape_that_changed_under_its_name_is_read_again(tmp_path):
+def test_a_shape_that_changed_under_its_name_is_another_run(tmp_path, capsys):
     scene = SCENE.replace("body:\n", "body:\n  shape: egg.obj\n")
     file = write_campaign(tmp_path, "scenarios: [scene]\nestimators: [prior]\ntrials: 2\nseed: 5\n", scene)
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=200.0)
     images = []
-    for number, scale in enumerate(([1.5, 1.0, 0.8], [1.0, 1.5, 0.8])):
-        trimesh.creation.icosphere(subdivisions=2, radius=200.0).apply_scale(scale).export(tmp_path / "egg.obj")
-        out = tmp_path / f"run{number}"
-        assert run(file, out, "--keep-images") == 0
-        images.append((out / "images" / "scene" / "0000000.tiff").read_bytes())
-        assert run(file, tmp_path / "run0") == 2 * number, "the first folder is not that of the second shape"
-    assert images[0] != images[1]
+    for scale in ([1.5, 1.0, 0.8], [1.0, 1.5, 0.8]):
+        ball.copy().apply_scale(scale).export(tmp_path / "egg.obj")
+        scenario = resolve(str(file)).scenarios[0]
+        images.append(open_world(scenario, choose_variant().name).source.sight(5, 0).image)
+        if len(images) == 1:
+            compute(file, tmp_path / "run", 2)
+    assert not np.array_equal(*images), "the second shape is read, though the first was kept under the same name"
+    assert run(file, tmp_path / "run") == 2
+    assert "holds another run" in capsys.readouterr().err

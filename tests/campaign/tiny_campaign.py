@@ -133,6 +133,21 @@ def members(group: int) -> dict[int, str]:
     return found
 
 
+def workers(group: int) -> list[int]:
+    """List the workers in the process group of a run with several jobs."""
+    found = [pid for pid, line in members(group).items() if "loky.backend.popen" in line]
+    if not found:
+        raise RuntimeError(f"no workers among {members(group)}")
+    return found
+
+
+def ignores(process: int, number: int) -> bool:
+    """Tell whether a process ignores a signal."""
+    status = Path(f"/proc/{process}/status").read_text()
+    mask = next(line.split()[1] for line in status.splitlines() if line.startswith("SigIgn:"))
+    return bool(int(mask, 16) >> (number - 1) & 1)
+
+
 def gone(group: int) -> bool:
     """Wait a little for the last process of a group to end."""
     limit = time.monotonic() + 20
