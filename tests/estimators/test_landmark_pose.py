@@ -167,6 +167,10 @@ def test_landmarks_in_one_point_fix_no_covariance():
     task = problem(6)
     same = PoseProblem(np.tile(task.points_body_m[:1], (6, 1)), task.uv_px, task.information_px2, CAMERA)
     assert np.isnan(pose_covariance(same, TRUTH)).all()
+    for options in (QUATERNION, MINIMAL):
+        fit = refine_pose(same, TRUTH, options)
+        assert fit.chi2 <= same.chi2(TRUTH)
+        assert np.isnan(fit.covariance).all()
 
 
 @pytest.mark.parametrize("n", [6, 10, 60])

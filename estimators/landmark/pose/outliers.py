@@ -30,7 +30,7 @@ class PoseOptions(SpecModel):
     )
     marquardt: MarquardtOptions = MarquardtOptions()
     match_d2_max: float = Field(36.0, gt=0, description="Largest weighted squared distance of a match")
-    max_rounds: int = Field(10, ge=1, le=1000, description="Rounds of matching and solving")
+    max_rounds: int = Field(30, ge=1, le=1000, description="Rounds of matching and solving")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
