@@ -22,7 +22,7 @@ from tiny_campaign import (
     gone,
     ignores,
     run,
-    start,
+    started,
     stop,
     wait_for_blocks,
     workers,
@@ -73,10 +73,10 @@ def test_kills_at_random_instants_change_nothing(tiny_run, long_run, tmp_path):
     stored = []
     instants = np.sort(rng.choice(np.arange(1, N_BLOCKS - 1), 3, replace=False))
     for jobs, blocks_seen in zip((2, 1, 1), instants, strict=True):
-        process = start(*asked(tiny_run, out, jobs))
-        wait_for_blocks(process, out, blocks_seen)
-        time.sleep(rng.uniform(0.0, 0.02))
-        stop(process)
+        with started(*asked(tiny_run, out, jobs)) as process:
+            wait_for_blocks(process, out, blocks_seen)
+            time.sleep(rng.uniform(0.0, 0.02))
+            stop(process)
         stored.append(len(RunFolder(out).table("rows")) // 2)
         assert "finished" not in RunFolder(out).read_manifest()
     assert 0 < stored[0] <= stored[1] <= stored[2] < LONG, "each kill came while the run was under way"
@@ -103,13 +103,13 @@ def test_what_a_kill_left_half_written_is_swept(tiny_run, tmp_path):
 def test_an_interrupted_run_says_so_and_continues(tiny_run, long_run, tmp_path):
     out = tmp_path / "run"
     for blocks_seen, workers_too in ((1, True), (3, False)):
-        process = start(*asked(tiny_run, out))
-        wait_for_blocks(process, out, blocks_seen)
-        assert all(ignores(pid, signal.SIGINT) for pid in workers(process.pid)), "else they would print tracebacks"
-        errors = stop(process, signal.SIGINT, workers_too)
-        assert process.returncode == 130
-        assert errors == "boresight: interrupted; the same command continues\n"
-        assert gone(process.pid), "no worker goes on alone"
+        with started(*asked(tiny_run, out)) as process:
+            wait_for_blocks(process, out, blocks_seen)
+            assert all(ignores(pid, signal.SIGINT) for pid in workers(process.pid)), "else they would print tracebacks"
+            errors = stop(process, signal.SIGINT, workers_too)
+            assert process.returncode == 130
+            assert errors == "boresight: interrupted; the same command continues\n"
+            assert gone(process.pid), "no worker goes on alone"
         stored = files(out, "rows")
         assert blocks_seen <= len(stored) < N_BLOCKS
     compute(tiny_run.file, out, LONG)
@@ -119,32 +119,34 @@ def test_an_interrupted_run_says_so_and_continues(tiny_run, long_run, tmp_path):
 
 def test_a_second_process_is_refused_and_the_first_goes_on(tiny_run, long_run, tmp_path, capsys):
     out = tmp_path / "run"
-    process = start(*asked(tiny_run, out, 1))
-    wait_for_blocks(process, out, 1)
-    os.killpg(process.pid, signal.SIGSTOP)
-    before = files(out)
-    code, error = run(tiny_run.file, out, "--trials", LONG), capsys.readouterr().err
-    assert code == 2
-    assert error == f"boresight: {out}: another boresight process is working on this run: wait for it, or use --out\n"
-    assert files(out) == before
-    os.killpg(process.pid, signal.SIGCONT)
-    wait_for_blocks(process, out, 3)
-    stop(process)
+    with started(*asked(tiny_run, out, 1)) as process:
+        wait_for_blocks(process, out, 1)
+        os.killpg(process.pid, signal.SIGSTOP)
+        before = files(out)
+        code, error = run(tiny_run.file, out, "--trials", LONG), capsys.readouterr().err
+        assert code == 2
+        assert (
+            error == f"boresight: {out}: another boresight process is working on this run: wait for it, or use --out\n"
+        )
+        assert files(out) == before
+        os.killpg(process.pid, signal.SIGCONT)
+        wait_for_blocks(process, out, 3)
+        stop(process)
     compute(tiny_run.file, out, LONG)
     assert_same_results(long_run, out)
 
 
 def test_a_killed_worker_is_told_and_the_run_continues(tiny_run, long_run, tmp_path):
     out = tmp_path / "run"
-    process = start(*asked(tiny_run, out))
-    wait_for_blocks(process, out, 1)
-    os.kill(workers(process.pid)[0], signal.SIGKILL)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 2
-    assert errors == (
-        "boresight: a worker process was killed, most likely because memory ran out: use fewer --jobs; the same"
-        " command continues the run\n"
-    )
+    with started(*asked(tiny_run, out)) as process:
+        wait_for_blocks(process, out, 1)
+        os.kill(workers(process.pid)[0], signal.SIGKILL)
+        _, errors = process.communicate(timeout=60)
+        assert process.returncode == 2
+        assert errors == (
+            "boresight: a worker process was killed, most likely because memory ran out: use fewer --jobs; the same"
+            " command continues the run\n"
+        )
     compute(tiny_run.file, out, LONG)
     assert_same_results(long_run, out)
 

@@ -8,6 +8,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pandas as pd
@@ -95,11 +97,17 @@ def boresight(*arguments: object, cwd: Path | None = None, **environment: str) -
     )
 
 
-def start(*arguments: object) -> subprocess.Popen[str]:
-    """Start the command line in a process group of its own, its workers included."""
-    return subprocess.Popen(
+@contextmanager
+def started(*arguments: object) -> Iterator[subprocess.Popen[str]]:
+    """Start the command line in a process group of its own, its workers included; whatever is left of it ends."""
+    process = subprocess.Popen(
         command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
+    try:
+        yield process
+    finally:
+        if members(process.pid):
+            stop(process)
 
 
 def wait_for_blocks(process: subprocess.Popen[str], run: Path, count: int) -> None:
