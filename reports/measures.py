@@ -184,12 +184,15 @@ def pose_measures(run: RunData) -> list[Record]:
 
 
 def reference_measures(run: RunData) -> list[Record]:
-    """Measure final pose errors against each further reference pose."""
+    """Measure final pose errors against each further reference pose; those against the truth are measured elsewhere."""
     records = []
     for scenario, estimator in run.pairs():
         table = select(run.references, scenario, estimator)
         n = len(select(run.rows, scenario, estimator))
-        for reference in table["reference"].unique():
+        # An estimator's errors against the truth are measured from its stages; the control has no stages.
+        known = set() if estimator == CONTROL else {run.truth_name(scenario)}
+        further = set(table["reference"]) - known
+        for reference in sorted(further):
             errors = table[table["reference"] == reference]
             subject = _Subject(scenario, estimator, final_stage(run, scenario, estimator), n, str(reference))
             records += subject.pose_records(errors, clusters_of(run, errors))
