@@ -39,11 +39,12 @@ def _check_solution(estimate: Estimate, frames: int) -> None:
         raise ValueError(f"{len(estimate.poses)} poses for {frames} frames")
     for index, pose in enumerate(estimate.poses):
         _check_pose(pose, f"of frame {index}")
-    if estimate.covariances and len(estimate.covariances) != frames:
-        raise ValueError(f"{len(estimate.covariances)} covariances for {frames} frames")
-    for covariance in estimate.covariances:
-        if np.shape(covariance) != (6, 6) or not np.isfinite(covariance).all():
-            raise ValueError(f"a covariance of shape {np.shape(covariance)} is not (6, 6) of finite numbers")
+    for what, matrices in (("covariance", estimate.covariances), ("bound", estimate.bounds)):
+        if matrices and len(matrices) != frames:
+            raise ValueError(f"{len(matrices)} {what}s for {frames} frames")
+        for matrix in matrices:
+            if np.shape(matrix) != (6, 6) or not np.isfinite(matrix).all():
+                raise ValueError(f"a {what} of shape {np.shape(matrix)} is not (6, 6) of finite numbers")
 
 
 def _check_pose(pose: Pose, which: str) -> None:

@@ -9,8 +9,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from campaign.experiments.registry import Bench
+from campaign.experiments.single_image import SingleImage
 from campaign.resolve import ResolvedCampaign
-from campaign.worker import Bench, experiment_of
+from campaign.worker import experiment_of
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.projection import project_landmarks
 from estimators.landmark.recognizer import LandmarkRecognizer, Recognition
@@ -24,15 +26,18 @@ def fit_figures(campaign: ResolvedCampaign, run: Path, rows: pd.DataFrame) -> It
     """Draw a typical trial of every scenario and landmark recogniser: the one of median position error."""
     for scenario in campaign.scenarios:
         experiment = experiment_of(campaign, scenario.spec.name, Bench(run, 1, keep_images=False))
+        if not isinstance(experiment, SingleImage):
+            continue
         for label, estimator in experiment.estimators.items():
             mine = rows[(rows["scenario"] == scenario.spec.name) & (rows["estimator"] == label)]
             trial = median_trial(mine)
             if trial is None or not isinstance(estimator, LandmarkRecognizer):
                 continue
             sight = experiment.world.source.sight(campaign.seed, trial)
-            frame = experiment.observe(sight, trial).frames[0]
-            found = estimator.recognise(frame, experiment.world.camera)
-            fit = _fit(frame.image, found, estimator.database, experiment.world.camera)
+            observation = experiment.observe(sight, trial)
+            frame, camera = observation.frames[0], observation.camera
+            found = estimator.recognise(frame, camera)
+            fit = _fit(frame.image, found, estimator.database, camera)
             if fit is None:
                 continue
             credit = [scenario.spec.images.credit] if scenario.spec.images and scenario.spec.images.credit else []

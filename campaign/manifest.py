@@ -11,10 +11,10 @@ from typing import Any
 
 from campaign.machine import describe, package_versions
 from campaign.products import BuiltProduct
+from campaign.products.kinds import product_kind
 from campaign.request import RunRequest
 from campaign.resolve import ResolvedCampaign
 from campaign.store.columns import FORMAT_VERSION
-from estimators.landmark.database import LandmarkDatabase
 from scenarios.load import canonical_json
 
 
@@ -62,16 +62,15 @@ def now() -> str:
 
 def _product(run: Path, product: BuiltProduct) -> dict[str, object]:
     folder = run / "products" / product.folder
-    database = LandmarkDatabase.load(folder)
-    about = json.loads((folder / "built.json").read_text(encoding="utf-8"))
+    built = json.loads((folder / "built.json").read_text(encoding="utf-8"))
     return {
         "kind": product.kind,
         "scenario": product.scenario,
         "estimator": product.estimator,
         "folder": f"products/{folder.name}",
-        "n_landmarks": len(database.means_m),
-        "n_facets": len(database.facets),
-        **about,
+        "bytes": sum(file.stat().st_size for file in folder.iterdir() if file.name != "built.json"),
+        **product_kind(product.kind).about(folder),
+        **built,
     }
 
 

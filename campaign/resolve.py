@@ -12,10 +12,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from estimators.registry import estimator_class
+from campaign.experiments.registry import experiment_class
 from renderers.detector import Detector
 from renderers.images import PosedImageSet
 from renderers.mitsuba3 import MitsubaRenderer
+from scenarios.beliefs import believed_spec
 from scenarios.bodies import body_digest
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario, canonical_json, digest, load_campaign, load_scenario, names_in
@@ -23,8 +24,6 @@ from scenarios.spec.campaign import CampaignSpec
 from scenarios.spec.scenario import ScenarioSpec
 
 CATALOG = Path(__file__).parent / "catalog"
-# Part of every run's digest: raise it when the experiment's rows change for another reason than its parts.
-EXPERIMENT_VERSION = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,20 +41,22 @@ class ResolvedCampaign:
     @cached_property
     def identity(self) -> dict[str, object]:
         """Everything that decides a row, in plain values."""
+        kind = experiment_class(self.spec.experiment)
         return {
-            "experiment": [self.spec.experiment, EXPERIMENT_VERSION],
+            "experiment": [kind.kind, kind.version],
             "seed": self.seed,
             "scenarios": [
                 {
                     "name": s.spec.name,
                     "digest": digest(s.spec),
                     "body": body_digest(s.spec.body, s.search_dirs),
+                    "onboard": body_digest(believed_spec(s.spec).body, s.search_dirs),
                     "images": images_digest(s),
                 }
                 for s in self.scenarios
             ],
             "estimators": [
-                {"label": e.label, "name": e.name, "options": e.options, "version": estimator_class(e.name).version}
+                {"label": e.label, "name": e.name, "options": e.options, "version": kind.method_version(e.name)}
                 for e in self.spec.estimators
             ],
             "renderer": [MitsubaRenderer.name, MitsubaRenderer.version, self.variant],
@@ -122,7 +123,7 @@ def resolve(
     if len(set(names)) != len(names):
         raise BoresightError(f"{loaded.path}: scenarios: two of them are called the same: {names}")
     for entry in spec.estimators:
-        estimator_class(entry.name)
+        experiment_class(spec.experiment).method_version(entry.name)
     return ResolvedCampaign(spec, scenarios, spec.seed if seed is None else seed, variant)
 
 

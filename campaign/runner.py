@@ -6,15 +6,14 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Protocol
 
 from campaign import manifest as manifests
-from campaign.experiments.single_image import Records
+from campaign.experiments.registry import Bench, Records, experiment_class
 from campaign.parallel import in_order
 from campaign.products import BuiltProduct, Shelf
 from campaign.request import RunRequest
 from campaign.resolve import ResolvedCampaign
 from campaign.store import RunFolder, RunLock
 from campaign.store.folder import Block, blocks
-from campaign.worker import Bench, run_block
-from estimators.registry import estimator_class
+from campaign.worker import run_block
 from scenarios.errors import BoresightError
 
 
@@ -75,18 +74,18 @@ def _previous(folder: RunFolder, campaign: ResolvedCampaign) -> dict[str, Any] |
 
 
 def _build_products(campaign: ResolvedCampaign, request: RunRequest, listener: Listener) -> list[BuiltProduct]:
-    """Let every estimator ask for its products where they may be built, before any trial."""
-    products = []
+    """Build what the trials need, before any of them."""
+    kind = experiment_class(campaign.spec.experiment)
+    products: list[BuiltProduct] = []
     for scenario in campaign.scenarios:
-        for entry in campaign.spec.estimators:
-            shelf = Shelf(scenario, request.out / "products", request.jobs, campaign.variant, listener.message)
-            estimator_class(entry.name).from_options(entry.options, shelf)
-            products += shelf.lent_to(entry.label)
+        shelf = Shelf(scenario, request.out / "products", request.jobs, campaign.variant, listener.message)
+        products += kind.prepare(campaign, scenario, shelf)
     return products
 
 
 def _plan(folder: RunFolder, campaign: ResolvedCampaign, request: RunRequest) -> tuple[list[Block], int]:
-    every = list(blocks([s.spec.name for s in campaign.scenarios], request.trials))
+    size = experiment_class(campaign.spec.experiment).block_trials
+    every = list(blocks([s.spec.name for s in campaign.scenarios], request.trials, size))
     todo = [block for block in every if not folder.is_done(block, len(campaign.labels))]
     stored = sum(b.last - b.first for b in every) - sum(b.last - b.first for b in todo)
     return todo, stored

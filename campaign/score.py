@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from scenarios.geometry import Pose
+
+FloatArray = NDArray[np.float64]
 
 
 def pose_error(estimated: Pose, true: Pose) -> dict[str, float]:
@@ -33,3 +37,71 @@ def no_pose_error() -> dict[str, float | None]:
     """Return the same keys without a value, for an estimate that failed."""
     keys = ("position_error_m", "attitude_error_deg", "position_error_x_m", "position_error_y_m", "position_error_z_m")
     return dict.fromkeys(keys)
+
+
+def consistency(
+    estimated: Pose, true: Pose, covariance: FloatArray | None, bound: FloatArray | None
+) -> dict[str, float | None]:
+    """Set what an estimator says of its error beside the error.
+
+    Parameters
+    ----------
+    estimated, true
+        T_cam_body.
+    covariance, bound
+        (6, 6) [rotation_rad, translation_m] in camera axes: the estimator's covariance and the Cramer-Rao bound of its
+        observations; None where it gives none.
+
+    Returns
+    -------
+    dict
+        ``nees``: e^T P^-1 e with 6 degrees of freedom, for e in est = true.perturbed(e);
+        ``position_sigma_m``, ``attitude_sigma_deg``: RMS errors of the camera in the body and of the attitude that the
+        covariance foretells; ``position_bound_m``, ``attitude_bound_deg``: the same of the bound.
+    """
+    rotation = Rotation.from_matrix(estimated.rotation @ true.rotation.T).as_rotvec()
+    error = np.concatenate([rotation, estimated.translation_m - true.translation_m])
+    position_sigma_m, attitude_sigma_deg = _foretold(covariance, estimated)
+    position_bound_m, attitude_bound_deg = _foretold(bound, estimated)
+    return {
+        "nees": _weighted_square(error, covariance),
+        "position_sigma_m": position_sigma_m,
+        "attitude_sigma_deg": attitude_sigma_deg,
+        "position_bound_m": position_bound_m,
+        "attitude_bound_deg": attitude_bound_deg,
+    }
+
+
+def no_consistency() -> dict[str, float | None]:
+    """Return the same keys without a value."""
+    return dict.fromkeys(("nees", "position_sigma_m", "attitude_sigma_deg", "position_bound_m", "attitude_bound_deg"))
+
+
+def _weighted_square(error: FloatArray, covariance: FloatArray | None) -> float | None:
+    """Weigh an error by a covariance; None where that is missing or not positive definite."""
+    if covariance is None:
+        return None
+    # Scaled first: square radians and square metres are ten orders of magnitude apart.
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    try:
+        factor = np.linalg.cholesky(covariance * np.outer(scale, scale))
+    except np.linalg.LinAlgError:
+        return None
+    white = np.linalg.solve(factor, scale * error)
+    return float(white @ white)
+
+
+def _foretold(covariance: FloatArray | None, pose: Pose) -> tuple[float | None, float | None]:
+    """Return the RMS position error (m) and attitude error (deg) of a (6, 6) covariance about a pose.
+
+    The camera stands at c = -R^T t in the body, so in camera axes its error is w x t - d for a pose that is wrong by
+    the rotation w and the translation d.
+    """
+    if covariance is None:
+        return None, None
+    x, y, z = pose.translation_m
+    cross_t = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    jacobian = np.hstack([-cross_t, -np.eye(3)])
+    position_m2 = float(np.trace(jacobian @ covariance @ jacobian.T))
+    attitude_rad2 = float(np.trace(covariance[:3, :3]))
+    return float(np.sqrt(max(position_m2, 0.0))), float(np.degrees(np.sqrt(max(attitude_rad2, 0.0))))

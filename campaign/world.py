@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Protocol
 
@@ -13,6 +13,7 @@ from campaign.resolve import images_digest
 from renderers.detector import Detector
 from renderers.images import PosedImageSet
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
+from scenarios.beliefs import believed_spec
 from scenarios.bodies import Body, body_digest, load_body
 from scenarios.draw import Stream, draw_view, generator
 from scenarios.errors import BoresightError
@@ -107,6 +108,11 @@ class World:
     body: Body
     renderer: MitsubaRenderer
     source: Source
+
+
+def believed(scenario: LoadedScenario) -> LoadedScenario:
+    """Return a scenario as the spacecraft knows it."""
+    return replace(scenario, spec=believed_spec(scenario.spec))
 
 
 def trial_limit(scenario: LoadedScenario) -> int | None:

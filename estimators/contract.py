@@ -31,8 +31,12 @@ class Assets(Protocol):
         """The camera of the scenario."""
         ...
 
-    def mesh_renderer(self, mesh: TriangleMesh) -> ImageRenderer:
-        """Lend a renderer of ``mesh`` in the scenario's BRDF, with self-shadowing."""
+    def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
+        """Lend a renderer of ``mesh`` in the BRDF that the spacecraft believes in, with self-shadowing."""
+        ...
+
+    def shape(self) -> TriangleMesh:
+        """Lend the full shape that the spacecraft carries, (metres, body frame)."""
         ...
 
     def product(self, kind: str, options: Mapping[str, object]) -> object:
@@ -61,7 +65,11 @@ class Estimate:
     poses
         One T_cam_body for each frame when ok; empty when failed.
     covariances
-        (6, 6) each, [rotation_rad, translation_m] in camera axes, where the method has one.
+        (6, 6) each, [rotation_rad, translation_m] in camera axes, where the method has one: what the method
+        believes its error to be, prior included where it uses it.
+    bounds
+        (6, 6) each, in the same parameters: the Cramer-Rao bound of the observations that the estimate rests on,
+        under their calibrated noise (with the prior's information where the method uses the prior).
     stages
         Poses after the named stages, in order, also where a later stage failed.
     details
@@ -76,6 +84,7 @@ class Estimate:
     reason: str = ""
     poses: tuple[Pose, ...] = ()
     covariances: tuple[NDArray[np.float64], ...] = ()
+    bounds: tuple[NDArray[np.float64], ...] = ()
     stages: tuple[Stage, ...] = ()
     details: Mapping[str, Table] = field(default_factory=dict)
     diagnostics: Mapping[str, float | int | str] = field(default_factory=dict)

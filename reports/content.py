@@ -21,6 +21,7 @@ from reports.tables import (
     Grid,
     comparison_grid,
     detail_grid,
+    diagnostic_grid,
     failure_grid,
     pose_grids,
     reference_grid,
@@ -67,6 +68,7 @@ class Content:
             reference_grid(self.records, self.run),
             comparison_grid(self.compared),
             detail_grid(self.records),
+            diagnostic_grid(self.records),
             timing_grid(self.records),
             failure_grid(self.run),
         )

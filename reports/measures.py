@@ -17,6 +17,9 @@ CONTROL = "prior"
 FAILURES_AT_PRIOR = "failures-at-prior"
 """Stage in which a trial without an estimate counts with the error of its prior."""
 
+DIAGNOSTICS = "diagnostics"
+"""Stage of the numbers that an estimator reports beside its pose."""
+
 UNITS = {
     "position_error_m": "m",
     "position_error_x_m": "m",
@@ -32,9 +35,17 @@ UNITS = {
     "database_facets": "",
     "seconds": "s",
 }
+# Units of numbers that estimators report, by the end of their names.
+_SUFFIXES = {"_px": "px", "_m": "m", "_deg": "deg", "_s": "s", "_bytes": "bytes"}
 _MAGNITUDE = (MEDIAN, RMS, P75, P95)
 _COMPONENT = (ROOT_MEDIAN_SQUARE, RMS)
 _POSE_STATISTICS = dict(zip(POSE_COLUMNS, (_MAGNITUDE, _MAGNITUDE, _COMPONENT, _COMPONENT, _COMPONENT), strict=True))
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a measure: a known one, or by the suffix of its name."""
+    suffixes = (unit for end, unit in _SUFFIXES.items() if name.endswith(end))
+    return UNITS[name] if name in UNITS else next(suffixes, "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +99,7 @@ class _Subject:
             self.stage,
             self.reference,
             name,
-            UNITS[name],
+            unit_of(name),
             statistic,
             measured.value,
             measured.low,
@@ -124,6 +135,7 @@ def measure_run(run: RunData) -> tuple[Record, ...]:
         improvement_measures,
         landmark_measures,
         database_measures,
+        diagnostic_measures,
         timing_measures,
     )
     return tuple(record for part in parts for record in part(run))
@@ -248,6 +260,16 @@ def database_measures(run: RunData) -> list[Record]:
         for name, count in (("database_landmarks", product.n_landmarks), ("database_facets", product.n_facets)):
             if count is not None:
                 records.append(subject.record(name, "count", Measured(count, count, count), 1))
+    return records
+
+
+def diagnostic_measures(run: RunData) -> list[Record]:
+    """Measure each number that an estimator reports of its trials, under the stage ``diagnostics``."""
+    records = []
+    for (scenario, estimator, name), table in run.diagnostics.groupby(["scenario", "estimator", "name"], sort=False):
+        n = len(select(run.rows, str(scenario), str(estimator)))
+        subject = _Subject(str(scenario), str(estimator), DIAGNOSTICS, n)
+        records += subject.records(str(name), table["value"], clusters_of(run, table), (MEDIAN, MEAN, RMS, P95))
     return records
 
 

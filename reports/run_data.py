@@ -25,6 +25,7 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "stages": (*_KEY, "stage", *POSE_COLUMNS),
     "references": (*_KEY, "reference", *POSE_COLUMNS),
     "landmarks": (*_KEY, "landmark", "error_m", "chi_square"),
+    "diagnostics": (*_KEY, "name", "value"),
     "timings": (*_KEY, "stage", "seconds"),
 }
 
@@ -85,9 +86,9 @@ class RunData:
     rows
         One row per trial and estimator; ``image`` is '' where the image was rendered, ``n_landmarks`` is
         NaN where the estimator does not count landmarks.
-    stages, references, landmarks, timings
+    stages, references, landmarks, diagnostics, timings
         Detail tables: errors after each stage, errors against further reference poses, recognised
-        landmarks, wall times.
+        landmarks, numbers that estimators report, wall times.
     """
 
     folder: Path
@@ -96,6 +97,7 @@ class RunData:
     stages: pd.DataFrame
     references: pd.DataFrame
     landmarks: pd.DataFrame
+    diagnostics: pd.DataFrame
     timings: pd.DataFrame
 
     def pairs(self) -> list[tuple[str, str]]:

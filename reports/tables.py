@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from reports.comparison import VERDICT_RULE, ComparedValue
-from reports.measures import CONTROL, FAILURES_AT_PRIOR, Record, find
+from reports.measures import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
 from reports.run_data import RunData
 from reports.statistics import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE
 
@@ -243,7 +243,7 @@ def _compared_cells(compared: ComparedValue, several: bool) -> tuple[str, ...]:
 def detail_grid(records: Sequence[Record]) -> Grid | None:
     """Tabulate improvement trial by trial, landmarks and data base; None if nothing of it was measured."""
     names = [name for name in _MEASURES if not name.startswith(("position_error", "attitude_error", "seconds"))]
-    chosen = [r for r in records if r.measure in names]
+    chosen = [r for r in records if r.measure in names and r.stage != DIAGNOSTICS]
     heads = ("scenario", "estimator", "quantity", "statistic", "value [95 %]", "unit", "ok")
     rows = tuple(
         (r.scenario, r.estimator, measure_label(r.measure), r.statistic, value_of(r, interval=True), r.unit, counts(r))
@@ -251,6 +251,30 @@ def detail_grid(records: Sequence[Record]) -> Grid | None:
     )
     note = "A reduction is the prior's error minus the final error of the same trial: positive where the pose improved."
     return Grid("Improvement, landmarks and data base", heads, rows, frozenset({0, 1, 2, 3, 5}), note) if rows else None
+
+
+def diagnostic_grid(records: Sequence[Record]) -> Grid | None:
+    """Tabulate the numbers that estimators report beside the pose; None if there are none."""
+    lines = [r for r in records if r.stage == DIAGNOSTICS and r.statistic == MEDIAN.name]
+    heads = ("scenario", "estimator", "number", "median [95 %]", "mean", "RMS", "95th percentile", "unit", "trials")
+
+    def other(line: Record, statistic: str) -> str:
+        key = {"scenario": line.scenario, "estimator": line.estimator, "stage": DIAGNOSTICS, "measure": line.measure}
+        return value_of(find(records, **key, statistic=statistic))
+
+    rows = tuple(
+        (
+            line.scenario,
+            line.estimator,
+            line.measure,
+            value_of(line, interval=True),
+            *(other(line, statistic.name) for statistic in (MEAN, RMS, P95)),
+            line.unit,
+            counts(line),
+        )
+        for line in lines
+    )
+    return Grid("Diagnostics", heads, rows, frozenset({0, 1, 2, 7})) if rows else None
 
 
 def timing_grid(records: Sequence[Record]) -> Grid | None:

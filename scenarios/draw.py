@@ -25,6 +25,7 @@ class Stream(IntEnum):
     DETECTOR = 2
     ESTIMATOR = 3
     DATABASE = 4
+    KNOWLEDGE = 5
 
 
 def generator(seed: int, stream: Stream, trial: int) -> np.random.Generator:

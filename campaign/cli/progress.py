@@ -11,7 +11,7 @@ from typing import Self
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from campaign.experiments.single_image import Records
+from campaign.experiments.registry import Records
 
 _BINS_PER_DECADE = 200
 _SILENCE_S = 30.0

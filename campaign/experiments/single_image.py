@@ -4,28 +4,32 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from campaign.check import check
-from campaign.score import no_pose_error, pose_error
-from campaign.world import Sight, World
+from campaign.experiments.kept_images import ImageSink, image_sink
+from campaign.experiments.registry import Bench, Record, Records
+from campaign.products import BuiltProduct, Shelf
+from campaign.resolve import ResolvedCampaign
+from campaign.score import consistency, no_consistency, no_pose_error, pose_error
+from campaign.world import Sight, World, open_world
 from estimators.contract import Estimate, Estimator, Table
+from estimators.registry import estimator_class
+from scenarios.beliefs import believed_attitude, believed_camera, believed_sun
 from scenarios.draw import Stream, degrade, generator, prior_covariance
 from scenarios.geometry import Pose
+from scenarios.load import LoadedScenario
 from scenarios.observation import Frame, Observation
 
-Record = dict[str, object]
-Records = dict[str, list[Record]]
 T = TypeVar("T", bound=np.generic)
-ImageSink = Callable[[int, NDArray[np.float32]], None]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SingleImage:
     """Trials of one scenario with a set of labelled estimators.
 
@@ -45,6 +49,45 @@ class SingleImage:
     estimators: Mapping[str, Estimator]
     seed: int
     keep_image: ImageSink | None = None
+
+    kind: ClassVar[str] = "single-image"
+    version: ClassVar[int] = 2
+    block_trials: ClassVar[int] = 10
+
+    @classmethod
+    def method_version(cls, name: str) -> int:
+        """Return the version of an estimator."""
+        return estimator_class(name).version
+
+    @classmethod
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+        """Let every estimator ask for its products."""
+        del scenario
+        products: list[BuiltProduct] = []
+        for entry in campaign.spec.estimators:
+            asked = shelf.empty()
+            estimator_class(entry.name).from_options(entry.options, asked)
+            products += asked.lent_to(entry.label)
+        return products
+
+    @classmethod
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> SingleImage:
+        """Open the world and build the estimators."""
+        shelf = Shelf(scenario, bench.run / "products", jobs=0, variant=campaign.variant)
+        estimators = {
+            entry.label: estimator_class(entry.name).from_options(entry.options, shelf)
+            for entry in campaign.spec.estimators
+        }
+        sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
+        return cls(open_world(scenario, campaign.variant), estimators, campaign.seed, sink)
+
+    def run(self, trials: range) -> Records:
+        """Run trials, in the order of trials and estimators."""
+        records: Records = {}
+        for trial in trials:
+            for table, added in self.trial(trial).items():
+                records.setdefault(table, []).extend(added)
+        return records
 
     def trial(self, trial: int) -> Records:
         """Run one trial: the records that it adds to each stored table."""
@@ -67,15 +110,17 @@ class SingleImage:
         spec = self.world.scenario.spec
         true = sight.view.T_cam_body
         prior = degrade(true, spec.pose_error, self.world.camera, generator(self.seed, Stream.POSE_ERROR, trial))
+        knowledge = generator(self.seed, Stream.KNOWLEDGE, trial)
+        prior = believed_attitude(prior, spec.onboard, knowledge)
         range_m = float(np.linalg.norm(prior.translation_m))
         frame = Frame(
             image=_read_only(sight.image),
-            sun_dir_cam=_read_only(true.rotate(sight.view.sun_dir_body)),
+            sun_dir_cam=_read_only(believed_sun(true.rotate(sight.view.sun_dir_body), spec.onboard, knowledge)),
             prior_T_cam_body=prior,
             prior_covariance=_read_only(prior_covariance(spec.pose_error, range_m, self.world.camera)),
             time_s=sight.time_s,
         )
-        return Observation(self.world.camera, (frame,))
+        return Observation(believed_camera(spec), (frame,))
 
     def _judged(self, estimator: Estimator, observation: Observation, sight: Sight, trial: int) -> Records:
         """Let an estimator work and score what it returns: records without their key, whatever goes wrong."""
@@ -86,7 +131,13 @@ class SingleImage:
             return self._scored(estimate, observation, sight)
         except Exception:  # noqa: BLE001  the one place: an estimator's fault is a result, recorded with its trace
             reason = "the estimator raised or returned rubbish: see the table tracebacks"
-            row = {**_circumstances(observation, sight), **no_pose_error(), "status": "error", "reason": reason}
+            row = {
+                **_circumstances(observation, sight),
+                **no_pose_error(),
+                **no_consistency(),
+                "status": "error",
+                "reason": reason,
+            }
             return {"rows": [{**row, "n_landmarks": 0}], "tracebacks": [{"traceback": traceback.format_exc()}]}
 
     def _scored(self, estimate: Estimate, observation: Observation, sight: Sight) -> Records:
@@ -95,6 +146,7 @@ class SingleImage:
         row: Record = {
             **_circumstances(observation, sight),
             **(no_pose_error() if final is None else pose_error(final, true)),
+            **_consistency(estimate, true),
             "status": estimate.status,
             "reason": estimate.reason,
             "n_landmarks": int(estimate.diagnostics.get("n_landmarks", 0)),
@@ -146,6 +198,14 @@ def _circumstances(observation: Observation, sight: Sight) -> Record:
         "range_m": float(np.linalg.norm(true.translation_m)),
         "phase_deg": float(np.degrees(sight.view.phase_angle_rad)),
     }
+
+
+def _consistency(estimate: Estimate, true: Pose) -> dict[str, float | None]:
+    if estimate.status != "ok":
+        return no_consistency()
+    covariance = estimate.covariances[0] if estimate.covariances else None
+    bound = estimate.bounds[0] if estimate.bounds else None
+    return consistency(estimate.poses[0], true, covariance, bound)
 
 
 def _columns(table: Table, *names: str) -> NDArray[np.float64]:

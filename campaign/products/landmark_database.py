@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from campaign.machine import use_threads
 from campaign.parallel import in_order
 from campaign.world import World, open_world, typical_range_m
-from estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
+from estimators.landmark.build import METHOD_VERSION, DatabaseOptions, database_from_candidates, extract_candidates
 from estimators.landmark.database import LandmarkDatabase
 from scenarios.draw import Stream, draw_lit_view, generator
 from scenarios.geometry import View
 from scenarios.load import LoadedScenario
+from scenarios.spec.base import SpecModel
 from scenarios.spec.distribution import Uniform
 from scenarios.spec.world import LightingSpec, ViewpointSpec
 
@@ -24,12 +25,28 @@ VERSION = 1
 _CHUNK_IMAGES = 10
 
 
-def build(scenario: LoadedScenario, options: DatabaseOptions, folder: Path, jobs: int, variant: str) -> None:
+def parse(options: Mapping[str, object]) -> DatabaseOptions:
+    """Validate the options of a data base."""
+    return DatabaseOptions.model_validate(options)
+
+
+def versions() -> list[int]:
+    """List the versions of all code that a data base depends on, beside the renderer's."""
+    return [VERSION, METHOD_VERSION]
+
+
+def announcement(options: SpecModel) -> str:
+    """Say what takes time in a build."""
+    return f"{_checked(options).images} images"
+
+
+def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> None:
     """Build the data base of ``scenario`` and store it in ``folder``.
 
     The images are noise free, of the scenario's own body, camera and BRDF, from random directions at the
     scenario's range, with the Sun anywhere within the largest phase angle (Rowell et al. 2015, section 4.1).
     """
+    options = _checked(options)
     chunks = [range(i, min(i + _CHUNK_IMAGES, options.images)) for i in range(0, options.images, _CHUNK_IMAGES)]
     calls = ((scenario, options, chunk, variant, jobs) for chunk in chunks)
     candidates = [points for found in in_order(jobs, _candidates, calls) for points in found]
@@ -40,6 +57,18 @@ def build(scenario: LoadedScenario, options: DatabaseOptions, folder: Path, jobs
 def load(folder: Path) -> LandmarkDatabase:
     """Read a stored data base."""
     return LandmarkDatabase.load(folder)
+
+
+def about(folder: Path) -> dict[str, object]:
+    """Describe a stored data base for the manifest."""
+    database = load(folder)
+    return {"n_landmarks": len(database.means_m), "n_facets": len(database.facets)}
+
+
+def _checked(options: SpecModel) -> DatabaseOptions:
+    if not isinstance(options, DatabaseOptions):
+        raise TypeError(f"{KIND}: options are a {type(options).__name__}, not DatabaseOptions")
+    return options
 
 
 def _candidates(

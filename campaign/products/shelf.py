@@ -10,20 +10,20 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from campaign.products import landmark_database
+from campaign.products.kinds import product_kind
 from campaign.store.atomic import explain
-from campaign.world import typical_range_m
+from campaign.world import believed, typical_range_m
 from estimators.contract import ImageRenderer
-from estimators.landmark.build import METHOD_VERSION, DatabaseOptions
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
-from scenarios.bodies import body_digest
+from scenarios.bodies import body_digest, load_body
 from scenarios.cache import default_cache
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.load import LoadedScenario, canonical_json
+from scenarios.spec.base import SpecModel
 
 
-def product_key(scenario: LoadedScenario, kind: str, options: DatabaseOptions, variant: str) -> str:
+def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant: str) -> str:
     """Return the content hash of a product: whatever would change it changes the key."""
     spec = scenario.spec
     parts = {
@@ -33,7 +33,7 @@ def product_key(scenario: LoadedScenario, kind: str, options: DatabaseOptions, v
         "scenario": [canonical_json(part) for part in (spec.camera, spec.brdf, spec.rendering)],
         "shading": spec.body.shading,
         "range_m": typical_range_m(scenario),
-        "versions": [landmark_database.VERSION, METHOD_VERSION, MitsubaRenderer.version],
+        "versions": [*product_kind(kind).versions(), MitsubaRenderer.version],
         "variant": variant,
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
@@ -50,12 +50,14 @@ class BuiltProduct:
 
 
 class Shelf:
-    """Lends assets to estimators: camera, renderers of meshes, and products kept in the run folder.
+    """Lends assets to estimators: camera, shape, renderers of meshes, and products kept in the run folder.
+
+    All of it is made from what the spacecraft believes of the scenario, and nothing from the truth.
 
     Parameters
     ----------
     scenario
-        The scenario whose products are on the shelf.
+        The scenario whose products are on the shelf, as it is in truth.
     folder
         ``RUN/products``: each product in a folder of its own, so that a run stands alone.
     jobs
@@ -74,53 +76,65 @@ class Shelf:
         variant: str,
         tell: Callable[[str], None] | None = None,
     ) -> None:
-        self._scenario = scenario
+        self._true_scenario = scenario
+        self._scenario = believed(scenario)
         self._folder = folder
         self._jobs = jobs
         self._variant = variant
         self._tell = tell
         self._lent: list[tuple[str, str]] = []
 
+    def empty(self) -> Shelf:
+        """Return the same shelf with nothing lent yet."""
+        return Shelf(self._true_scenario, self._folder, self._jobs, self._variant, self._tell)
+
     @property
     def camera(self) -> Camera:
-        """The camera of the scenario."""
+        """The camera that the spacecraft calculates with."""
         return self._scenario.spec.camera.camera()
 
-    def mesh_renderer(self, mesh: TriangleMesh) -> ImageRenderer:
-        """Return a renderer of ``mesh`` in the scenario's BRDF."""
-        spec = self._scenario.spec
+    def shape(self) -> TriangleMesh:
+        """Return the full shape that the spacecraft carries."""
+        return load_body(self._scenario.spec.body, self._scenario.search_dirs).mesh
+
+    def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
+        """Return a renderer of ``mesh`` in the BRDF that the spacecraft believes in."""
         return MitsubaRenderer(
-            mesh, spec.brdf, samples_per_pixel=1, shading="flat", variant=choose_variant(self._variant)
+            mesh,
+            self._scenario.spec.brdf,
+            samples_per_pixel=samples_per_pixel,
+            shading="flat",
+            variant=choose_variant(self._variant),
         )
 
     def product(self, kind: str, options: Mapping[str, object]) -> object:
         """Return a product, built first where that is allowed."""
-        if kind != landmark_database.KIND:
-            raise BoresightError(f"no product is called {kind!r}: the only kind is {landmark_database.KIND}")
-        wanted = DatabaseOptions.model_validate(options)
+        maker = product_kind(kind)
+        wanted = maker.parse(options)
         folder = self._folder / f"{kind}-{product_key(self._scenario, kind, wanted, self._variant)}"
         if not folder.exists():
-            self._fetch(wanted, folder)
+            self._fetch(kind, wanted, folder)
         self._lent.append((kind, folder.name))
-        return landmark_database.load(folder)
+        return maker.load(folder)
 
     def lent_to(self, estimator: str) -> list[BuiltProduct]:
         """List the products that were asked for so far, as those of an estimator."""
         return [BuiltProduct(kind, self._scenario.spec.name, estimator, folder) for kind, folder in self._lent]
 
-    def _fetch(self, options: DatabaseOptions, folder: Path) -> None:
+    def _fetch(self, kind: str, options: SpecModel, folder: Path) -> None:
         if self._jobs == 0:
             raise BoresightError(f"{folder}: the product is missing from the run folder: run the campaign again")
-        started = time.perf_counter()
+        maker, started = product_kind(kind), time.perf_counter()
 
         def build(place: Path) -> None:
             if self._tell is not None:
-                self._tell(f"building the landmark data base of {self._scenario.spec.name}: {options.images} images")
-            landmark_database.build(self._scenario, options, place, self._jobs, self._variant)
-            about = {"seconds": time.perf_counter() - started, "images": options.images}
-            (place / "built.json").write_text(json.dumps(about), encoding="utf-8")
+                name = self._scenario.spec.name
+                self._tell(f"building the {kind.replace('-', ' ')} of {name}: {maker.announcement(options)}")
+            maker.build(self._scenario, options, place, self._jobs, self._variant)
+            seconds = {"seconds": time.perf_counter() - started}
+            (place / "built.json").write_text(json.dumps(seconds), encoding="utf-8")
 
-        cached = default_cache().folder(landmark_database.KIND, folder.name.rsplit("-", 1)[1], build)
+        cached = default_cache().folder(kind, folder.name.rsplit("-", 1)[1], build)
         _place(cached, folder)
 
 

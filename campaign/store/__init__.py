@@ -5,7 +5,7 @@ before its rows, and only a block whose rows are complete counts as done.
 """
 
 from campaign.store.columns import TABLES, Column
-from campaign.store.folder import BLOCK_TRIALS, RunFolder
+from campaign.store.folder import RunFolder
 from campaign.store.lock import RunLock
 
-__all__ = ["BLOCK_TRIALS", "TABLES", "Column", "RunFolder", "RunLock"]
+__all__ = ["TABLES", "Column", "RunFolder", "RunLock"]

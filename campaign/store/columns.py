@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pyarrow as pa
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +43,11 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("reason", pa.string(), "why it is not ok; empty when ok"),
         *(Column(f"prior_{c.name}", c.type, f"of the prior: {c.meaning}") for c in _pose_error()),
         *_pose_error(),
+        Column("nees", pa.float64(), "error of the pose weighted by the estimator's covariance (6 degrees of freedom)"),
+        Column("position_sigma_m", pa.float64(), "RMS position error that the estimator's covariance foretells"),
+        Column("attitude_sigma_deg", pa.float64(), "RMS attitude error that the estimator's covariance foretells"),
+        Column("position_bound_m", pa.float64(), "RMS position error at the Cramer-Rao bound of its observations"),
+        Column("attitude_bound_deg", pa.float64(), "RMS attitude error at that bound"),
         Column("n_landmarks", pa.int64(), "landmarks that the estimate rests on; 0 where it uses none"),
         Column("image", pa.string(), "file name of a real image; empty when rendered"),
         Column("range_m", pa.float64(), "true distance of the camera from the body's origin"),

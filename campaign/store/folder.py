@@ -17,7 +17,6 @@ from campaign.store.atomic import write_atomically, write_text
 from campaign.store.columns import TABLES, schema
 from scenarios.errors import BoresightError
 
-BLOCK_TRIALS = 10
 Records = Sequence[Mapping[str, object]]
 
 
@@ -28,18 +27,19 @@ class Block:
     scenario: str
     first: int
     last: int
+    number: int
 
     @property
     def file_name(self) -> str:
         """Name of the block's file in each table's folder; names sort in the order of trials."""
-        return f"{self.scenario}-{self.first // BLOCK_TRIALS:07d}.parquet"
+        return f"{self.scenario}-{self.number:07d}.parquet"
 
 
-def blocks(scenarios: Sequence[str], trials: int) -> Iterator[Block]:
-    """Yield every block of a campaign, trials first, so that all scenarios advance together."""
-    for first in range(0, trials, BLOCK_TRIALS):
+def blocks(scenarios: Sequence[str], trials: int, size: int) -> Iterator[Block]:
+    """Yield every block of ``size`` trials of a campaign, trials first, so that all scenarios advance together."""
+    for number, first in enumerate(range(0, trials, size)):
         for scenario in scenarios:
-            yield Block(scenario, first, min(first + BLOCK_TRIALS, trials))
+            yield Block(scenario, first, min(first + size, trials), number)
 
 
 class RunFolder:

@@ -14,6 +14,7 @@ import numpy as np
 from scenarios.bodies.checks import checked_mesh
 from scenarios.bodies.detail import DETAIL_VERSION, add_detail
 from scenarios.bodies.embedded import EMBEDDED, EMBEDDED_VERSION
+from scenarios.bodies.height_error import HEIGHT_ERROR_VERSION, with_height_error
 from scenarios.bodies.readers import READER_VERSION, read_shape
 from scenarios.cache import Cache, default_cache
 from scenarios.errors import BoresightError
@@ -72,7 +73,10 @@ def load_body(spec: BodySpec, search_dirs: Sequence[Path] = (), cache: Cache | N
     if spec.detail is None:
         mesh, notes = _coarse(spec, path)
     else:
-        mesh, notes = _detailed(spec, path, digest, cache or default_cache())
+        true_heights = spec.model_copy(update={"height_error": None})
+        mesh, notes = _detailed(spec, path, body_digest(true_heights, search_dirs), cache or default_cache())
+    if spec.height_error is not None:
+        mesh = with_height_error(mesh, spec.height_error)
     return Body(mesh, name, source, digest, notes)
 
 
@@ -84,12 +88,14 @@ def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
     they do not change the mesh.
     """
     path = _shape_path(spec, search_dirs)
-    content = {
+    content: dict[str, object] = {
         "shape": spec.shape if path is None else hashlib.sha256(_bytes(path)).hexdigest(),
         "reading": None if path is None else [spec.unit, spec.format, spec.longitude, path.suffix.lower()],
         "detail": None if spec.detail is None else spec.detail.model_dump(mode="json"),
         "versions": [READER_VERSION, EMBEDDED_VERSION, DETAIL_VERSION],
     }
+    if spec.height_error is not None:
+        content["height_error"] = [spec.height_error.model_dump(mode="json"), HEIGHT_ERROR_VERSION]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

@@ -72,6 +72,22 @@ class DetailSpec(SpecModel):
     albedo: AlbedoSpec | None = None
 
 
+class HeightErrorSpec(SpecModel):
+    """A random error of the heights: a fractal field along the normals, as stereo and shape-from-shading leave it."""
+
+    rms_m: float = Field(ge=0, description="RMS of the error")
+    max_wavelength_m: float = Field(30.0, gt=0, description="Longest scale of the error")
+    min_wavelength_m: float = Field(5.0, gt=0, description="Shortest scale of the error")
+    hurst: float = Field(0.8, gt=0, lt=1)
+    seed: int = Field(0, ge=0)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.min_wavelength_m > self.max_wavelength_m:
+            raise ValueError("min_wavelength_m is above max_wavelength_m")
+        return self
+
+
 class BodySpec(SpecModel):
     """A shape file (beside the scenario file, or under BORESIGHT_DATA) or an embedded body by name."""
 
@@ -84,3 +100,4 @@ class BodySpec(SpecModel):
     )
     shading: Literal["flat", "smooth"] = Field("flat", description="Normals of the facets, or interpolated ones")
     detail: DetailSpec | None = None
+    height_error: HeightErrorSpec | None = Field(None, description="Random error of the heights, after the detail")

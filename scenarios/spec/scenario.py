@@ -11,6 +11,7 @@ from scenarios.spec.body import BodySpec
 from scenarios.spec.brdf import BrdfSpec, LambertSpec
 from scenarios.spec.camera import CameraSpec, DetectorSpec, RenderingSpec
 from scenarios.spec.images import ImageSetSpec
+from scenarios.spec.onboard import OnboardSpec
 from scenarios.spec.world import PAPER_POSE_ERROR, LightingSpec, PoseErrorSpec, ViewpointSpec
 
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
@@ -37,6 +38,20 @@ class ScenarioSpec(SpecModel):
     lighting: LightingSpec = LightingSpec()
     images: ImageSetSpec | None = Field(None, description="Real images, instead of viewpoint")
     pose_error: PoseErrorSpec = PAPER_POSE_ERROR
+    onboard: OnboardSpec = Field(OnboardSpec(), description="What the spacecraft believes, where it is wrong")
+
+    @model_validator(mode="after")
+    def _one_onboard_shape(self) -> Self:
+        onboard = self.onboard
+        if onboard.body is not None and (onboard.facets, onboard.height_error, onboard.albedo) != (
+            None,
+            None,
+            "as-truth",
+        ):
+            raise ValueError("onboard.body is a whole shape: give facets, height_error and albedo in it, not beside it")
+        if onboard.facets is not None and self.body.detail is None:
+            raise ValueError("onboard.facets: the body has no detail stage whose resolution could be changed")
+        return self
 
     @model_validator(mode="after")
     def _real_images_bring_their_own(self) -> Self:

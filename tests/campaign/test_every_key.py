@@ -19,9 +19,11 @@ import pytest
 import trimesh
 
 from campaign.experiments.single_image import SingleImage
+from campaign.products import Shelf
 from campaign.world import open_world
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
+from scenarios.geometry import View, look_at
 from scenarios.load import load_scenario
 from scenarios.spec.base import SpecModel
 from scenarios.spec.scenario import ScenarioSpec
@@ -49,6 +51,9 @@ ANGLE = RENDERED + "pose_error: {position_cam_px: {normal: [9, 9, 2]}, attitude:
 UNIFORM = RENDERED + (
     "pose_error: {position_cam_px: {uniform: [[-9, 9], [-9, 9], [-2, 2]]},"
     " attitude: {rotation_vector_deg: {uniform: [[-1, 1], [-1, 1], [-1, 1]]}}}\n"
+)
+WRONG_HEIGHTS = RENDERED.replace(
+    "body:\n", "body:\n  height_error: {rms_m: 4, max_wavelength_m: 200, min_wavelength_m: 50}\n"
 )
 # From so far that the egg may be 600 m or 600 km long.
 SHAPE = RENDERED.replace("body:\n", "body:\n  shape: egg.obj\n  unit: m\n").replace("range_m: 2000", "range_m: 800000")
@@ -124,6 +129,24 @@ CHANGES: dict[str, tuple[str, str]] = {
     "pose_error.attitude.angle_deg.normal": (ANGLE, "2"),
     "pose_error.attitude.rotation_vector_deg.uniform": (UNIFORM, "[[-1, 1], [-1, 1], [-2, 2]]"),
     "pose_error.attitude.rotation_vector_deg.normal": (GAUSSIAN, "[1, 1, 2]"),
+    "body.height_error.rms_m": (WRONG_HEIGHTS, "9"),
+    "body.height_error.max_wavelength_m": (WRONG_HEIGHTS, "150"),
+    "body.height_error.min_wavelength_m": (WRONG_HEIGHTS, "80"),
+    "body.height_error.hurst": (WRONG_HEIGHTS, "0.4"),
+    "body.height_error.seed": (WRONG_HEIGHTS, "1"),
+    "onboard.brdf": (RENDERED, "{kind: oren-nayar}"),
+    "onboard.body": (RENDERED, "{shape: sphere}"),
+    "onboard.facets": (RENDERED, "20000"),
+    "onboard.height_error": (RENDERED, "{rms_m: 2, max_wavelength_m: 200, min_wavelength_m: 40}"),
+    "onboard.albedo": (RENDERED, "uniform"),
+    "onboard.focal_error": (RENDERED, "0.01"),
+    "onboard.principal_point_error_px": (RENDERED, "[1, 0]"),
+    "onboard.sun_error_deg.uniform": (RENDERED, "[5, 5]"),
+    "onboard.sun_error_deg.normal": (RENDERED, "5"),
+    "onboard.pole_error_deg.uniform": (RENDERED, "[1, 1]"),
+    "onboard.pole_error_deg.normal": (RENDERED, "1"),
+    "onboard.rotation_error_deg.uniform": (RENDERED, "[1, 1]"),
+    "onboard.rotation_error_deg.normal": (RENDERED, "1"),
     "images.folder": (REAL, "other"),
     "images.table": (REAL, "more.csv"),
     "images.first_row": (REAL, "bottom"),
@@ -131,6 +154,7 @@ CHANGES: dict[str, tuple[str, str]] = {
     "images.also_score": (REAL, "[third]"),
     "images.noise_realisations": (REAL, "1"),
 }
+SAME_TERMS = {"onboard.brdf", "onboard.body", "onboard.height_error"}
 # Keys that change no result, each with its reason.
 NO_RESULT = {
     "name": "names the scenario in tables",
@@ -175,9 +199,12 @@ def _write_image_set(folder: Path, rng: np.random.Generator) -> None:
 
 
 def leaves(model: type[SpecModel], prefix: str = "") -> Iterator[str]:
-    """Yield the dotted name of every key of the schema that holds a value."""
+    """Yield the dotted name of every key of the schema that holds a value.
+
+    What is known on board is said in the terms of the body and its reflectance, whose keys have their own lines.
+    """
     for name, field in model.model_fields.items():
-        models = list(_models(field.annotation))
+        models = [] if prefix + name in SAME_TERMS else list(_models(field.annotation))
         if not models:
             yield prefix + name
         for inner in models:
@@ -193,23 +220,36 @@ def _models(annotation: object) -> Iterator[type[SpecModel]]:
 
 
 def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
-    """Hash what three trials show to an estimator, and the truth that they are scored against."""
-    world = open_world(load_scenario(str(file), overrides), choose_variant().name)
+    """Hash what three trials show to an estimator, the truth that they are scored against and what is lent."""
+    variant = choose_variant().name
+    scenario = load_scenario(str(file), overrides)
+    world = open_world(scenario, variant)
     experiment = SingleImage(world, {}, seed=3)
-    parts = []
+    parts = [*lent(Shelf(scenario, file.parent / "products", 0, variant))]
     for trial in range(3):
         try:
             sight = world.source.sight(3, trial)
         except BoresightError as error:
             parts.append(str(error).encode())
             continue
-        frame = experiment.observe(sight, trial).frames[0]
+        observation = experiment.observe(sight, trial)
+        frame = observation.frames[0]
+        parts.append(repr(observation.camera).encode())
         truths = [sight.view.T_cam_body, *(view.T_cam_body for view in sight.further.values())]
         poses = [array for pose in (*truths, frame.prior_T_cam_body) for array in (pose.rotation, pose.translation_m)]
         arrays = [sight.image, frame.sun_dir_cam, frame.prior_covariance, *poses]
         parts += [np.ascontiguousarray(array).tobytes() for array in arrays]
         parts += [name.encode() for name in sight.further]
     return hashlib.sha256(b"|".join(parts)).hexdigest()
+
+
+def lent(shelf: Shelf) -> Iterator[bytes]:
+    """Yield what estimators borrow: the camera, the shape, and an image of it in the BRDF that is believed in."""
+    shape = shelf.shape()
+    yield repr(shelf.camera).encode()
+    yield np.ascontiguousarray(shape.vertices_m).tobytes()
+    view = View(shelf.camera, look_at(6.0 * shape.radius_m * np.array([0.9, 0.4, 0.2])), np.array([1.0, 0.0, 0.0]))
+    yield np.ascontiguousarray(shelf.mesh_renderer(shape).render(view)).tobytes()
 
 
 _BASELINES: dict[str, str] = {}

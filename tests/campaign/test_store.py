@@ -31,7 +31,7 @@ def record(trial: int, estimator: str = "prior") -> dict[str, object]:
 
 
 def test_blocks_cover_every_trial_once():
-    found = list(blocks(["a", "b"], 25))
+    found = list(blocks(["a", "b"], 25, 10))
     for scenario in "ab":
         mine = [b for b in found if b.scenario == scenario]
         assert [t for b in mine for t in range(b.first, b.last)] == list(range(25))
@@ -39,7 +39,7 @@ def test_blocks_cover_every_trial_once():
 
 def test_a_stored_block_reads_back_in_the_order_of_trials(tmp_path):
     folder = RunFolder(tmp_path)
-    for block in reversed(list(blocks(["a"], 25))):
+    for block in reversed(list(blocks(["a"], 25, 10))):
         folder.write_block(block, {"rows": [record(t) for t in range(block.first, block.last)]})
     rows = pd.read_parquet(tmp_path / "rows")
     assert rows["trial"].tolist() == list(range(25))
@@ -47,18 +47,18 @@ def test_a_stored_block_reads_back_in_the_order_of_trials(tmp_path):
 
 
 def test_a_block_is_done_only_when_its_rows_are_whole(tmp_path):
-    folder, block = RunFolder(tmp_path), Block("a", 0, 10)
+    folder, block = RunFolder(tmp_path), Block("a", 0, 10, 0)
     assert not folder.is_done(block, 1)
-    folder.write_block(Block("a", 0, 5), {"rows": [record(t) for t in range(5)]})
+    folder.write_block(Block("a", 0, 5, 0), {"rows": [record(t) for t in range(5)]})
     assert not folder.is_done(block, 1)
-    assert folder.is_done(Block("a", 0, 5), 1)
+    assert folder.is_done(Block("a", 0, 5, 0), 1)
     folder.write_block(block, {"rows": [record(t) for t in range(10)]})
     assert folder.is_done(block, 1)
-    assert folder.is_done(Block("a", 0, 5), 1), "more trials than asked for are kept"
+    assert folder.is_done(Block("a", 0, 5, 0), 1), "more trials than asked for are kept"
 
 
 def test_a_damaged_block_is_not_done(tmp_path):
-    folder, block = RunFolder(tmp_path), Block("a", 0, 10)
+    folder, block = RunFolder(tmp_path), Block("a", 0, 10, 0)
     folder.write_block(block, {"rows": [record(t) for t in range(10)]})
     path = tmp_path / "rows" / block.file_name
     path.write_bytes(path.read_bytes()[:-20])
@@ -66,7 +66,7 @@ def test_a_damaged_block_is_not_done(tmp_path):
 
 
 def test_missing_values_are_nan_and_not_infinite(tmp_path):
-    folder, block = RunFolder(tmp_path), Block("a", 0, 1)
+    folder, block = RunFolder(tmp_path), Block("a", 0, 1, 0)
     folder.write_block(block, {"rows": [{**record(0), **no_pose_error(), "status": "failed", "reason": "dark"}]})
     row = folder.table("rows").iloc[0]
     assert np.isnan(row["position_error_m"])

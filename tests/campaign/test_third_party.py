@@ -194,7 +194,9 @@ def test_rubbish_is_an_error_with_a_traceback_and_the_others_go_on(package, tmp_
         assert said.str.contains(message, regex=False).all(), f"{name}: {said.iloc[0]}"
     numbers = rows.select_dtypes("number")
     assert not np.isinf(numbers).any(axis=None)
-    assert numbers[rows["status"] == "ok"].notna().all(axis=None)
+    doubtful = [column for column in numbers if column.endswith(("_sigma_m", "_sigma_deg", "_bound_m", "_bound_deg"))]
+    given = numbers.drop(columns=["nees", *doubtful])
+    assert given[rows["status"] == "ok"].notna().all(axis=None), "but for a covariance, which an estimator may not have"
     assert not {"stages", "landmarks"} & {path.name for path in out.iterdir()}, (
         "nothing of a refused estimate is stored"
     )

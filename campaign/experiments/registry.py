@@ -1,0 +1,67 @@
+"""Kinds of experiment by name, and what a run needs of one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, ClassVar, Protocol, cast
+
+if TYPE_CHECKING:
+    from campaign.products import BuiltProduct, Shelf
+    from campaign.resolve import ResolvedCampaign
+    from scenarios.load import LoadedScenario
+
+Record = dict[str, object]
+Records = dict[str, list[Record]]
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """Where and how a worker works; nothing here may change a row."""
+
+    run: Path
+    jobs: int
+    keep_images: bool
+
+
+class Experiment(Protocol):
+    """A kind of trial: the only code that sees truth and estimate together.
+
+    ``version`` is part of every run's digest: raise it when rows change for another reason than the parts they are
+    made of. ``block_trials`` is how many trials are computed, stored and resumed together.
+    """
+
+    kind: ClassVar[str]
+    version: ClassVar[int]
+    block_trials: ClassVar[int]
+
+    @classmethod
+    def method_version(cls, name: str) -> int:
+        """Return the version of a method (an estimator) by its name; raise BoresightError if it is unknown."""
+        ...
+
+    @classmethod
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> Sequence[BuiltProduct]:
+        """Build what the trials need, before any of them."""
+        ...
+
+    @classmethod
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> Experiment:
+        """Make the experiment ready in a worker."""
+        ...
+
+    def run(self, trials: range) -> Records:
+        """Run trials: the records of each stored table, in the order of trials and methods."""
+        ...
+
+
+_KINDS: Mapping[str, str] = MappingProxyType({"single-image": "campaign.experiments.single_image:SingleImage"})
+
+
+def experiment_class(kind: str) -> type[Experiment]:
+    """Look up a kind of experiment that the campaign schema admits."""
+    module, attribute = _KINDS[kind].split(":")
+    return cast("type[Experiment]", getattr(import_module(module), attribute))

@@ -1,0 +1,91 @@
+"""What the spacecraft believes instead of the truth: the shape and camera it carries, the Sun and spin it computes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from scenarios.draw import draw_direction
+from scenarios.geometry import Camera, Pose
+from scenarios.spec.body import BodySpec
+from scenarios.spec.camera import CameraSpec
+from scenarios.spec.distribution import Scalar
+from scenarios.spec.onboard import OnboardSpec
+from scenarios.spec.scenario import ScenarioSpec
+
+FloatArray = NDArray[np.float64]
+_EQUATOR_RAD = (0.0, 0.0)
+
+
+def believed_spec(spec: ScenarioSpec) -> ScenarioSpec:
+    """Return the scenario as the spacecraft knows it: the one that data bases and onboard shapes are made of."""
+    onboard = spec.onboard
+    changes = {
+        "body": _believed_body(spec.body, onboard),
+        "brdf": onboard.brdf or spec.brdf,
+        "camera": _believed_camera(spec.camera, onboard),
+        "onboard": OnboardSpec(),
+    }
+    return spec.model_copy(update=changes)
+
+
+def _believed_body(body: BodySpec, onboard: OnboardSpec) -> BodySpec:
+    if onboard.body is not None:
+        return onboard.body
+    detail = body.detail
+    if detail is not None:
+        changes = {} if onboard.facets is None else {"facets": onboard.facets}
+        known = {} if onboard.albedo == "as-truth" else {"albedo": None}
+        detail = detail.model_copy(update={**changes, **known})
+    return body.model_copy(update={"detail": detail, "height_error": onboard.height_error or body.height_error})
+
+
+def _believed_camera(camera: CameraSpec, onboard: OnboardSpec) -> CameraSpec:
+    """Put the errors of focal length and principal point on the true camera."""
+    if onboard.focal_error == 0.0 and onboard.principal_point_error_px == (0.0, 0.0):
+        return camera
+    true = camera.camera()
+    scale = 1.0 + onboard.focal_error
+    dx, dy = onboard.principal_point_error_px
+    changes = {
+        "fov_deg": None,
+        "focal_px": (true.fx_px * scale, true.fy_px * scale),
+        "principal_point_px": (true.cx_px + dx, true.cy_px + dy),
+    }
+    return camera.model_copy(update=changes)
+
+
+def believed_camera(spec: ScenarioSpec) -> Camera:
+    """Return the camera that the spacecraft calculates with."""
+    return _believed_camera(spec.camera, spec.onboard).camera()
+
+
+def believed_sun(sun_dir_cam: FloatArray, onboard: OnboardSpec, rng: np.random.Generator) -> FloatArray:
+    """Turn the Sun's direction, (3,) unit, about a random axis at right angles to it."""
+    angle_rad, azimuth_rad = _angle_rad(onboard.sun_error_deg, rng), rng.uniform(0.0, 2.0 * np.pi)
+    if angle_rad == 0.0:
+        return sun_dir_cam
+    helper = np.eye(3)[int(np.argmin(np.abs(sun_dir_cam)))]
+    first = np.cross(sun_dir_cam, helper)
+    first /= np.linalg.norm(first)
+    second = np.cross(sun_dir_cam, first)
+    across = np.cos(azimuth_rad) * first + np.sin(azimuth_rad) * second
+    turned: FloatArray = np.cos(angle_rad) * sun_dir_cam + np.sin(angle_rad) * across
+    return turned
+
+
+def believed_attitude(T_cam_body: Pose, onboard: OnboardSpec, rng: np.random.Generator) -> Pose:
+    """Turn the body under the camera by what the spacecraft gets wrong of its spin.
+
+    The believed body axes lie off the true ones by a tilt of the pole about a random equatorial axis and by a
+    phase about the pole; the body's origin stays where it is in the camera.
+    """
+    tilt_rad, phase_rad = _angle_rad(onboard.pole_error_deg, rng), _angle_rad(onboard.rotation_error_deg, rng)
+    axis = draw_direction(_EQUATOR_RAD, rng)
+    turn = Rotation.from_rotvec(phase_rad * np.array([0.0, 0.0, 1.0])) * Rotation.from_rotvec(tilt_rad * axis)
+    return Pose(T_cam_body.rotation @ turn.as_matrix(), T_cam_body.translation_m)
+
+
+def _angle_rad(law: Scalar | None, rng: np.random.Generator) -> float:
+    return 0.0 if law is None else float(np.radians(law.draw(rng)))

@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, multivariate_normal
+
+from campaign.score import consistency, pose_error
+from scenarios.geometry import look_at
+
+TRUE = look_at(np.array([1500.0, 800.0, 300.0]), 0.3)
+
+
+def covariance() -> np.ndarray:
+    root = np.diag([4e-3, 3e-3, 9e-3, 5.0, 4.0, 8.0]) @ np.linalg.cholesky(0.6 * np.eye(6) + 0.4)
+    return root @ root.T
+
+
+def test_nees_of_errors_drawn_from_the_covariance_is_chi_square():
+    """The foreign yardstick is scipy's multivariate normal; 2000 draws, 6 degrees of freedom."""
+    P = covariance()
+    errors = multivariate_normal(np.zeros(6), P).rvs(2000, random_state=1)
+    found = [consistency(TRUE.perturbed(e[:3], e[3:]), TRUE, P, None)["nees"] for e in errors]
+    low, high = chi2.ppf([0.001, 0.999], 6 * 2000) / 2000
+    assert low < np.mean(found) < high
+
+
+def test_foretold_errors_are_the_rms_of_errors_drawn_from_the_covariance():
+    P = covariance()
+    errors = multivariate_normal(np.zeros(6), P).rvs(4000, random_state=2)
+    scored = [pose_error(TRUE.perturbed(e[:3], e[3:]), TRUE) for e in errors]
+    told = consistency(TRUE, TRUE, P, 0.25 * P)
+    for name, error in (("position_sigma_m", "position_error_m"), ("attitude_sigma_deg", "attitude_error_deg")):
+        assert told[name] == pytest.approx(np.sqrt(np.mean([s[error] ** 2 for s in scored])), rel=0.04)
+        assert told[name.replace("sigma", "bound")] == pytest.approx(0.5 * told[name])
+
+
+def test_a_covariance_that_is_none_or_singular_has_no_nees():
+    assert consistency(TRUE, TRUE, None, None)["nees"] is None
+    assert consistency(TRUE, TRUE, np.diag([0.0, 1, 1, 1, 1, 1]), None)["nees"] is None

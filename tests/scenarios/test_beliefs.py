@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from scenarios.beliefs import believed_attitude, believed_camera, believed_spec, believed_sun
+from scenarios.bodies.embedded import EMBEDDED
+from scenarios.bodies.height_error import with_height_error
+from scenarios.errors import BoresightError
+from scenarios.geometry import look_at
+from scenarios.load import load_scenario
+from scenarios.spec.body import HeightErrorSpec
+from scenarios.spec.onboard import OnboardSpec
+
+SUN = np.array([0.6, 0.0, -0.8])
+
+
+def quickstart(*overrides: str):
+    return load_scenario("quickstart", overrides).spec
+
+
+def test_what_is_left_out_is_known_as_it_is():
+    spec = quickstart()
+    believed = believed_spec(spec)
+    assert believed == spec
+    assert believed_camera(spec) == spec.camera.camera()
+
+
+def test_only_what_is_said_differs():
+    spec = quickstart("onboard.facets=50000", "onboard.brdf={kind: oren-nayar}", "onboard.focal_error=0.01")
+    believed = believed_spec(spec)
+    assert believed.body.detail.facets == 50000
+    assert believed.body.detail.boulders == spec.body.detail.boulders
+    assert believed.brdf.kind == "oren-nayar"
+    np.testing.assert_allclose(believed.camera.camera().fx_px, 1.01 * spec.camera.camera().fx_px)
+    assert believed.viewpoint == spec.viewpoint
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("onboard.body={shape: sphere}", "onboard.facets=5000"),
+        ("onboard.facets=5000", "body={shape: sphere, detail: null}"),
+    ],
+)
+def test_a_shape_said_twice_is_refused(overrides):
+    with pytest.raises(BoresightError, match="onboard"):
+        quickstart(*overrides)
+
+
+def test_the_sun_is_wrong_by_the_angle_in_all_directions():
+    onboard = OnboardSpec.model_validate({"sun_error_deg": {"uniform": [3.0, 3.0]}})
+    suns = np.array([believed_sun(SUN, onboard, np.random.default_rng(seed)) for seed in range(400)])
+    angles = np.degrees(np.arccos(np.clip(suns @ SUN, -1, 1)))
+    np.testing.assert_allclose(angles, 3.0, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(suns.mean(axis=0) / np.cos(np.radians(3.0)) - SUN), 0.0, atol=0.01)
+
+
+def test_a_phase_error_turns_about_the_pole_and_a_tilt_moves_it():
+    pose = look_at(np.array([1500.0, 800.0, 300.0]), 0.3)
+    phase = OnboardSpec.model_validate({"rotation_error_deg": {"uniform": [2.0, 2.0]}})
+    turned = believed_attitude(pose, phase, np.random.default_rng(1))
+    between = Rotation.from_matrix(pose.rotation.T @ turned.rotation).as_rotvec(degrees=True)
+    np.testing.assert_allclose(between, [0.0, 0.0, 2.0], atol=1e-9)
+    np.testing.assert_array_equal(turned.translation_m, pose.translation_m)
+    tilt = OnboardSpec.model_validate({"pole_error_deg": {"uniform": [2.0, 2.0]}})
+    tilted = believed_attitude(pose, tilt, np.random.default_rng(1))
+    pole = pose.rotation.T @ tilted.rotation @ np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(np.degrees(np.arccos(pole[2])), 2.0, atol=1e-6)
+
+
+def test_heights_are_wrong_by_their_rms_along_the_normals():
+    mesh = EMBEDDED["sphere"]()
+    wrong = with_height_error(mesh, HeightErrorSpec(rms_m=2.0, max_wavelength_m=200.0, min_wavelength_m=50.0))
+    moved = np.linalg.norm(wrong.vertices_m, axis=1) - np.linalg.norm(mesh.vertices_m, axis=1)
+    assert moved.std() == pytest.approx(2.0, rel=0.05)
+    assert np.linalg.norm(wrong.vertices_m - mesh.vertices_m, axis=1).std() > 0.0
+    again = with_height_error(mesh, HeightErrorSpec(rms_m=2.0, max_wavelength_m=200.0, min_wavelength_m=50.0))
+    np.testing.assert_array_equal(again.vertices_m, wrong.vertices_m)
