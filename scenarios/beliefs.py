@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from scenarios.draw import draw_direction
 from scenarios.geometry import Camera, Pose
 from scenarios.spec.body import BodySpec
-from scenarios.spec.camera import CameraSpec
+from scenarios.spec.camera import CameraSpec, DistortionSpec
 from scenarios.spec.distribution import Scalar
 from scenarios.spec.onboard import OnboardSpec
 from scenarios.spec.scenario import ScenarioSpec
@@ -42,7 +42,11 @@ def _believed_body(body: BodySpec, onboard: OnboardSpec) -> BodySpec:
 
 
 def _believed_camera(camera: CameraSpec, onboard: OnboardSpec) -> CameraSpec:
-    """Put the errors of focal length and principal point on the true camera."""
+    """Put the errors of focal length, principal point and distortion on the true camera."""
+    if camera.distortion is not None:
+        scale = 1.0 + onboard.distortion_error
+        lens = DistortionSpec(k1=camera.distortion.k1 * scale, k2=camera.distortion.k2 * scale)
+        camera = camera.model_copy(update={"distortion": lens})
     if onboard.focal_error == 0.0 and onboard.principal_point_error_px == (0.0, 0.0):
         return camera
     true = camera.camera()

@@ -20,6 +20,7 @@ from campaign.score import consistency, no_consistency, no_pose_error, pose_erro
 from campaign.world import Sight, World, open_world
 from estimators.contract import Estimate, Estimator, Table
 from estimators.registry import estimator_class
+from renderers.rectify import rectify
 from scenarios.beliefs import believed_attitude, believed_camera, believed_sun
 from scenarios.draw import Stream, degrade, generator, prior_covariance
 from scenarios.geometry import Pose
@@ -106,21 +107,25 @@ class SingleImage:
         return records
 
     def observe(self, sight: Sight, trial: int) -> Observation:
-        """Make what an estimator may see of a sight: the image, the Sun in the camera and a degraded pose."""
+        """Make what an estimator may see of a sight: the image, the Sun in the camera and a degraded pose.
+
+        The image of a lens is resampled to the pinhole that the spacecraft takes it for, once for all estimators.
+        """
         spec = self.world.scenario.spec
         true = sight.view.T_cam_body
         prior = degrade(true, spec.pose_error, self.world.camera, generator(self.seed, Stream.POSE_ERROR, trial))
         knowledge = generator(self.seed, Stream.KNOWLEDGE, trial)
         prior = believed_attitude(prior, spec.onboard, knowledge)
         range_m = float(np.linalg.norm(prior.translation_m))
+        camera = believed_camera(spec)
         frame = Frame(
-            image=_read_only(sight.image),
+            image=_read_only(rectify(sight.image, camera)),
             sun_dir_cam=_read_only(believed_sun(true.rotate(sight.view.sun_dir_body), spec.onboard, knowledge)),
             prior_T_cam_body=prior,
             prior_covariance=_read_only(prior_covariance(spec.pose_error, range_m, self.world.camera)),
             time_s=sight.time_s,
         )
-        return Observation(believed_camera(spec), (frame,))
+        return Observation(camera.pinhole, (frame,))
 
     def _judged(self, estimator: Estimator, observation: Observation, sight: Sight, trial: int) -> Records:
         """Let an estimator work and score what it returns: records without their key, whatever goes wrong."""
@@ -169,7 +174,8 @@ class SingleImage:
         if table is None or len(table["landmark"]) == 0:
             return []
         uv = _columns(table, "u_px", "v_px")
-        seen = self.world.renderer.surface(sight.view, uv).points_body_m
+        on_detector = believed_camera(self.world.scenario.spec).distorted(uv)
+        seen = self.world.renderer.surface(sight.view, on_detector).points_body_m
         offset = seen - _columns(table, "x_m", "y_m", "z_m")
         names = ("sxx", "sxy", "sxz", "sxy", "syy", "syz", "sxz", "syz", "szz")
         covariance = _columns(table, *(f"{name}_m2" for name in names)).reshape(-1, 3, 3)

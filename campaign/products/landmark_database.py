@@ -43,8 +43,9 @@ def announcement(options: SpecModel) -> str:
 def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> None:
     """Build the data base of ``scenario`` and store it in ``folder``.
 
-    The images are noise free, of the scenario's own body, camera and BRDF, from random directions at the
-    scenario's range, with the Sun anywhere within the largest phase angle (Rowell et al. 2015, section 4.1).
+    The images are noise free, of the scenario's own body, BRDF and camera (without distortion), from random
+    directions at the scenario's range, with the Sun anywhere within the largest phase angle (Rowell et al. 2015,
+    section 4.1).
     """
     options = _checked(options)
     chunks = [range(i, min(i + _CHUNK_IMAGES, options.images)) for i in range(0, options.images, _CHUNK_IMAGES)]
@@ -79,7 +80,7 @@ def _candidates(
     viewpoint = ViewpointSpec(range_m=typical_range_m(scenario))
     lighting = LightingSpec(phase_deg=Uniform(uniform=(0.0, options.phase_deg_max)))
     streams = (generator(options.seed, Stream.DATABASE, image) for image in images)
-    views = (draw_lit_view(viewpoint, lighting, world.camera, rng) for rng in streams)
+    views = (draw_lit_view(viewpoint, lighting, world.camera.pinhole, rng) for rng in streams)
     return [_candidates_of(world, view, options) for view in views]
 
 

@@ -90,8 +90,8 @@ class Shelf:
 
     @property
     def camera(self) -> Camera:
-        """The camera that the spacecraft calculates with."""
-        return self._scenario.spec.camera.camera()
+        """The pinhole that the spacecraft calculates with: the images that estimators see have been resampled to it."""
+        return self._scenario.spec.camera.camera().pinhole
 
     def shape(self) -> TriangleMesh:
         """Return the full shape that the spacecraft carries."""

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from scenarios.geometry import TriangleMesh, View
+from scenarios.geometry import Camera, TriangleMesh, View
 
 FloatArray = NDArray[np.float64]
+
+_BOX_STEPS = 65
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +39,12 @@ class Window:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayBundle:
-    """Rays as linear functions of the pixel position (u, v) counted from a window's corner.
+    """Rays as linear functions of the pinhole's pixel position (u, v) counted from a window's corner.
 
-    The origin of a ray is ``origin_m + u origin_u_m + v origin_v_m``, and its direction the same of the other
-    three, to be normalised; all (3,), body frame. Rays start just before the body rather than at the camera, so
-    that single precision resolves the body however far the camera is; each constant is worked out in double
-    precision.
+    A position of a camera with distortion is first taken to that of its pinhole. The origin of a ray is
+    ``origin_m + u origin_u_m + v origin_v_m``, and its direction the same of the other three, to be normalised; all
+    (3,), body frame. Rays start just before the body rather than at the camera, so that single precision resolves the
+    body however far the camera is; each constant is worked out in double precision.
     """
 
     origin_m: FloatArray
@@ -51,9 +53,13 @@ class RayBundle:
     direction: FloatArray
     direction_u: FloatArray
     direction_v: FloatArray
+    camera: Camera
+    corner_px: tuple[float, float]
 
     def at(self, uv_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Origins and unit directions, (N, 3) each, at window positions (N, 2)."""
+        if self.camera.distortion is not None:
+            uv_px = self.camera.undistorted(uv_px + self.corner_px) - self.corner_px
         u, v = uv_px[:, :1], uv_px[:, 1:]
         origins = self.origin_m + u * self.origin_u_m + v * self.origin_v_m
         directions = self.direction + u * self.direction_u + v * self.direction_v
@@ -77,12 +83,30 @@ def body_window(view: View, outline_m: FloatArray) -> Window | None:
         return None
     if not in_front.all():
         return Window(0, 0, camera.width_px, camera.height_px)
-    uv = camera.project(points_cam_m)
+    low_px, high_px = _bounds(camera, camera.pinhole.project(points_cam_m))
     size = (camera.width_px, camera.height_px)
-    low = np.clip(np.floor(uv.min(axis=0)), 0, size).astype(int)
-    high = np.clip(np.ceil(uv.max(axis=0)), 0, size).astype(int)
+    low = np.clip(np.floor(low_px), 0, size).astype(int)
+    high = np.clip(np.ceil(high_px), 0, size).astype(int)
     width, height = (int(n) for n in high - low)
     return Window(int(low[0]), int(low[1]), width, height) if width and height else None
+
+
+def _bounds(camera: Camera, pinhole_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest pixel (2,) of what the pinhole sees within the hull of ``pinhole_px`` (N, 2).
+
+    A lens bends the sides of the bounding box, so points along them are followed. Where one has no pixel the box
+    reaches beyond the field.
+    """
+    low, high = pinhole_px.min(axis=0), pinhole_px.max(axis=0)
+    if camera.distortion is None:
+        return low, high
+    steps = np.linspace(0.0, 1.0, _BOX_STEPS)
+    along, level = np.meshgrid(steps, [0.0, 1.0])
+    sides = np.concatenate([np.stack([along, level], axis=-1), np.stack([level, along], axis=-1)]).reshape(-1, 2)
+    seen = camera.distorted(low + sides * (high - low))
+    if not np.isfinite(seen).all():
+        return np.zeros(2), np.array([camera.width_px, camera.height_px], dtype=np.float64)
+    return seen.min(axis=0) - 1.0, seen.max(axis=0) + 1.0  # between two steps a side bends by far less
 
 
 def ray_bundle(view: View, radius_m: float, corner_px: tuple[float, float]) -> RayBundle:
@@ -99,6 +123,8 @@ def ray_bundle(view: View, radius_m: float, corner_px: tuple[float, float]) -> R
         direction=to_body @ slope,
         direction_u=u_step,
         direction_v=v_step,
+        camera=camera,
+        corner_px=corner_px,
     )
 
 

@@ -55,15 +55,32 @@ class ScalarTracer:
     def image(self, view: View, window: Window) -> NDArray[np.float32]:
         """Radiance factor (height, width) of the pixels of a window."""
         n = self._grid
+        facets = self._lit_facets(view, window)
+        row, column = np.nonzero(facets >= 0)
+        uv = _sample_positions(window, n, row, column)
+        value = np.zeros(facets.shape)
+        value[row, column] = self._radiance_factor(view, uv, facets[row, column])
+        pixels: FloatArray = value.reshape(window.height, n, window.width, n).mean(axis=(1, 3))
+        return pixels.astype(np.float32)
+
+    def _lit_facets(self, view: View, window: Window) -> IndexArray:
+        """Facet of every sample, in rows and columns of the finer film; -1 where the Sun does not shine on one."""
+        if view.camera.distortion is not None:
+            return self._lit_facets_one_by_one(view, window)
         light = self._colours(view, window)
         lit = light[..., 0] > 0.0
         high, low = np.rint(light[lit][:, 1:] / light[lit][:, :1]).astype(np.int64).T
-        row, column = np.nonzero(lit)
-        uv = np.stack([window.column + (column + 0.5) / n, window.row + (row + 0.5) / n], axis=1)
-        value = np.zeros(lit.shape)
-        value[lit] = self._radiance_factor(view, uv, high * _BASE + low)
-        pixels: FloatArray = value.reshape(window.height, n, window.width, n).mean(axis=(1, 3))
-        return pixels.astype(np.float32)
+        facets = np.full(lit.shape, -1, dtype=np.int64)
+        facets[lit] = high * _BASE + low
+        return facets
+
+    def _lit_facets_one_by_one(self, view: View, window: Window) -> IndexArray:
+        """Do the same for a camera that is none of Mitsuba's, ray by ray: slow."""
+        shape = (window.height * self._grid, window.width * self._grid)
+        row, column = (index.ravel() for index in np.indices(shape))
+        uv = _sample_positions(window, self._grid, row, column)
+        facets, lit = self.first_hits(view, *ray_bundle(view, self._mesh.radius_m, (0.0, 0.0)).at(uv))
+        return np.where(lit, facets, -1).reshape(shape)
 
     def first_hits(
         self, view: View, origins_m: FloatArray, directions: FloatArray
@@ -114,6 +131,11 @@ class ScalarTracer:
         phase_rad = np.arccos(np.clip(-directions @ sun, -1.0, 1.0))
         value: FloatArray = np.pi * brdf_value(self._brdf, cos_i, cos_e, phase_rad) * cos_i * factor
         return value
+
+
+def _sample_positions(window: Window, grid: int, row: IndexArray, column: IndexArray) -> FloatArray:
+    """Pixel positions (N, 2) of samples by their rows and columns on a film of grid x grid samples a pixel."""
+    return np.stack([window.column + (column + 0.5) / grid, window.row + (row + 0.5) / grid], axis=1)
 
 
 def _coded_scene(mi: Any, mesh: TriangleMesh) -> Any:

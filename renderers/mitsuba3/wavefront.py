@@ -97,6 +97,8 @@ class WavefrontTracer:
         row = pixel // width
         u = mi.Float(pixel - row * width) + dr.gather(mi.Float, self._grid_u, sample)
         v = mi.Float(row) + dr.gather(mi.Float, self._grid_v, sample)
+        if rays.camera.distortion is not None:
+            u, v = _undistorted(mi, rays, u, v)
         origin = _opaque(mi, rays.origin_m) + u * _opaque(mi, rays.origin_u_m) + v * _opaque(mi, rays.origin_v_m)
         direction = _opaque(mi, rays.direction) + u * _opaque(mi, rays.direction_u) + v * _opaque(mi, rays.direction_v)
         return mi.Point3f(origin), dr.normalize(direction)
@@ -136,6 +138,20 @@ class WavefrontTracer:
         v0, v1, v2 = (dr.gather(kind, values, corner, valid) for corner in corners)
         w1, w2 = hit.prim_uv
         return v0 * (1.0 - w1 - w2) + v1 * w1 + v2 * w2
+
+
+def _undistorted(mi: Any, rays: RayBundle, u: Any, v: Any) -> tuple[Any, Any]:
+    """Take window positions of a real lens to those of the pinhole, as ``Camera.undistorted`` does."""
+    import drjit as dr
+
+    camera, lens = rays.camera, rays.camera.distortion
+    numbers = (camera.cx_px - rays.corner_px[0], camera.cy_px - rays.corner_px[1], camera.fx_px, camera.fy_px)
+    cx, cy, fx, fy = (dr.opaque(mi.Float, float(x)) for x in numbers)
+    k1, k2 = (dr.opaque(mi.Float, float(k)) for k in ((lens.k1, lens.k2) if lens else (0.0, 0.0)))
+    from_axis_u, from_axis_v = u - cx, v - cy
+    squared = (from_axis_u / fx) ** 2 + (from_axis_v / fy) ** 2
+    factor = squared * (k1 + squared * k2)
+    return u + from_axis_u * factor, v + from_axis_v * factor
 
 
 def _opaque(mi: Any, vector: NDArray[np.float64]) -> Any:

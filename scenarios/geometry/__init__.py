@@ -11,6 +11,7 @@ Conventions, stated once:
 """
 
 from scenarios.geometry.camera import Camera, pixel_from_opencv, pixel_to_opencv
+from scenarios.geometry.distortion import RadialDistortion
 from scenarios.geometry.mesh import TriangleMesh
 from scenarios.geometry.pose import FrameMismatchError, Pose, look_at
 from scenarios.geometry.surface import SurfaceHits
@@ -20,6 +21,7 @@ __all__ = [
     "Camera",
     "FrameMismatchError",
     "Pose",
+    "RadialDistortion",
     "SurfaceHits",
     "TriangleMesh",
     "View",

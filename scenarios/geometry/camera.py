@@ -1,18 +1,22 @@
-"""The pinhole camera of Rowell et al. (2015), equation (2)."""
+"""The camera of Rowell et al. (2015), equation (2), and what a real lens adds to it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from scenarios.geometry.distortion import RadialDistortion
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole camera without distortion.
+    """A pinhole camera, with radial distortion or without.
+
+    Estimators see images of the ``pinhole`` alone: those of a real lens are resampled once before.
 
     Parameters
     ----------
@@ -22,6 +26,8 @@ class Camera:
         Focal lengths along the columns and the rows.
     cx_px, cy_px
         Principal point in continuous pixels: (width / 2, height / 2) is the middle of the image.
+    distortion
+        Of the lens; None for an ideal one.
     """
 
     width_px: int
@@ -30,6 +36,7 @@ class Camera:
     fy_px: float
     cx_px: float
     cy_px: float
+    distortion: RadialDistortion | None = None
 
     @classmethod
     def from_fov(cls, width_px: int, height_px: int, fov_rad: float) -> Camera:
@@ -49,20 +56,25 @@ class Camera:
         """The angle that one pixel subtends on the boresight."""
         return 2.0 / (self.fx_px + self.fy_px)
 
+    @property
+    def pinhole(self) -> Camera:
+        """The same camera with an ideal lens."""
+        return replace(self, distortion=None)
+
     def project(self, points_cam_m: FloatArray) -> FloatArray:
         """Project camera-frame points (..., 3) to pixels (..., 2).
 
-        Points with z <= 0 are behind the camera: their pixels are NaN.
+        Points with z <= 0 are behind the camera: their pixels are NaN. So are those that ``distorted`` has none for.
         """
         points = np.asarray(points_cam_m, dtype=np.float64)
         z = np.where(points[..., 2] > 0.0, points[..., 2], np.nan)
         u = self.fx_px * points[..., 0] / z + self.cx_px  # eqs. (5), (6)
         v = self.fy_px * points[..., 1] / z + self.cy_px
-        return np.stack([u, v], axis=-1)
+        return self.distorted(np.stack([u, v], axis=-1))
 
     def unproject(self, uv_px: FloatArray) -> FloatArray:
         """Turn pixels (..., 2) into unit directions (..., 3) in the camera frame."""
-        uv = np.asarray(uv_px, dtype=np.float64)
+        uv = self.undistorted(uv_px)
         rays = np.stack(  # eq. (11); a pixel's centre carries its half pixel already
             [
                 (uv[..., 0] - self.cx_px) / self.fx_px,
@@ -77,14 +89,40 @@ class Camera:
     def jacobian(self, points_cam_m: FloatArray) -> FloatArray:
         """Differentiate the pixel by the camera-frame point, (..., 2, 3).
 
-        This is the transpose of the matrix J printed as equation (10).
+        Without distortion this is the transpose of the matrix J printed as equation (10).
         """
         points = np.asarray(points_cam_m, dtype=np.float64)
         x, y, z = points[..., 0], points[..., 1], points[..., 2]
         zero = np.zeros_like(z)
         row_u = np.stack([self.fx_px / z, zero, -self.fx_px * x / z**2], axis=-1)  # eq. (10)
         row_v = np.stack([zero, self.fy_px / z, -self.fy_px * y / z**2], axis=-1)
-        return np.stack([row_u, row_v], axis=-2)
+        pinhole = np.stack([row_u, row_v], axis=-2)
+        if self.distortion is None:
+            return pinhole
+        focal_px = np.array([self.fx_px, self.fy_px])
+        seen = self.distortion.seen(points[..., :2] / z[..., None])
+        by_slope = np.linalg.solve(self.distortion.ideal_jacobian(seen), pinhole / focal_px[:, None])
+        return np.asarray(by_slope * focal_px[:, None], dtype=np.float64)
+
+    def distorted(self, uv_px: FloatArray) -> FloatArray:
+        """Take pixels (..., 2) of the pinhole to those where this camera shows the same.
+
+        NaN far out of the field, where the polynomial of the distortion cannot be inverted.
+        """
+        uv = np.asarray(uv_px, dtype=np.float64)
+        return uv if self.distortion is None else self._pixel(self.distortion.seen(self._slope(uv)))
+
+    def undistorted(self, uv_px: FloatArray) -> FloatArray:
+        """Take pixels (..., 2) of this camera to those where its pinhole shows the same."""
+        uv = np.asarray(uv_px, dtype=np.float64)
+        return uv if self.distortion is None else self._pixel(self.distortion.ideal(self._slope(uv)))
+
+    def _slope(self, uv_px: FloatArray) -> FloatArray:
+        """Take pixels (..., 2) to x / z and y / z as a pinhole sees them."""
+        return np.asarray((uv_px - [self.cx_px, self.cy_px]) / [self.fx_px, self.fy_px], dtype=np.float64)
+
+    def _pixel(self, slope: FloatArray) -> FloatArray:
+        return np.asarray(slope * [self.fx_px, self.fy_px] + [self.cx_px, self.cy_px], dtype=np.float64)
 
     def contains(self, uv_px: FloatArray, margin_px: float = 0.0) -> NDArray[np.bool_]:
         """Tell whether each pixel position (..., 2) lies in the image, at least ``margin_px`` from its edge."""

@@ -7,14 +7,24 @@ from typing import Annotated, ClassVar, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from scenarios.geometry import Camera
+from scenarios.geometry import Camera, RadialDistortion
 from scenarios.spec.base import SpecModel
 
 Positive = Annotated[float, Field(gt=0)]
 
 
+class DistortionSpec(SpecModel):
+    """Radial distortion: ideal = seen (1 + k1 r^2 + k2 r^4), in x / z and y / z from the principal point."""
+
+    k1: float = Field(description="Coefficient of r^2; a kernel's constant in mm^-2 times (focal length in mm)^2")
+    k2: float = Field(0.0, description="Coefficient of r^4")
+
+
 class CameraSpec(SpecModel):
-    """A pinhole: either ``fov_deg`` (across the width, square pixels) or focal lengths in pixels."""
+    """A pinhole or, with ``distortion``, a real lens.
+
+    Its field is either ``fov_deg`` (across the width, square pixels) or focal lengths in pixels.
+    """
 
     alternatives: ClassVar = (("fov_deg", "focal_px"),)
 
@@ -25,6 +35,19 @@ class CameraSpec(SpecModel):
     principal_point_px: tuple[float, float] | None = Field(
         None, description="Principal point [cx, cy]; the middle of the image by default"
     )
+    distortion: DistortionSpec | None = Field(
+        None, description="Of the lens; images are resampled to the pinhole before an estimator sees them"
+    )
+
+    @model_validator(mode="after")
+    def _distortion_does_not_fold(self) -> Self:
+        lens = self.camera().distortion
+        if lens is not None and not lens.invertible_within(self._corner_radius()):
+            raise ValueError(
+                f"distortion k1 = {lens.k1:g}, k2 = {lens.k2:g} folds the image over within the field; check the sign"
+                " and the unit: they belong to x / z, not to mm or pixels"
+            )
+        return self
 
     def camera(self) -> Camera:
         """Return the camera as a value."""
@@ -33,7 +56,15 @@ class CameraSpec(SpecModel):
         else:
             fx = fy = 0.5 * self.width_px / np.tan(0.5 * np.radians(self.fov_deg or 0.0))
         cx, cy = self.principal_point_px or (0.5 * self.width_px, 0.5 * self.height_px)
-        return Camera(self.width_px, self.height_px, float(fx), float(fy), cx, cy)
+        lens = None if self.distortion is None else RadialDistortion(self.distortion.k1, self.distortion.k2)
+        return Camera(self.width_px, self.height_px, float(fx), float(fy), cx, cy, lens)
+
+    def _corner_radius(self) -> float:
+        """Return x / z and y / z of the farthest corner as one length."""
+        camera = self.camera()
+        across = max(camera.cx_px, camera.width_px - camera.cx_px) / camera.fx_px
+        down = max(camera.cy_px, camera.height_px - camera.cy_px) / camera.fy_px
+        return float(np.hypot(across, down))
 
 
 class DetectorSpec(SpecModel):

@@ -29,6 +29,9 @@ class OnboardSpec(SpecModel):
     albedo: Literal["as-truth", "uniform"] = Field("as-truth", description="Whether its variation is known")
     focal_error: float = Field(0.0, gt=-0.5, lt=0.5, description="Relative error of the focal length")
     principal_point_error_px: tuple[float, float] = Field((0.0, 0.0), description="Error of the principal point")
+    distortion_error: float = Field(
+        0.0, ge=-2, le=2, description="Relative error of the lens's distortion; -1 knows of none"
+    )
     sun_error_deg: Scalar | None = Field(None, description="Angle by which the Sun's direction is wrong")
     pole_error_deg: Scalar | None = Field(None, description="Tilt of the spin axis, about a random equatorial axis")
     rotation_error_deg: Scalar | None = Field(None, description="Error of the rotation phase about the spin axis")

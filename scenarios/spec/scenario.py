@@ -41,7 +41,7 @@ class ScenarioSpec(SpecModel):
     onboard: OnboardSpec = Field(OnboardSpec(), description="What the spacecraft believes, where it is wrong")
 
     @model_validator(mode="after")
-    def _one_onboard_shape(self) -> Self:
+    def _onboard_knows_of_something(self) -> Self:
         onboard = self.onboard
         if onboard.body is not None and (onboard.facets, onboard.height_error, onboard.albedo) != (
             None,
@@ -51,6 +51,8 @@ class ScenarioSpec(SpecModel):
             raise ValueError("onboard.body is a whole shape: give facets, height_error and albedo in it, not beside it")
         if onboard.facets is not None and self.body.detail is None:
             raise ValueError("onboard.facets: the body has no detail stage whose resolution could be changed")
+        if onboard.distortion_error != 0.0 and self.camera.distortion is None:
+            raise ValueError("onboard.distortion_error: the camera has no distortion that could be known wrongly")
         return self
 
     @model_validator(mode="after")

@@ -41,6 +41,7 @@ detector: {full_well_e: 3.0e+5, psf_sigma_px: 0.6}
 lighting: {phase_deg: {uniform: [20, 60]}}
 viewpoint: {range_m: 2000}
 """
+LENS = RENDERED.replace("fov_deg: 18.3}", "fov_deg: 18.3, distortion: {k1: 1.5}}")
 OREN_NAYAR = RENDERED + "brdf: {kind: oren-nayar}\n"
 HAPKE = RENDERED + "brdf: {kind: hapke, c: 0.4}\n"
 OPPOSITION = HAPKE.replace("uniform: [20, 60]", "uniform: [0, 4]")
@@ -94,6 +95,8 @@ CHANGES: dict[str, tuple[str, str]] = {
     "camera.fov_deg": (RENDERED, "20"),
     "camera.focal_px": (RENDERED, "[150, 151]"),
     "camera.principal_point_px": (RENDERED, "[25, 19]"),
+    "camera.distortion.k1": (LENS, "0.6"),
+    "camera.distortion.k2": (LENS, "0.5"),
     "rendering.samples_per_pixel": (RENDERED, "9"),
     "detector.psf_sigma_px": (RENDERED, "1.0"),
     "detector.exposure_s": (RENDERED, "0.2"),
@@ -141,6 +144,7 @@ CHANGES: dict[str, tuple[str, str]] = {
     "onboard.albedo": (RENDERED, "uniform"),
     "onboard.focal_error": (RENDERED, "0.01"),
     "onboard.principal_point_error_px": (RENDERED, "[1, 0]"),
+    "onboard.distortion_error": (LENS, "-1"),
     "onboard.sun_error_deg.uniform": (RENDERED, "[5, 5]"),
     "onboard.sun_error_deg.normal": (RENDERED, "5"),
     "onboard.pole_error_deg.uniform": (RENDERED, "[1, 1]"),
@@ -237,7 +241,7 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
         parts.append(repr(observation.camera).encode())
         truths = [sight.view.T_cam_body, *(view.T_cam_body for view in sight.further.values())]
         poses = [array for pose in (*truths, frame.prior_T_cam_body) for array in (pose.rotation, pose.translation_m)]
-        arrays = [sight.image, frame.sun_dir_cam, frame.prior_covariance, *poses]
+        arrays = [sight.image, frame.image, frame.sun_dir_cam, frame.prior_covariance, *poses]
         parts += [np.ascontiguousarray(array).tobytes() for array in arrays]
         parts += [name.encode() for name in sight.further]
     return hashlib.sha256(b"|".join(parts)).hexdigest()

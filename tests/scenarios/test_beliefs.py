@@ -37,6 +37,17 @@ def test_only_what_is_said_differs():
     assert believed.viewpoint == spec.viewpoint
 
 
+def test_the_lens_may_be_known_wrongly_or_not_at_all():
+    lens = "camera.distortion={k1: -0.4, k2: 0.1}"
+    half = believed_camera(quickstart(lens, "onboard.distortion_error=-0.5", "onboard.focal_error=0.01"))
+    assert (half.distortion.k1, half.distortion.k2) == pytest.approx((-0.2, 0.05))
+    none = believed_camera(quickstart(lens, "onboard.distortion_error=-1"))
+    uv = np.array([[3.0, 500.0]])
+    np.testing.assert_allclose(none.distorted(uv), uv, atol=1e-9)
+    with pytest.raises(BoresightError, match="camera has no distortion"):
+        quickstart("onboard.distortion_error=-1")
+
+
 @pytest.mark.parametrize(
     "overrides",
     [

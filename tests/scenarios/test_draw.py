@@ -240,6 +240,7 @@ CHANGES = {
     "camera.fov_deg": "camera.fov_deg=18.4",
     "camera.focal_px": "camera.focal_px=[1589, 1600]",
     "camera.principal_point_px": "camera.principal_point_px=[250, 256]",
+    "camera.distortion": "camera.distortion.k1=0.5",
 }
 ONE_CHOICE = {"viewpoint.kind", "pose_error.attitude.axis"}
 

@@ -1,0 +1,50 @@
+"""Images of a real lens resampled to those of the ideal one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, pixel_to_opencv
+
+
+def rectify(image: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """Resample an image of ``camera`` once to what ``camera.pinhole`` would have seen.
+
+    The interpolation is a cubic spline. Through AMICA's lens (1.5 pixels in the corners) its RMS error is 0.6 % of the
+    amplitude of a wave of 4 pixels and 0.03 % of one of 8 pixels, and white noise keeps 84 % of its variance.
+    (OpenCV's remap would round positions to 1/32 pixel.) Beyond the edge the image is like its edge.
+
+    Parameters
+    ----------
+    image
+        (H, W), any linear measure of radiance; not changed.
+    camera
+        The camera that took it.
+
+    Returns
+    -------
+    ndarray
+        (H, W) float32; ``image`` itself for a camera without distortion.
+
+    Raises
+    ------
+    BoresightError
+        If the image is not of the camera's size, or the lens has no pixel for a part of the field.
+    """
+    if camera.distortion is None:
+        return image
+    if image.shape != (camera.height_px, camera.width_px):
+        raise BoresightError(
+            f"an image of shape {image.shape} is not of the camera, {camera.width_px} x {camera.height_px} pixels"
+        )
+    columns, rows = np.meshgrid(np.arange(camera.width_px) + 0.5, np.arange(camera.height_px) + 0.5)
+    seen = pixel_to_opencv(camera.distorted(np.stack([columns, rows], axis=-1)))
+    if not np.isfinite(seen).all():
+        raise BoresightError(f"the distortion {camera.distortion} has no pixel for a part of the pinhole's field")
+    rectified: NDArray[np.float32] = map_coordinates(
+        image, [seen[..., 1], seen[..., 0]], output=np.float32, order=3, mode="nearest"
+    )
+    return rectified

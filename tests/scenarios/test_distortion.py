@@ -1,0 +1,101 @@
+"""Radial distortion against OpenCV, whose polynomial runs the other way, and against central differences."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, RadialDistortion, pixel_from_opencv, pixel_to_opencv
+from scenarios.load import load_scenario
+
+# As the kernels state them, per mm**2 of the focal plane, with focal lengths in mm.
+AMICA = Camera(1024, 1024, 120.8 / 0.012, 120.8 / 0.012, 512.0, 512.0, RadialDistortion(-2.8e-5 * 120.8**2))
+MSI = Camera(537, 244, 166.85 / 0.016, 166.85 / 0.027, 268.5, 122.0, RadialDistortion(-7e-5 * 166.85**2))
+WIDE = Camera(640, 480, 700.0, 710.0, 318.0, 243.0, RadialDistortion(-0.12, 0.03))
+BARREL = Camera(640, 480, 700.0, 710.0, 318.0, 243.0, RadialDistortion(0.3, 0.1))
+CAMERAS = pytest.mark.parametrize("camera", [AMICA, MSI, WIDE, BARREL], ids=["amica", "msi", "wide", "barrel"])
+
+
+def pixels(camera: Camera, number: int = 200) -> np.ndarray:
+    corners = [[0, 0], [camera.width_px, 0], [0, camera.height_px], [camera.width_px, camera.height_px]]
+    inside = np.random.default_rng(5).uniform(0, 1, (number, 2)) * [camera.width_px, camera.height_px]
+    return np.concatenate([inside, corners, [[camera.cx_px, camera.cy_px]]])
+
+
+def opencv(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    matrix = camera.matrix
+    matrix[:2, 2] = pixel_to_opencv(matrix[:2, 2])
+    return matrix, np.array([camera.distortion.k1, camera.distortion.k2, 0.0, 0.0])
+
+
+@CAMERAS
+def test_undistorting_is_opencvs_distorting(camera):
+    matrix, coefficients = opencv(camera)
+    uv = pixels(camera)
+    slopes = np.linalg.solve(matrix, np.column_stack([pixel_to_opencv(uv), np.ones(len(uv))]).T).T
+    expected, _ = cv2.projectPoints(slopes, np.zeros(3), np.zeros(3), matrix, coefficients)
+    np.testing.assert_allclose(camera.undistorted(uv), pixel_from_opencv(expected[:, 0]), atol=1e-9)
+
+
+@CAMERAS
+def test_distorting_is_opencvs_undistorting(camera):
+    matrix, coefficients = opencv(camera)
+    uv = camera.undistorted(pixels(camera))
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 1000, 1e-14)
+    points = pixel_to_opencv(uv)[:, None]
+    expected = cv2.undistortPoints(points, matrix, coefficients, P=matrix, criteria=criteria)[:, 0]
+    np.testing.assert_allclose(camera.distorted(uv), pixel_from_opencv(expected), atol=1e-8)
+
+
+@CAMERAS
+def test_project_and_unproject_invert_each_other(camera):
+    uv = pixels(camera)
+    np.testing.assert_allclose(camera.project(7.0 * camera.unproject(uv)), uv, atol=1e-9)
+
+
+@CAMERAS
+def test_jacobian_against_central_differences(camera):
+    points = 5.0 * camera.unproject(pixels(camera, 40))
+    step = 1e-6
+    numeric = np.stack(
+        [(camera.project(points + step * e) - camera.project(points - step * e)) / (2 * step) for e in np.eye(3)],
+        axis=-1,
+    )
+    np.testing.assert_allclose(camera.jacobian(points), numeric, rtol=1e-5, atol=1e-4)
+
+
+def test_the_corner_of_amica_moves_by_three_halves_of_a_pixel():
+    corner = np.array([1024.0, 1024.0])
+    radius_mm = np.hypot(512, 512) * 0.012
+    expected_px = 2.8e-5 * radius_mm**2 * np.hypot(512, 512)
+    assert np.linalg.norm(AMICA.undistorted(corner) - corner) == pytest.approx(expected_px)
+    assert expected_px == pytest.approx(1.53, abs=0.01)
+
+
+def test_a_pinhole_distorts_nothing():
+    uv = pixels(WIDE)
+    assert WIDE.pinhole.distortion is None
+    np.testing.assert_array_equal(WIDE.pinhole.distorted(uv), uv)
+    np.testing.assert_array_equal(WIDE.pinhole.undistorted(uv), uv)
+
+
+def test_what_the_polynomial_cannot_invert_has_no_pixel():
+    # With k1 < 0 no ideal radius beyond 2/3 sqrt(1 / (3 |k1|)) is ever seen.
+    lens = RadialDistortion(-0.12)
+    largest = 2.0 / 3.0 * np.sqrt(1.0 / 0.36)
+    assert np.isfinite(lens.seen(np.array([0.999 * largest, 0.0]))).all()
+    assert np.isnan(lens.seen(np.array([1.001 * largest, 0.0]))).all()
+    assert lens.invertible_within(np.sqrt(1.0 / 0.36) - 1e-6)
+    assert not lens.invertible_within(np.sqrt(1.0 / 0.36) + 1e-6)
+    # The slope 1 - 3 r^2 + 2 r^4 is negative between its roots alone, r^2 = 1/2 and 1.
+    assert not RadialDistortion(-1.0, 0.4).invertible_within(1.1)
+
+
+def test_a_scenario_names_the_distortion(tmp_path):
+    file = tmp_path / "lens.yaml"
+    file.write_text("camera: {fov_deg: 20, distortion: {k1: -0.4}}\nviewpoint: {range_m: 2000}\n")
+    assert load_scenario(str(file)).spec.camera.camera().distortion == RadialDistortion(-0.4)
+    with pytest.raises(BoresightError, match=r"camera.*folds the image over.*not to mm or pixels"):
+        load_scenario(str(file), ("camera.distortion.k1=-40",))
