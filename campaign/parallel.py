@@ -12,6 +12,7 @@ from typing import TypeVar
 
 from joblib import Parallel, delayed
 
+from campaign.image_store import store_is_on, store_switched
 from scenarios.errors import BoresightError
 
 T = TypeVar("T")
@@ -36,7 +37,7 @@ def in_order(jobs: int, function: Callable[..., T], calls: Iterable[tuple[object
     """
     parallel = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch="2*n_jobs", batch_size=1)
     with _workers_deaf_to_interrupts():
-        results = parallel(delayed(function)(*call) for call in calls)
+        results = parallel(delayed(_with_switch)(store_is_on(), function, *call) for call in calls)
     try:
         # Not `yield from`, which would close the results before the warning below is silenced.
         for result in results:  # noqa: UP028
@@ -50,6 +51,12 @@ def in_order(jobs: int, function: Callable[..., T], calls: Iterable[tuple[object
         # What was under way when the consumer stopped is not stored, which is as it should be.
         with warnings.catch_warnings(action="ignore", category=UserWarning):
             results.close()
+
+
+def _with_switch(images_kept: bool, function: Callable[..., T], *call: object) -> T:
+    """Call in a worker, which may have started before the store of images was switched."""
+    with store_switched(images_kept):
+        return function(*call)
 
 
 @contextmanager

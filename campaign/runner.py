@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any, Protocol
 
@@ -12,6 +13,7 @@ from campaign.products import BuiltProduct, Shelf
 from campaign.request import RunRequest
 from campaign.resolve import ResolvedCampaign
 from campaign.store import RunFolder, RunLock
+from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
 from campaign.store.folder import Block, blocks
 from campaign.worker import run_block
 from scenarios.errors import BoresightError
@@ -51,9 +53,12 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
         todo, stored = _plan(folder, campaign, request)
         total = request.trials * len(campaign.scenarios)
         listener.started(stored, total)
+        images: Counter[str] = Counter()
         for block, records in _computed(campaign, todo, request):
             folder.write_block(block, records)
+            images.update(_images(records))
             listener.block(records, block.last - block.first)
+        listener.message(f"images: {images[FRESH_IMAGE]} rendered or read, {images[STORED_IMAGE]} from the store")
         folder.write_manifest(manifests.updated(manifest, finished=manifests.now()))
     return folder
 
@@ -81,6 +86,12 @@ def _build_products(campaign: ResolvedCampaign, request: RunRequest, listener: L
         shelf = Shelf(scenario, request.out / "products", request.jobs, campaign.variant, listener.message)
         products += kind.prepare(campaign, scenario, shelf)
     return products
+
+
+def _images(records: Records) -> Counter[str]:
+    """Count the images of a block by where they came from; all estimators see the same one."""
+    ways = [record for record in records["timings"] if record["stage"] in (FRESH_IMAGE, STORED_IMAGE)]
+    return Counter({record["trial"]: str(record["stage"]) for record in ways}.values())
 
 
 def _plan(folder: RunFolder, campaign: ResolvedCampaign, request: RunRequest) -> tuple[list[Block], int]:

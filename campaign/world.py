@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from campaign.image_store import ImageStore
 from campaign.resolve import images_digest
 from renderers.detector import Detector
 from renderers.images import PosedImageSet
@@ -38,6 +39,8 @@ class Sight:
         File name of a real image, or ''.
     time_s
         Epoch of a real image, or 0.
+    from_store
+        Whether the image was rendered in an earlier run.
     """
 
     image: NDArray[np.float32]
@@ -45,6 +48,7 @@ class Sight:
     further: dict[str, View]
     image_name: str = ""
     time_s: float = 0.0
+    from_store: bool = False
 
 
 class Source(Protocol):
@@ -54,23 +58,32 @@ class Source(Protocol):
         """Produce the image and the truth of one trial."""
         ...
 
+    def flush(self) -> None:
+        """Keep what was rendered, at the end of a block of trials."""
+        ...
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedSource:
-    """Images rendered from views drawn at random."""
+    """Images rendered from views drawn at random, or taken from the store of those."""
 
     scenario: LoadedScenario
     camera: Camera
     renderer: MitsubaRenderer
     detector: Detector | None
+    store: ImageStore
 
     def sight(self, seed: int, trial: int) -> Sight:
         """Draw a view, render it and expose the detector."""
         view = draw_view(self.scenario.spec, self.camera, generator(seed, Stream.TRUTH, trial))
-        image = self.renderer.render(view)
+        image, from_store = self.store.image(seed, trial, view, self.renderer.render)
         if self.detector is not None:
             image = self.detector.expose(image, generator(seed, Stream.DETECTOR, trial))
-        return Sight(image, view, {})
+        return Sight(image, view, {}, from_store=from_store)
+
+    def flush(self) -> None:
+        """Keep what was rendered."""
+        self.store.flush()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +110,9 @@ class RealSource:
             self.images.names[index],
             self.images.time_s(index),
         )
+
+    def flush(self) -> None:
+        """Do nothing: real images are on the disk already."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +181,8 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
     _check_range(scenario, body.mesh, spec.viewpoint)
     detector = Detector(spec.detector) if spec.detector is not None else None
-    source = RenderedSource(scenario, camera, renderer, detector)
+    store = ImageStore.open(scenario, variant, Stream.TRUTH, spec.viewpoint, spec.lighting)
+    source = RenderedSource(scenario, camera, renderer, detector, store)
     return World(scenario, camera, body, renderer, source)
 
 

@@ -27,6 +27,7 @@ _TIMED = {
     "feature_extraction": "feature extraction",
     "recognition": "recognition and pose estimation",
     "image": "image (rendered or read)",
+    "stored_image": "image (from the store)",
 }
 _MEASURES = {
     "position_error_m": "position error",

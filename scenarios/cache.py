@@ -3,6 +3,8 @@
 Entries are folders ``ROOT/KIND/KEY`` with a manifest of their files' digests. An entry appears whole (built
 aside, then renamed) or not at all; one that is damaged is dropped and built again. Where nothing can be
 written the entry is built in a temporary folder of this process, and a warning is logged.
+
+Kinds in ``BULK`` are large for the time that they save: they make room for the others.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import shutil
 import tempfile
 import time
 import uuid
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,8 +31,12 @@ from scenarios.errors import BoresightError
 
 _log = logging.getLogger(__name__)
 
+BULK = frozenset({"images"})
+
 _MANIFEST = "manifest.json"
 _STALE_S = 24 * 3600.0
+# One put in so many looks at the whole cache, which takes longer than a small write.
+_PUTS_PER_EVICTION = 8
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
@@ -53,7 +60,8 @@ class Cache:
     root
         The folder; made when first needed.
     limit_bytes
-        After each build the entries that were not used for longest are removed until the rest fits.
+        After a build the entries that were not used for longest are removed until the rest fits, those of bulky
+        kinds before all others.
     """
 
     root: Path
@@ -72,12 +80,10 @@ class Cache:
         build
             Writes the entry's files into the folder that it is given.
         """
-        for name in (kind, key):
-            if not _NAME.fullmatch(name):
-                raise BoresightError(f"cache entry {kind}/{key}: a name has only letters, digits and . _ -")
-        final = self.root / kind / key
-        if self._is_sound(final):
-            return final
+        found = self.find(kind, key)
+        if found is not None:
+            return found
+        final = self._place(kind, key)
         _discard(final)
         try:
             aside = self._aside()
@@ -94,6 +100,33 @@ class Cache:
         self._evict(keep=final)
         return final
 
+    def find(self, kind: str, key: str) -> Path | None:
+        """Return the folder of an entry; None if it is not there or is damaged."""
+        final = self._place(kind, key)
+        return final if self._is_sound(final) else None
+
+    def put(self, kind: str, key: str, write: Callable[[Path], None]) -> bool:
+        """Let ``write(empty_folder)`` make an entry, in place of an older one; tell whether it could be kept.
+
+        Unlike ``folder`` it keeps nothing where the cache cannot be written, and logs that.
+        """
+        final = self._place(kind, key)
+        try:
+            aside = self._aside()
+            try:
+                write(aside)
+                _write_manifest(aside)
+                _discard(final)
+                self._publish(aside, final)
+            finally:
+                shutil.rmtree(aside, ignore_errors=True)
+        except OSError as error:
+            _log.warning("%s cannot be written (%s): nothing is kept there", self.root, error.strerror or error)
+            return False
+        if zlib.crc32(key.encode()) % _PUTS_PER_EVICTION == 0:
+            self._evict(keep=final)
+        return True
+
     def entries(self) -> tuple[CacheEntry, ...]:
         """List the entries, least recently used first."""
         found = []
@@ -106,18 +139,24 @@ class Cache:
                 found.append(CacheEntry(path.parent.name, path.name, path, size, manifest.stat().st_mtime))
         return tuple(sorted(found, key=lambda entry: (entry.used_s, entry.path)))
 
-    def size_bytes(self) -> int:
-        """Add up the sizes of all entries."""
-        return sum(entry.size_bytes for entry in self.entries())
+    def size_bytes(self, kind: str | None = None) -> int:
+        """Add up the sizes of all entries, or of those of a kind."""
+        return sum(entry.size_bytes for entry in self.entries() if kind in (None, entry.kind))
 
-    def clear(self) -> int:
-        """Remove every entry and every left-over of a killed build; return the number of entries."""
-        entries = self.entries()
+    def clear(self, kind: str | None = None) -> int:
+        """Remove all entries, or those of a kind, and the left-overs of killed builds; return how many they were."""
+        entries = [entry for entry in self.entries() if kind in (None, entry.kind)]
         for entry in entries:
             _discard(entry.path)
         for leftover in self._workshop().glob("*"):
             shutil.rmtree(leftover, ignore_errors=True)
         return len(entries)
+
+    def _place(self, kind: str, key: str) -> Path:
+        for name in (kind, key):
+            if not _NAME.fullmatch(name):
+                raise BoresightError(f"cache entry {kind}/{key}: a name has only letters, digits and . _ -")
+        return self.root / kind / key
 
     def _workshop(self) -> Path:
         return self.root / ".building"
@@ -168,7 +207,7 @@ class Cache:
     def _evict(self, keep: Path) -> None:
         entries = self.entries()
         total = sum(entry.size_bytes for entry in entries)
-        for entry in entries:
+        for entry in sorted(entries, key=lambda entry: entry.kind not in BULK):
             if total <= self.limit_bytes:
                 return
             if entry.path != keep:

@@ -11,20 +11,24 @@ from rich.table import Table
 from campaign.cli.terminal import console
 from campaign.machine import cores, describe, memory_gib, package_versions
 from renderers.mitsuba3 import choose_variant, find_llvm, gpu_status
-from scenarios.cache import default_cache
+from scenarios.cache import BULK, default_cache
+from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction
 
 _COMFORTABLE_GIB = 8.0
+_EVERYTHING = ""
 
 
 def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the commands to the parser."""
     doctor = commands.add_parser("doctor", help="say what this machine offers and what to do about what is missing")
     doctor.set_defaults(handler=_doctor)
-    store = commands.add_parser("cache", help="show the cache of bodies and data bases, or clear it")
-    store.add_argument("--clear", action="store_true", help="delete everything in it")
+    store = commands.add_parser("cache", help="show the cache of bodies, data bases and images, or clear it")
+    store.add_argument(
+        "--clear", metavar="KIND", nargs="?", const=_EVERYTHING, help="delete everything in it, or one kind of things"
+    )
     store.set_defaults(handler=_cache)
 
 
@@ -65,11 +69,18 @@ def _advice(about_variant: str) -> list[str]:
 
 def _cache(arguments: argparse.Namespace) -> int:
     out, cache = console(), default_cache()
-    if arguments.clear:
-        freed = cache.size_bytes()
-        out.print(f"{cache.root}: {cache.clear()} entries removed, {freed / 2**20:.1f} MiB freed")
+    kinds = sorted({entry.kind for entry in cache.entries()})
+    if arguments.clear is not None:
+        if arguments.clear not in (_EVERYTHING, *kinds):
+            raise BoresightError(f"--clear {arguments.clear}: the cache holds {', '.join(kinds) or 'nothing'}")
+        kind = arguments.clear or None
+        freed = cache.size_bytes(kind)
+        out.print(f"{cache.root}: {cache.clear(kind)} entries removed, {freed / 2**20:.1f} MiB freed")
         return 0
     out.print(f"{cache.root}: {cache.size_bytes() / 2**20:.1f} MiB of {cache.limit_bytes / 2**30:.1f} GiB")
-    for entry in cache.entries():
-        out.print(f"  {entry.kind}  {entry.key[:20]}  {entry.size_bytes / 2**20:.1f} MiB")
+    for kind in kinds:
+        mine = [entry for entry in cache.entries() if entry.kind == kind]
+        out.print(f"{kind}: {len(mine)} entries, {sum(entry.size_bytes for entry in mine) / 2**20:.1f} MiB")
+        for entry in mine if kind not in BULK else ():
+            out.print(f"  {entry.key[:20]}  {entry.size_bytes / 2**20:.1f} MiB")
     return 0

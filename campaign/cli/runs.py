@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from campaign.cli.catalog import add_overrides
 from campaign.cli.progress import ProgressListener
 from campaign.cli.terminal import console
+from campaign.image_store import store_is_on, store_switched
 from campaign.machine import cores
 from campaign.request import RunRequest
 from campaign.resolve import ResolvedCampaign, resolve
@@ -34,6 +35,7 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     run.add_argument("--out", type=Path, help="run folder (default: runs/NAME-DIGEST)")
     run.add_argument("--variant", help="Mitsuba variant (default: the fastest that works; see boresight doctor)")
     run.add_argument("--keep-images", action="store_true", help="keep every image as TIFF in the run folder")
+    run.add_argument("--no-store", action="store_true", help="render every image anew, and keep none in the cache")
     add_overrides(run)
     run.set_defaults(handler=_run)
     status = commands.add_parser("status", help="say how far a run is")
@@ -77,7 +79,7 @@ def _run(arguments: argparse.Namespace) -> int:
     out.print(f"{campaign.spec.name}: {trials} trials into {request.out}, {request.jobs} job(s), {variant.name}")
     if variant.advice:
         out.print(variant.advice)
-    with ProgressListener(out) as listener:
+    with store_switched(store_is_on() and not arguments.no_store), ProgressListener(out) as listener:
         folder = run_campaign(campaign, request, listener)
     _print_report(folder)
     return 3 if (folder.table("rows")["status"] == "error").any() else 0

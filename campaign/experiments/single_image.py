@@ -17,6 +17,7 @@ from campaign.experiments.registry import Bench, Record, Records
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import consistency, no_consistency, no_pose_error, pose_error
+from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
 from campaign.world import Sight, World, open_world
 from estimators.contract import Estimate, Estimator, Table
 from estimators.registry import estimator_class
@@ -88,6 +89,7 @@ class SingleImage:
         for trial in trials:
             for table, added in self.trial(trial).items():
                 records.setdefault(table, []).extend(added)
+        self.world.source.flush()
         return records
 
     def trial(self, trial: int) -> Records:
@@ -103,7 +105,8 @@ class SingleImage:
             key: Record = {"trial": trial, "scenario": self.world.scenario.spec.name, "estimator": label}
             for table, added in self._judged(estimator, observation, sight, trial).items():
                 _add(records, table, key, added)
-            _add(records, "timings", key, [{"stage": "image", "seconds": image_seconds}])
+            stage = STORED_IMAGE if sight.from_store else FRESH_IMAGE
+            _add(records, "timings", key, [{"stage": stage, "seconds": image_seconds}])
         return records
 
     def observe(self, sight: Sight, trial: int) -> Observation:

@@ -8,6 +8,9 @@ import pyarrow as pa
 
 FORMAT_VERSION = 2
 
+# Stages of ``timings`` that tell how a trial came by its image: rendered or read in this run, or kept from another.
+FRESH_IMAGE, STORED_IMAGE = "image", "stored_image"
+
 
 @dataclass(frozen=True, slots=True)
 class Column:

@@ -4,7 +4,7 @@ from renderers.mitsuba3.bsdf import register_bsdfs
 from renderers.mitsuba3.llvm import LlvmSearch, find_llvm
 from renderers.mitsuba3.renderer import MitsubaRenderer
 from renderers.mitsuba3.surface import check_outside
-from renderers.mitsuba3.variant import Variant, choose_variant, gpu_status, limit_threads
+from renderers.mitsuba3.variant import Variant, choose_variant, code_generator, gpu_status, limit_threads
 
 __all__ = [
     "LlvmSearch",
@@ -12,6 +12,7 @@ __all__ = [
     "Variant",
     "check_outside",
     "choose_variant",
+    "code_generator",
     "find_llvm",
     "gpu_status",
     "limit_threads",

@@ -72,6 +72,13 @@ def gpu_status() -> str:
     return _cuda_status()[1]
 
 
+def code_generator(variant: Variant) -> str:
+    """Name the compiler behind a variant, which may round differently from another: "LLVM 19.1.7", or ''."""
+    if variant.name != LLVM:
+        return ""
+    return f"LLVM {'.'.join(map(str, _load_drjit().detail.llvm_version()))}"
+
+
 def load_mitsuba(variant: Variant) -> Any:
     """Return the library ``mitsuba`` with this variant active.
 

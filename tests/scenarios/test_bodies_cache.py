@@ -155,3 +155,35 @@ def test_the_default_follows_the_environment(tmp_path, monkeypatch):
         monkeypatch.setenv("BORESIGHT_CACHE_GB", wrong)
         with pytest.raises(BoresightError, match=f"BORESIGHT_CACHE_GB: '{wrong}' is not a size in GB"):
             default_cache()
+
+
+def test_bulky_kinds_make_room_for_the_others(tmp_path):
+    cache = Cache(tmp_path, limit_bytes=250)
+    for age, (kind, key) in enumerate([("images", "newest"), ("images", "newer"), ("bodies", "oldest")]):
+        manifest = cache.folder(kind, key, writer("x", 100)) / "manifest.json"
+        os.utime(manifest, (time.time() - 100.0 * (age + 1),) * 2)
+    assert {entry.key for entry in cache.entries()} == {"newest", "oldest"}
+
+
+def test_put_replaces_and_find_builds_nothing(cache):
+    assert cache.find("kind", "key") is None
+    for text in ("first", "second"):
+        assert cache.put("kind", "key", writer(text))
+        assert (cache.find("kind", "key") / "sub" / "file.txt").read_text() == text
+    (cache.root / "kind" / "key" / "sub" / "file.txt").write_text("damage")
+    assert cache.find("kind", "key") is None
+    assert [entry.key for entry in cache.entries()] == ["key"]
+
+
+def test_puts_keep_within_the_limit(tmp_path):
+    cache = Cache(tmp_path, limit_bytes=1000)
+    for number in range(200):
+        cache.put("kind", f"key-{number}", writer("x", 100))
+    assert cache.size_bytes() < 1000 + 32 * 100
+    assert cache.find("kind", "key-199") is not None
+
+
+def test_put_says_that_nothing_is_kept(tmp_path, caplog):
+    (tmp_path / "file").write_text("in the way")
+    assert Cache(tmp_path / "file", 10**9).put("kind", "key", writer()) is False
+    assert "nothing is kept there" in caplog.text

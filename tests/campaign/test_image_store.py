@@ -1,0 +1,217 @@
+"""The store of rendered images: every bit comes back, and what decides a pixel decides what is found."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from tiny_campaign import (
+    CAMPAIGN,
+    SCENE,
+    TRIALS,
+    assert_same_results,
+    boresight,
+    run,
+    started,
+    stop,
+    wait_for_blocks,
+    write_campaign,
+)
+
+from campaign.image_store import ImageStore, image_set_key, store_switched
+from campaign.store import RunFolder
+from campaign.store.image_chunk import KeptImage, read_images, write_images
+from renderers.mitsuba3 import choose_variant
+from scenarios.cache import default_cache
+from scenarios.draw import Stream
+from scenarios.geometry import Camera, View, look_at
+from scenarios.load import load_scenario
+
+CAMERA = Camera(64, 48, 100.0, 100.0, 32.0, 24.0)
+
+
+def view(distance_m=1000.0):
+    return View(CAMERA, look_at(np.array([0.0, 0.0, distance_m]), 0.3), np.array([0.0, 0.6, 0.8]))
+
+
+@pytest.fixture
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "cache"))
+    return default_cache()
+
+
+class Counting:
+    """Renders noise, and counts how often."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, view):
+        self.calls += 1
+        return np.random.default_rng(self.calls).random((CAMERA.height_px, CAMERA.width_px), dtype=np.float32)
+
+
+def test_every_bit_comes_back(tmp_path):
+    rng = np.random.default_rng(1)
+    strange = np.frombuffer(rng.bytes(4 * 33 * 57), np.float32).reshape(33, 57).copy()
+    strange[0, :6] = [-0.0, 0.0, np.nan, np.inf, np.finfo(np.float32).smallest_subnormal, -1.5]
+    images = {7: strange, 3: np.zeros((4, 5), np.float32), 5: np.ones((1, 9), np.float32)}
+    write_images(tmp_path / "a.parquet", {i: KeptImage(image, bytes([i])) for i, image in images.items()})
+    found = read_images(tmp_path / "a.parquet")
+    assert {i: kept.view for i, kept in found.items()} == {7: b"\7", 3: b"\3", 5: b"\5"}
+    for i, image in images.items():
+        np.testing.assert_array_equal(found[i].image.view(np.uint32), image.view(np.uint32))
+    table = pd.read_parquet(tmp_path / "a.parquet").set_index("index")  # and pandas reads it too
+    np.testing.assert_array_equal(table.loc[5, "values"], np.ones(9))
+
+
+def test_an_image_is_rendered_once(own_cache):
+    render = Counting()
+    store = ImageStore("key", 10)
+    first = [store.image(1, index, view(), render) for index in range(12)]
+    store.flush()
+    again = [ImageStore("key", 10).image(1, index, view(), render) for index in range(12)]
+    assert [kept for _, kept in first] == [False] * 12
+    assert [kept for _, kept in again] == [True] * 12
+    assert render.calls == 12
+    for (a, _), (b, _) in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_part_of_a_chunk_is_kept_and_filled_up_later(own_cache):
+    render = Counting()
+    for asked in (range(3), range(6), range(10)):
+        store = ImageStore("key", 10)
+        origins = [store.image(1, index, view(), render)[1] for index in asked]
+        store.flush()
+        assert origins.count(False) == {3: 3, 6: 3, 10: 4}[len(asked)]
+    assert len(own_cache.entries()) == 1
+
+
+@pytest.mark.parametrize("other", ["seed", "key", "view"])
+def test_what_differs_is_rendered(own_cache, other):
+    render = Counting()
+    store = ImageStore("key", 10)
+    store.image(1, 0, view(), render)
+    store.flush()
+    found = ImageStore("other" if other == "key" else "key", 10).image(
+        2 if other == "seed" else 1, 0, view(1000.0 + 1e-9 * (other == "view")), render
+    )
+    assert found[1] is False
+    assert render.calls == 2
+
+
+def test_a_damaged_image_is_rendered_again(own_cache):
+    render = Counting()
+    for damage in (False, True):
+        store = ImageStore("key", 10)
+        assert store.image(1, 0, view(), render)[1] is False
+        store.flush()
+        (entry,) = own_cache.entries()
+        if not damage:
+            file = entry.path / "images.parquet"
+            content = bytearray(file.read_bytes())
+            content[len(content) // 2] ^= 1
+            file.write_bytes(content)
+    assert ImageStore("key", 10).image(1, 0, view(), render)[1] is True
+
+
+def test_without_the_store_nothing_is_kept_or_taken(own_cache):
+    render, store = Counting(), ImageStore("key", 10)
+    store.image(1, 0, view(), render)
+    store.flush()
+    with store_switched(on=False):
+        assert store.image(1, 0, view(), render)[1] is False
+        store.image(1, 1, view(), render)
+        store.flush()
+    assert [store.image(1, index, view(), render)[1] for index in (0, 1)] == [True, False]
+
+
+def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeypatch, caplog):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "file"))
+    render, store = Counting(), ImageStore("key", 10)
+    for index in range(30):
+        store.image(1, index, view(), render)
+    store.flush()
+    assert render.calls == 30
+    assert len(caplog.records) == 1
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_rows_are_the_same_from_the_store(own_cache, tmp_path, jobs):
+    noisy = write_campaign(tmp_path / "noisy", scene=SCENE + "detector: {psf_sigma_px: 0.6}\n")
+    for out, how, rendered, stored in (
+        ("fresh", ["--no-store"], TRIALS, 0), ("first", [], TRIALS, 0), ("second", [], 0, TRIALS),
+    ):  # fmt: skip
+        done = boresight("run", noisy, "--out", tmp_path / out, "--jobs", jobs, *how)
+        assert f"images: {rendered} rendered or read, {stored} from the store" in done.stdout
+        assert_same_results(tmp_path / "fresh", tmp_path / out)
+    stages = RunFolder(tmp_path / "second").table("timings").groupby("stage").size()
+    assert stages["stored_image"] == 2 * TRIALS
+    assert "image" not in stages
+
+
+def test_another_threshold_or_detector_renders_nothing(own_cache, tmp_path, capsys):
+    run(write_campaign(tmp_path / "first"), tmp_path / "a")
+    other = CAMPAIGN.replace("database:", "pose: {match_d2_max: 25}\n      database:")
+    noisy = SCENE + "detector: {psf_sigma_px: 0.6}\n"
+    for name, campaign, scene in (("threshold", other, SCENE), ("detector", CAMPAIGN, noisy)):
+        capsys.readouterr()
+        run(write_campaign(tmp_path / name, campaign, scene), tmp_path / f"run-{name}")
+        assert f"images: 0 rendered or read, {TRIALS} from the store" in capsys.readouterr().out
+
+
+def test_a_killed_run_leaves_a_sound_store(own_cache, tmp_path):
+    file = write_campaign(tmp_path / "campaign", CAMPAIGN.replace(f"trials: {TRIALS}", "trials: 400"))
+    arguments = ("run", file, "--jobs", 2, "--out", tmp_path / "killed", "--trials", 400)
+    with started(*arguments) as process:
+        wait_for_blocks(process, tmp_path / "killed", 3)
+        stop(process)
+    kept = [entry for entry in own_cache.entries() if entry.kind == "images"]
+    assert kept
+    for entry in kept:
+        assert own_cache.find(entry.kind, entry.key) == entry.path
+        assert len(read_images(entry.path / "images.parquet")) == 10
+    run(file, tmp_path / "after", "--trials", 30)
+    run(file, tmp_path / "fresh", "--trials", 30, "--no-store")
+    assert_same_results(tmp_path / "fresh", tmp_path / "after")
+
+
+def test_cache_lists_images_by_kind_and_clears_them_alone(own_cache, tmp_path):
+    run(write_campaign(tmp_path), tmp_path / "run")
+    listing = boresight("cache").stdout
+    assert "images: 3 entries" in listing
+    assert "3 entries removed" in boresight("cache", "--clear", "images").stdout
+    left = boresight("cache").stdout
+    assert "images:" not in left
+    assert "landmark-database: 1 entries" in left
+    refused = boresight("cache", "--clear", "imagse")
+    assert refused.returncode == 2
+    assert "imagse: the cache holds bodies, landmark-database" in refused.stderr
+
+
+def test_large_images_have_small_chunks(tmp_path):
+    file = write_campaign(tmp_path).parent / "scene.yaml"
+    variant = choose_variant().name
+    sides = {128: 10, 2048: 8, 8192: 1}
+    for side, images in sides.items():
+        overrides = [f"camera.width_px={side}", f"camera.height_px={side}"]
+        assert ImageStore.open(load_scenario(str(file), overrides), variant, Stream.TRUTH).chunk_images == images
+
+
+@pytest.mark.parametrize(
+    ("change", "same"),
+    [
+        ("description=another", True), ("detector.psf_sigma_px=0.7", True),
+        ("pose_error.position_cam_m.normal=[1,1,1]", True),
+        ("camera.fov_deg=18.4", False), ("brdf.albedo=0.2", False), ("rendering.samples_per_pixel=9", False),
+        ("body.shading=smooth", False), ("body.detail.seed=4", False), ("viewpoint.range_m=2100", False),
+    ],
+)  # fmt: skip
+def test_the_key_is_what_decides_a_pixel(tmp_path, change, same):
+    file, variant = str(write_campaign(tmp_path).parent / "scene.yaml"), choose_variant().name
+    keys = []
+    for overrides in ([], [change]):
+        scenario = load_scenario(file, overrides)
+        keys.append(image_set_key(scenario, variant, Stream.TRUTH, (scenario.spec.viewpoint, scenario.spec.lighting)))
+    assert (keys[0] == keys[1]) is same
+    assert keys[0] != image_set_key(load_scenario(file), "scalar_rgb", Stream.TRUTH, ())
