@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from campaign.experiments.registry import experiment_class
+from estimators.registry import needed_sensors
 from renderers.detector import Detector
 from renderers.images import PosedImageSet
 from renderers.mitsuba3 import MitsubaRenderer
@@ -20,7 +21,7 @@ from scenarios.beliefs import believed_spec
 from scenarios.bodies import body_digest
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario, canonical_json, digest, load_campaign, load_scenario, names_in
-from scenarios.spec.campaign import CampaignSpec
+from scenarios.spec.campaign import CampaignSpec, EstimatorSpec
 from scenarios.spec.scenario import ScenarioSpec
 
 CATALOG = Path(__file__).parent / "catalog"
@@ -56,7 +57,7 @@ class ResolvedCampaign:
                 for s in self.scenarios
             ],
             "estimators": [
-                {"label": e.label, "name": e.name, "options": e.options, "version": kind.method_version(e.name)}
+                {"label": e.label, "name": e.name, "options": e.options, "version": _versions(self.spec, e)}
                 for e in self.spec.estimators
             ],
             "renderer": [MitsubaRenderer.name, MitsubaRenderer.version, self.variant],
@@ -123,8 +124,26 @@ def resolve(
     if len(set(names)) != len(names):
         raise BoresightError(f"{loaded.path}: scenarios: two of them are called the same: {names}")
     for entry in spec.estimators:
-        experiment_class(spec.experiment).method_version(entry.name)
+        _versions(spec, entry)
+        _check_sensors(entry, scenarios)
     return ResolvedCampaign(spec, scenarios, spec.seed if seed is None else seed, variant)
+
+
+def _versions(campaign: CampaignSpec, entry: EstimatorSpec) -> list[int]:
+    """Return the versions of a method and of the one that it builds on; refuse an unknown one."""
+    base = entry.options.get("base")
+    names = [entry.name, base] if isinstance(base, str) else [entry.name]
+    return [experiment_class(campaign.experiment).method_version(name) for name in names]
+
+
+def _check_sensors(entry: EstimatorSpec, scenarios: Sequence[LoadedScenario]) -> None:
+    """Refuse an estimator that needs what a scenario has not aboard."""
+    for scenario in scenarios:
+        for sensor in sorted(needed_sensors(entry.name) - scenario.spec.sensors.aboard):
+            raise BoresightError(
+                f"{scenario.path}: sensors.{sensor}: missing, but the estimator {entry.name} needs it:"
+                f" add the section, or leave the estimator out"
+            )
 
 
 def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:

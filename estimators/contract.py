@@ -94,7 +94,9 @@ class Estimate:
 class Estimator(Protocol):
     """Anything that turns an observation into an estimate.
 
-    ``version`` is part of every result's key: raise it when results change.
+    ``version`` is part of every result's key: raise it when results change. Two things are optional: a class attribute
+    ``sensors``, the names of the sensors beside the camera that it needs, and an option ``base``, the name of another
+    estimator that it builds on, whose version then is part of the key too.
     """
 
     name: ClassVar[str]

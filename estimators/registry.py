@@ -16,6 +16,7 @@ ENTRY_POINT_GROUP = "boresight.estimators"
 _OWN: Mapping[str, str] = MappingProxyType(
     {
         "landmark-harris": "estimators.landmark.recognizer:LandmarkRecognizer",
+        "landmark-altimeter": "estimators.altimeter:AltimeterEstimator",
         "prior": "estimators.prior:PriorEstimator",
     }
 )
@@ -24,6 +25,11 @@ _OWN: Mapping[str, str] = MappingProxyType(
 def estimator_names() -> tuple[str, ...]:
     """All names, sorted; third-party ones included."""
     return tuple(sorted({*_OWN, *(point.name for point in entry_points(group=ENTRY_POINT_GROUP))}))
+
+
+def needed_sensors(name: str) -> frozenset[str]:
+    """Return the sensors that an estimator cannot do without, from its class attribute ``sensors``; mostly none."""
+    return frozenset(getattr(estimator_class(name), "sensors", ())) if name in estimator_names() else frozenset()
 
 
 def estimator_class(name: str) -> type[Estimator]:

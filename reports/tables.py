@@ -17,6 +17,7 @@ _STAGES = {
     "centroid": "after centroiding",
     "alignment": "after alignment",
     "recognition": "after recognition",
+    "range": "after the range",
     "final": "final",
     FAILURES_AT_PRIOR: "failures at prior",
     "database": "data base",

@@ -26,6 +26,7 @@ class Stream(IntEnum):
     ESTIMATOR = 3
     DATABASE = 4
     KNOWLEDGE = 5
+    ALTIMETER = 6
 
 
 def generator(seed: int, stream: Stream, trial: int) -> np.random.Generator:

@@ -10,6 +10,14 @@ from numpy.typing import NDArray
 from scenarios.geometry import Camera, Pose
 
 
+@dataclass(frozen=True, slots=True)
+class RangeReading:
+    """What an altimeter measured along the boresight, and the standard deviation of its error, m."""
+
+    range_m: float
+    sigma_m: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """One image with what the spacecraft knows about it.
@@ -27,6 +35,8 @@ class Frame:
         (6, 6) covariance of the prior's error [rotation_rad, translation_m] in camera axes.
     time_s
         Epoch of the exposure.
+    altimeter
+        The distance to the surface along the boresight; None without an altimeter, or where it met nothing.
     """
 
     image: NDArray[np.float32]
@@ -34,6 +44,7 @@ class Frame:
     prior_T_cam_body: Pose
     prior_covariance: NDArray[np.float64]
     time_s: float = 0.0
+    altimeter: RangeReading | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,6 +17,7 @@ from campaign.experiments.registry import Bench, Record, Records
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import consistency, no_consistency, no_pose_error, pose_error
+from campaign.sensors import altimeter_reading
 from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
 from campaign.world import Sight, World, open_world
 from estimators.contract import Estimate, Estimator, Table
@@ -127,6 +128,7 @@ class SingleImage:
             prior_T_cam_body=prior,
             prior_covariance=_read_only(prior_covariance(spec.pose_error, range_m, self.world.camera)),
             time_s=sight.time_s,
+            altimeter=altimeter_reading(self.world, sight.view, generator(self.seed, Stream.ALTIMETER, trial)),
         )
         return Observation(camera.pinhole, (frame,))
 

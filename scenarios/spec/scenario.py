@@ -12,6 +12,7 @@ from scenarios.spec.brdf import BrdfSpec, LambertSpec
 from scenarios.spec.camera import CameraSpec, DetectorSpec, RenderingSpec
 from scenarios.spec.images import ImageSetSpec
 from scenarios.spec.onboard import OnboardSpec
+from scenarios.spec.sensors import SensorsSpec
 from scenarios.spec.world import PAPER_POSE_ERROR, LightingSpec, PoseErrorSpec, ViewpointSpec
 
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
@@ -38,6 +39,7 @@ class ScenarioSpec(SpecModel):
     lighting: LightingSpec = LightingSpec()
     images: ImageSetSpec | None = Field(None, description="Real images, instead of viewpoint")
     pose_error: PoseErrorSpec = PAPER_POSE_ERROR
+    sensors: SensorsSpec = Field(SensorsSpec(), description="What is measured beside the image")
     onboard: OnboardSpec = Field(OnboardSpec(), description="What the spacecraft believes, where it is wrong")
 
     @model_validator(mode="after")
@@ -61,4 +63,6 @@ class ScenarioSpec(SpecModel):
             raise ValueError("detector has no part in a scenario with images: they carry their own noise; leave it out")
         if self.images is not None and self.lighting != LightingSpec():
             raise ValueError("lighting has no part in a scenario with images: their table says where the Sun is")
+        if self.images is not None and self.sensors.aboard:
+            raise ValueError("sensors has no part in a scenario with images: there is no exact truth to measure in")
         return self

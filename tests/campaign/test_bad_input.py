@@ -55,7 +55,15 @@ FILES = {
     "unknown scenario": (CAMPAIGN.replace("[scene]", "[scne]"), SCENE, (), ["scne: no such scenario"]),
     "unknown estimator": (
         CAMPAIGN.replace("landmark-harris", "landmark-surf"), SCENE, (),
-        ["estimator 'landmark-surf' is unknown; there are: landmark-harris, prior"],
+        ["estimator 'landmark-surf' is unknown; there are: landmark-altimeter, landmark-harris, prior"],
+    ),
+    "no altimeter aboard": (
+        CAMPAIGN.replace("  - prior", "  - landmark-altimeter"), SCENE, (),
+        ["scene.yaml: sensors.altimeter: missing, but the estimator landmark-altimeter needs it", "add the section"],
+    ),
+    "unknown base": (
+        CAMPAIGN.replace("  - prior", "  - landmark-altimeter: {base: lidar}"),
+        SCENE + "sensors: {altimeter: {sigma_m: 5}}\n", (), ["estimator 'lidar' is unknown"],
     ),
     "unknown estimator option": (
         CAMPAIGN.replace("images: 40", "imges: 40"), SCENE, (), ["estimator landmark-harris: database.imges: "],

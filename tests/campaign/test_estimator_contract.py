@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,10 @@ from scenarios.load import load_scenario
 from scenarios.observation import Frame, Observation
 
 # What a table entry needs to be built quickly; whoever is not here is built with its defaults.
-QUICK = {"landmark-harris": {"database": DATABASE}}
+QUICK = {
+    "landmark-harris": {"database": DATABASE},
+    "landmark-altimeter": {"options": {"database": DATABASE}},
+}
 # The control row answers whatever the image shows.
 BLIND = {"prior"}
 
@@ -40,7 +43,7 @@ class Bench:
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     folder = tmp_path_factory.mktemp("bench")
-    (folder / "scene.yaml").write_text(SCENE)
+    (folder / "scene.yaml").write_text(SCENE + "sensors: {altimeter: {sigma_m: 5}}\n")
     scenario, variant = load_scenario(str(folder / "scene.yaml")), choose_variant().name
     return Bench(
         Shelf(scenario, folder / "products", 1, variant), SingleImage(open_world(scenario, variant), {}, seed=5)
@@ -84,8 +87,7 @@ def content(estimate: Estimate) -> bytes:
 
 def with_image(observation: Observation, image: np.ndarray) -> Observation:
     (frame,) = observation.frames
-    changed = Frame(image, frame.sun_dir_cam, frame.prior_T_cam_body, frame.prior_covariance, frame.time_s)
-    return Observation(observation.camera, (changed,))
+    return Observation(observation.camera, (replace(frame, image=image),))
 
 
 @pytest.mark.parametrize("name", estimator_names())

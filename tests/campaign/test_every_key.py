@@ -53,6 +53,7 @@ UNIFORM = RENDERED + (
     "pose_error: {position_cam_px: {uniform: [[-9, 9], [-9, 9], [-2, 2]]},"
     " attitude: {rotation_vector_deg: {uniform: [[-1, 1], [-1, 1], [-1, 1]]}}}\n"
 )
+ALTIMETER = RENDERED + "sensors: {altimeter: {sigma_m: 5}}\n"
 WRONG_HEIGHTS = RENDERED.replace(
     "body:\n", "body:\n  height_error: {rms_m: 4, max_wavelength_m: 200, min_wavelength_m: 50}\n"
 )
@@ -151,6 +152,7 @@ CHANGES: dict[str, tuple[str, str]] = {
     "onboard.pole_error_deg.normal": (RENDERED, "1"),
     "onboard.rotation_error_deg.uniform": (RENDERED, "[1, 1]"),
     "onboard.rotation_error_deg.normal": (RENDERED, "1"),
+    "sensors.altimeter.sigma_m": (ALTIMETER, "3"),
     "images.folder": (REAL, "other"),
     "images.table": (REAL, "more.csv"),
     "images.first_row": (REAL, "bottom"),
@@ -238,7 +240,7 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
             continue
         observation = experiment.observe(sight, trial)
         frame = observation.frames[0]
-        parts.append(repr(observation.camera).encode())
+        parts += [repr(observation.camera).encode(), repr(frame.altimeter).encode()]
         truths = [sight.view.T_cam_body, *(view.T_cam_body for view in sight.further.values())]
         poses = [array for pose in (*truths, frame.prior_T_cam_body) for array in (pose.rotation, pose.translation_m)]
         arrays = [sight.image, frame.image, frame.sun_dir_cam, frame.prior_covariance, *poses]

@@ -1,0 +1,206 @@
+"""A pose from an image, and a laser range along the boresight: section 6 of Rowell et al. (2015)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, JsonValue
+
+from estimators.contract import Assets, Estimate, Estimator, Stage
+from estimators.landmark.database import LandmarkDatabase
+from estimators.landmark.ranging import boresight_range, mesh_height_sigma_m
+from estimators.landmark.stopwatch import Stopwatch
+from estimators.options import parse_options
+from scenarios.errors import BoresightError
+from scenarios.geometry import Pose, TriangleMesh
+from scenarios.observation import Observation, RangeReading
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+
+_ROUNDS = 10
+_SETTLED_M = 1e-3
+
+
+@runtime_checkable
+class OnLandmarks(Protocol):
+    """What a base must have beside the contract: the data base whose mesh the range is measured against."""
+
+    @property
+    def database(self) -> LandmarkDatabase:
+        """The landmarks that it looks for."""
+        ...
+
+
+class AltimeterOptions(SpecModel):
+    """Options of the fusion."""
+
+    base: str = Field("landmark-harris", description="The estimator on a landmark data base that finds the pose")
+    options: Mapping[str, JsonValue] = Field(default_factory=dict, description="Options of the base")
+    trust: Literal["adaptive", "reported"] = Field(
+        "adaptive", description="Whether the base's covariance grows where the range contradicts it"
+    )
+    height_sigma_m: float | None = Field(
+        None, gt=0, description="RMS error of the mesh's heights; worked out from the data base if left out"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fusion:
+    """A pose with a range taken into account.
+
+    Parameters
+    ----------
+    T_cam_body, covariance
+        The pose and its (6, 6) covariance, [rotation_rad, translation_m] in camera axes.
+    information
+        (6, 6) information of the range alone, in the same parameters.
+    innovation_m
+        Measured range less the predicted one, before the fusion.
+    sigma_m
+        Standard deviation of the range's error and the mesh's, along the boresight.
+    inflation
+        Factor on the covariance that the pose came with.
+    """
+
+    T_cam_body: Pose
+    covariance: FloatArray
+    information: FloatArray
+    innovation_m: float
+    sigma_m: float
+    inflation: float
+
+
+def fuse_range(
+    prior: tuple[Pose, FloatArray], reading: RangeReading, mesh: TriangleMesh, height_sigma_m: float, adaptive: bool
+) -> Fusion | None:
+    """Find the pose that agrees best with its estimate and with a range: iterated Kalman update of one measurement.
+
+    The range's variance is R = sigma^2 + (height_sigma / cos i)^2. An estimate from wrongly matched landmarks believes
+    too much in itself. With ``adaptive`` its covariance P grows until the innovation nu is as large as it should be on
+    average, by max(1, (nu^2 - R) / (H P H^T)): the fading factor of strong tracking (Zhou and Frank 1996).
+
+    Parameters
+    ----------
+    prior
+        T_cam_body and its (6, 6) covariance.
+    reading
+        The measured range.
+    mesh
+        What the range is predicted with.
+    height_sigma_m
+        RMS error of its heights.
+    adaptive
+        Whether the covariance may grow.
+
+    Returns
+    -------
+    None where the boresight of the estimate misses the mesh.
+    """
+    start, covariance = prior
+    step, pose, result, inflation = np.zeros(6), start, None, 0.0
+    for _ in range(_ROUNDS):
+        predicted = boresight_range(mesh, pose)
+        if predicted is None:
+            break
+        H, variance_m2 = predicted.gradient, reading.sigma_m**2 + (height_sigma_m / predicted.cos_incidence) ** 2
+        innovation_m = reading.range_m - predicted.range_m + float(H @ step)
+        projected_m2 = float(H @ covariance @ H)
+        if result is None:
+            excess = (innovation_m**2 - variance_m2) / projected_m2
+            inflation, first_m = (max(1.0, excess) if adaptive else 1.0), innovation_m
+        grown = inflation * covariance
+        gain = grown @ H / (inflation * projected_m2 + variance_m2)
+        previous, step = step, gain * innovation_m
+        pose = start.perturbed(step[:3], step[3:])
+        information = np.outer(H, H) / variance_m2
+        updated = grown - np.outer(gain, H @ grown)
+        result = Fusion(pose, 0.5 * (updated + updated.T), information, first_m, float(np.sqrt(variance_m2)), inflation)
+        if np.linalg.norm((step - previous)[3:]) < _SETTLED_M:
+            break
+    return result
+
+
+class AltimeterEstimator:
+    """Another estimator's pose, fused with the altimeter's range; where there is no reading, the pose as it is."""
+
+    name: ClassVar[str] = "landmark-altimeter"
+    version: ClassVar[int] = 1
+    sensors: ClassVar[frozenset[str]] = frozenset({"altimeter"})
+
+    def __init__(self, base: Estimator, database: LandmarkDatabase, options: AltimeterOptions) -> None:
+        self._base = base
+        self._mesh = database.mesh()
+        self._height_sigma_m = options.height_sigma_m or mesh_height_sigma_m(database)
+        self._adaptive = options.trust == "adaptive"
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
+        """Build from a campaign's options: the base first, by its name."""
+        from estimators.registry import estimator_class  # the registry names this module
+
+        parsed = parse_options(AltimeterOptions, options, cls.name)
+        if parsed.base == cls.name:
+            raise BoresightError(f"estimator {cls.name}: base: it cannot be its own: the range would count twice")
+        base = estimator_class(parsed.base).from_options(parsed.options, assets)
+        if not isinstance(base, OnLandmarks):
+            raise BoresightError(
+                f"estimator {cls.name}: base: {parsed.base} has no landmark data base to measure a range against:"
+                " choose an estimator on landmarks"
+            )
+        return cls(base, base.database, parsed)
+
+    def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
+        """Let the base estimate, then fuse the range of each frame that has one."""
+        estimate = self._base.estimate(observation, rng=rng)
+        if estimate.status != "ok":
+            return estimate
+        if len(estimate.covariances) != len(estimate.poses):
+            return Estimate("failed", "the base gives no covariance to weigh the range with")
+        clock = Stopwatch()
+        with clock("range"):
+            fused = [
+                self._fused(pose, covariance, frame.altimeter)
+                for pose, covariance, frame in zip(
+                    estimate.poses, estimate.covariances, observation.frames, strict=True
+                )
+            ]
+        return _with_ranges(estimate, fused, clock.seconds)
+
+    def _fused(self, pose: Pose, covariance: FloatArray, reading: RangeReading | None) -> Fusion | None:
+        if reading is None:
+            return None
+        return fuse_range((pose, covariance), reading, self._mesh, self._height_sigma_m, self._adaptive)
+
+
+def _with_ranges(estimate: Estimate, fused: list[Fusion | None], seconds: Mapping[str, float]) -> Estimate:
+    """Put the fused poses in place of the base's; diagnostics are those of the last frame, as the base's are."""
+    last = fused[-1]
+    numbers: dict[str, float | int | str] = {"range_used": int(last is not None)}
+    if last is not None:
+        numbers |= {
+            "range_innovation_m": last.innovation_m,
+            "range_sigma_m": last.sigma_m,
+            "range_inflation": last.inflation,
+        }
+    poses = tuple(f.T_cam_body if f else pose for f, pose in zip(fused, estimate.poses, strict=True))
+    return replace(
+        estimate,
+        poses=poses,
+        covariances=tuple(f.covariance if f else c for f, c in zip(fused, estimate.covariances, strict=True)),
+        bounds=tuple(_bound(b, f) for f, b in zip(fused, estimate.bounds, strict=True)) if estimate.bounds else (),
+        stages=(*estimate.stages, Stage("range", poses[-1])),
+        diagnostics={**estimate.diagnostics, **numbers},
+        timings_s={**estimate.timings_s, **seconds},
+    )
+
+
+def _bound(bound: FloatArray, fused: Fusion | None) -> FloatArray:
+    """Add the range's information to that of the base's observations."""
+    if fused is None:
+        return bound
+    return np.asarray(np.linalg.inv(np.linalg.inv(bound) + fused.information), dtype=np.float64)

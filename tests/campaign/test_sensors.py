@@ -1,0 +1,61 @@
+"""The altimeter of a scenario: the truth by another ray tracer, its noise by statistics, nothing else disturbed."""
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+from tiny_campaign import SCENE
+
+from campaign.experiments.single_image import SingleImage
+from campaign.world import open_world
+from estimators.landmark.ranging import boresight_range
+from renderers.mitsuba3 import choose_variant
+from scenarios.errors import BoresightError
+from scenarios.geometry import View
+from scenarios.load import load_scenario
+
+TRIALS = 200
+
+
+def experiment(folder, sensors, scene=SCENE):
+    (folder / "scene.yaml").write_text(scene + sensors)
+    return SingleImage(open_world(load_scenario(str(folder / "scene.yaml")), choose_variant().name), {}, seed=5)
+
+
+def test_a_reading_is_the_true_range_with_its_noise(tmp_path):
+    ranging = experiment(tmp_path, "sensors: {altimeter: {sigma_m: 5}}\n")
+    errors_m = []
+    for trial in range(TRIALS):
+        sight = ranging.world.source.sight(5, trial)
+        pose, reading = sight.view.T_cam_body, ranging.observe(sight, trial).frames[0].altimeter
+        assert reading.sigma_m == 5.0
+        errors_m.append(reading.range_m - boresight_range(ranging.world.body.mesh, pose).range_m)
+    assert kstest(errors_m, "norm", (0.0, 5.0)).pvalue > 1e-3
+    assert np.unique(errors_m).size == TRIALS
+
+
+def test_an_altimeter_changes_nothing_else(tmp_path):
+    seen = []
+    for sensors in ("", "sensors: {altimeter: {sigma_m: 5}}\n"):
+        trials = experiment(tmp_path, sensors)
+        sight = trials.world.source.sight(5, 3)
+        frame = trials.observe(sight, 3).frames[0]
+        seen.append((sight.image, frame.prior_T_cam_body.rotation, frame.prior_T_cam_body.translation_m))
+        assert (frame.altimeter is None) == (sensors == "")
+    for without, with_it in zip(*seen, strict=True):
+        np.testing.assert_array_equal(without, with_it)
+
+
+def test_a_boresight_past_the_body_gives_no_reading(tmp_path):
+    trials = experiment(tmp_path, "sensors: {altimeter: {sigma_m: 5}}\n")
+    sight = trials.world.source.sight(5, 0)
+    aside = sight.view.T_cam_body.perturbed(np.zeros(3), np.array([900.0, 0.0, 0.0]))
+    past = View(sight.view.camera, aside, sight.view.sun_dir_body)
+    moved = type(sight)(sight.image, past, {})
+    assert trials.observe(moved, 0).frames[0].altimeter is None
+
+
+def test_real_images_carry_no_altimeter(tmp_path):
+    text = "body: {shape: sphere}\ncamera: {fov_deg: 5}\nimages: {folder: set}\nsensors: {altimeter: {sigma_m: 5}}\n"
+    (tmp_path / "real.yaml").write_text(text)
+    with pytest.raises(BoresightError, match="sensors has no part in a scenario with images"):
+        load_scenario(str(tmp_path / "real.yaml"))
