@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -12,7 +12,16 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from reports.comparison import ComparedValue, compare
-from reports.figures import draw_cumulative_errors, draw_landmark_counts, draw_landmark_errors, draw_pose_errors
+from reports.detection import DEFINITIONS, Detection, area, detections, outlier_records, roc_curve
+from reports.figures import (
+    MOST_CURVES,
+    Curve,
+    draw_cumulative_errors,
+    draw_landmark_counts,
+    draw_landmark_errors,
+    draw_pose_errors,
+    draw_roc,
+)
 from reports.measures import CONTROL, Record, errors_by_stage, final_stage, measure_run
 from reports.published import Comparison, load_published
 from reports.run_data import RunData, read_run, select
@@ -23,6 +32,7 @@ from reports.tables import (
     detail_grid,
     diagnostic_grid,
     failure_grid,
+    outlier_grid,
     pose_grids,
     reference_grid,
     stage_label,
@@ -69,6 +79,7 @@ class Content:
             comparison_grid(self.compared),
             detail_grid(self.records),
             diagnostic_grid(self.records),
+            outlier_grid(self.records),
             timing_grid(self.records),
             failure_grid(self.run),
         )
@@ -100,7 +111,7 @@ def read_content(folder: Path) -> Content:
     """
     run = read_run(folder)
     comparison = load_published(run.manifest.report) if run.manifest.report else None
-    records = measure_run(run)
+    records = (*measure_run(run), *outlier_records(run))
     compared = compare(records, comparison) if comparison else ()
     return Content(run, records, comparison, compared, tuple(_notes(run, comparison)))
 
@@ -148,6 +159,7 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
         for _, estimator in (pair for pair in run.pairs() if pair[0] == scenario and pair[1] != CONTROL):
             yield _pose_figure(content, scenario, estimator)
             yield from _landmark_figures(content, scenario, estimator)
+            yield from _outlier_figures(content, scenario, estimator)
         yield _cumulative_figure(content, scenario)
 
 
@@ -203,6 +215,33 @@ def _landmark_figures(content: Content, scenario: str, estimator: str) -> Iterat
             f"{title}: number of recognised landmarks in each image with an estimate.",
             "Histogram of the number of recognised landmarks in each image.",
         )
+
+
+def _outlier_figures(content: Content, scenario: str, estimator: str) -> Iterator[NamedFigure]:
+    run = content.run
+    found = [d for d in detections(run) if (d.scenario, d.estimator) == (scenario, estimator)]
+    if found:
+        title = f"What tells bad solutions, {scenario}, {estimator}"
+        yield NamedFigure(
+            _stem("outliers", scenario, estimator),
+            draw_roc(_curves(found), title, run.manifest.credits),
+            f"{title}: share of the bad solutions against that of the good ones beyond a threshold on a number that the"
+            " estimator reports; the diagonal is chance.",
+            f"Receiver operating characteristics for {' and '.join(_curves(found))}.",
+        )
+
+
+def _curves(found: Sequence[Detection]) -> dict[str, list[Curve]]:
+    """Choose the scores whose area is farthest from chance, for each definition of bad."""
+    curves: dict[str, list[Curve]] = {}
+    for one in found:
+        sign = -1.0 if one.low_is_bad else 1.0
+        false, true, _ = roc_curve(sign * one.score, one.bad)
+        size = area(sign * one.score, one.bad)
+        name = f"{one.name} (low)" if one.low_is_bad else one.name
+        panel = f"{DEFINITIONS[one.definition]} ({int(one.bad.sum())} of {len(one.bad)})"
+        curves.setdefault(panel, []).append(Curve(name, false, true, size))
+    return {panel: sorted(lines, key=lambda line: -line.area)[:MOST_CURVES] for panel, lines in curves.items()}
 
 
 def _cumulative_figure(content: Content, scenario: str) -> NamedFigure:

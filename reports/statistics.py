@@ -133,12 +133,12 @@ def bootstrap(
     block = max(1, min(resamples, _CHUNK // max(len(values), n_clusters)))
     parts = []
     for start in range(0, resamples, block):
-        counts = _draw_counts(n_clusters, min(block, resamples - start), rng)
+        counts = draw_counts(n_clusters, min(block, resamples - start), rng)
         parts.append(sample.evaluate(counts, statistics))
     return np.concatenate(parts, axis=1)
 
 
-def _draw_counts(n_clusters: int, resamples: int, rng: np.random.Generator) -> NDArray[np.int32]:
+def draw_counts(n_clusters: int, resamples: int, rng: np.random.Generator) -> NDArray[np.int32]:
     """Draw (b, C) numbers of times that each cluster is in a resample of C clusters."""
     drawn = rng.integers(0, n_clusters, size=(resamples, n_clusters)) + n_clusters * np.arange(resamples)[:, None]
     counts = np.bincount(drawn.ravel(), minlength=resamples * n_clusters)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from reports.comparison import VERDICT_RULE, ComparedValue
+from reports.detection import AUC, BAD, DEFINITIONS, MEASURE, THRESHOLD, TRUE_POSITIVES
 from reports.measures import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
 from reports.run_data import RunData
 from reports.statistics import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE
@@ -27,6 +28,8 @@ _TIMED = {
     "centroid": "brightness centroid",
     "feature_extraction": "feature extraction",
     "recognition": "recognition and pose estimation",
+    "consistency": "consistency of the solution",
+    "range": "fusion of the range",
     "image": "image (rendered or read)",
     "stored_image": "image (from the store)",
 }
@@ -277,6 +280,35 @@ def diagnostic_grid(records: Sequence[Record]) -> Grid | None:
         for line in lines
     )
     return Grid("Diagnostics", heads, rows, frozenset({0, 1, 2, 7})) if rows else None
+
+
+def outlier_grid(records: Sequence[Record]) -> Grid | None:
+    """Tabulate how well the numbers that estimators report tell their bad solutions; None where there are none."""
+    lines = [r for r in records if r.measure.startswith(MEASURE) and r.statistic == AUC]
+    heads = ("scenario", "estimator", "bad", "number", "of", "AUC [95 %]", TRUE_POSITIVES, "threshold", "flagged")
+
+    def cells(line: Record) -> tuple[str, ...]:
+        key = {"scenario": line.scenario, "estimator": line.estimator, "stage": line.stage, "measure": line.measure}
+        true, threshold, bad = (find(records, **key, statistic=name) for name in (TRUE_POSITIVES, THRESHOLD, BAD))
+        return (
+            line.scenario,
+            line.estimator,
+            DEFINITIONS[line.stage],
+            line.measure.removeprefix(MEASURE),
+            f"{0 if bad is None else round(bad.value or 0)}/{line.n}",
+            value_of(line, interval=True),
+            value_of(true),
+            value_of(threshold),
+            "below" if (line.value or 0.0) < 0.5 else "above",
+        )
+
+    note = (
+        "How well a number that the estimator reports tells its bad solutions: area under the receiver operating"
+        " characteristic (0.5 is chance; below it, small values tell), and the share of bad solutions beyond the"
+        " threshold that flags 5 % of the good ones."
+    )
+    rows = tuple(cells(line) for line in lines)
+    return Grid("Bad solutions, and what tells them", heads, rows, frozenset({0, 1, 2, 3, 8}), note) if rows else None
 
 
 def timing_grid(records: Sequence[Record]) -> Grid | None:

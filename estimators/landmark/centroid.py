@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from estimators.contract import ImageRenderer
-from estimators.landmark.signal import extract_signal
+from estimators.landmark.signal import KNOWN_SKY, extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from scenarios.geometry import Camera, Pose, View
 from scenarios.spec.base import SpecModel
@@ -20,8 +20,6 @@ Image = NDArray[np.float32]
 
 Measure = Callable[[Image, Image, FloatArray], tuple[FloatArray, FloatArray]]
 """(observed signal, rendered signal, projected origin of the body) -> the same point in both images, px."""
-
-_KNOWN_SKY = (0.0, 0.0)
 
 
 class AlignmentOptions(SpecModel):
@@ -122,7 +120,7 @@ def align_translation(
         with clock("mesh_rendering"):
             rendered = view.render(T_cam_body)
         with clock("centroid"):
-            signal = extract_signal(rendered, _KNOWN_SKY)
+            signal = extract_signal(rendered, KNOWN_SKY)
             if signal.empty:
                 return Alignment(T_cam_body, tuple(steps), "the rendered mesh is out of view or in the dark")
             origin_px = view.camera.project(T_cam_body.translation_m)

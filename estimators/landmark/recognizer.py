@@ -8,11 +8,13 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Table
 from estimators.landmark.alignment import correlation_pair
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.centroid import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
+from estimators.landmark.consistency import centroid_residual_px, inconsistency
 from estimators.landmark.corners import CornerOptions, Corners, detect_corners
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.matching import squared_distances
@@ -41,6 +43,9 @@ class LandmarkOptions(SpecModel):
     alignment: Literal["centroid", "image", "none"] = "centroid"
     alignment_loop: AlignmentOptions = AlignmentOptions()
     pose: PoseOptions = PoseOptions()
+    consistency_max_px: float | None = Field(
+        None, gt=0, description="A solution whose mesh, rendered, has its brightness centroid farther off fails"
+    )
 
     @property
     def image_corners(self) -> CornerOptions:
@@ -66,6 +71,8 @@ class Recognition:
         Wall time by stage, the stages of the paper's Table 1.
     failure
         Why there is no pose; empty when there is one.
+    centroid_residual_px
+        Distance of the brightness centroids of the image and of the mesh rendered at the solution; None without either.
     """
 
     prior: Pose
@@ -74,6 +81,7 @@ class Recognition:
     solution: PoseSolution | None
     timings_s: Mapping[str, float]
     failure: str = ""
+    centroid_residual_px: float | None = None
 
 
 def recognise(
@@ -99,9 +107,8 @@ def recognise(
         return Recognition(
             prior, nothing, None, None, clock.seconds, "the image is black: nothing above its background"
         )
-    alignment = nothing
+    alignment, view = nothing, MeshView(camera, renderer, frame.sun_dir_cam)
     if options.alignment != "none":
-        view = MeshView(camera, renderer, frame.sun_dir_cam)
         measure = _MEASURES[options.alignment]
         alignment = align_translation(observed.image, prior, view, measure, options.alignment_loop, clock)
     if alignment.failure:
@@ -110,14 +117,19 @@ def recognise(
         corners = detect_corners(frame.image, options.image_corners)
     with clock("recognition"):
         solution = solve_pose(database, camera, alignment.T_cam_body, corners.uv_px, options.pose)
-    return Recognition(prior, alignment, corners, solution, clock.seconds, solution.failure)
+    if solution.fit is None:
+        return Recognition(prior, alignment, corners, solution, clock.seconds, solution.failure)
+    with clock("consistency"):
+        residual_px = centroid_residual_px(observed.image, solution.fit.T_cam_body, view)
+    failure = solution.failure or inconsistency(residual_px, options.consistency_max_px)
+    return Recognition(prior, alignment, corners, solution, clock.seconds, failure, residual_px)
 
 
 class LandmarkRecognizer:
     """Rowell et al. (2015): known landmarks by proximity of Harris corners; each frame on its own."""
 
     name: ClassVar[str] = "landmark-harris"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     def __init__(self, database: LandmarkDatabase, renderer: ImageRenderer, options: LandmarkOptions) -> None:
         self._database = database
@@ -193,6 +205,8 @@ def _diagnostics(result: Recognition) -> dict[str, float | int | str]:
         diagnostics["stable"] = int(result.solution.stable)
         if result.solution.fit is not None:
             diagnostics["chi2"] = result.solution.fit.chi2
+    if result.centroid_residual_px is not None:
+        diagnostics["centroid_residual_px"] = result.centroid_residual_px
     return diagnostics
 
 

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
 
+KNOWN_SKY = (0.0, 0.0)
+"""Level and noise of the background of a rendered image."""
+
 _CORNER_FRACTION = 1 / 16
 _MIN_SIDE_PX = 16
 _MIN_SIGNAL_PX = 16

@@ -3,9 +3,12 @@
 from reports.figures.fit import Fit, Overlay, draw_fit_panels
 from reports.figures.landmarks import draw_landmark_counts, draw_landmark_errors
 from reports.figures.pose import draw_cumulative_errors, draw_pose_errors
+from reports.figures.roc import MOST_CURVES, Curve, draw_roc
 from reports.figures.style import save_figure
 
 __all__ = [
+    "MOST_CURVES",
+    "Curve",
     "Fit",
     "Overlay",
     "draw_cumulative_errors",
@@ -13,5 +16,6 @@ __all__ = [
     "draw_landmark_counts",
     "draw_landmark_errors",
     "draw_pose_errors",
+    "draw_roc",
     "save_figure",
 ]

@@ -132,9 +132,10 @@ def test_an_estimate_holds_what_the_contract_says(world):
     assert result.status == "ok"
     assert [stage.name for stage in result.stages] == ["centroid", "recognition"]
     assert result.stages[-1].T_cam_body is result.poses[0]
-    assert set(result.timings_s) == {"mesh_rendering", "centroid", "feature_extraction", "recognition"}
+    assert set(result.timings_s) == {"mesh_rendering", "centroid", "feature_extraction", "recognition", "consistency"}
     assert all(seconds > 0.0 for seconds in result.timings_s.values())
     expected = {"n_landmarks", "n_predicted", "n_corners", "outlier_rounds", "centroid_iterations", "chi2", "stable"}
+    expected |= {"centroid_residual_px"}
     assert set(result.diagnostics) == expected
     table = result.details["landmarks"]
     n = result.diagnostics["n_landmarks"]
@@ -310,7 +311,7 @@ def test_wrong_options_name_estimator_key_and_value(world):
 
 
 def test_an_unknown_estimator_is_refused_with_the_known_ones():
-    with pytest.raises(BoresightError, match="'landmark-surf' is unknown; there are: landmark-harris, prior"):
+    with pytest.raises(BoresightError, match=r"'landmark-surf' is unknown; there are: .*landmark-harris, .*prior"):
         estimator_class("landmark-surf")
 
 
@@ -367,3 +368,15 @@ def test_a_broken_third_party_is_refused_in_one_line(tmp_path, monkeypatch, code
     with pytest.raises(BoresightError, match=message) as caught:
         estimator_class("other")
     assert "\n" not in str(caught.value)
+
+
+def test_a_solution_that_disagrees_with_the_light_fails_if_asked(world):
+    _, frame = world.frame(1)
+    reported = estimate(recogniser(world), frame)
+    residual = reported.diagnostics["centroid_residual_px"]
+    assert 0.0 < residual < 10.0
+    assert estimate(recogniser(world, consistency_max_px=1.01 * residual), frame).status == "ok"
+    refused = estimate(recogniser(world, consistency_max_px=0.99 * residual), frame)
+    assert (refused.status, refused.poses) == ("failed", ())
+    assert f"{residual:.3g} px from the image's" in refused.reason
+    assert [stage.name for stage in refused.stages] == ["centroid", "recognition"]

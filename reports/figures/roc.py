@@ -1,0 +1,66 @@
+"""Receiver operating characteristics of numbers that are to tell bad solutions from good ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from reports.figures.style import (
+    GREY,
+    LINE_STYLES,
+    SERIES_COLOURS,
+    FloatArray,
+    add_credits,
+    new_figure,
+    styled,
+)
+
+MOST_CURVES = 5
+"""More lines in a panel could not be told apart."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """One characteristic: its name, (m,) false and true positive rates that ascend, and the area below it."""
+
+    name: str
+    false_positives: FloatArray
+    true_positives: FloatArray
+    area: float
+
+
+@styled
+def draw_roc(panels: Mapping[str, Sequence[Curve]], title: str, credit_lines: Sequence[str] = ()) -> Figure:
+    """Draw a panel of curves for each definition of a bad solution.
+
+    Parameters
+    ----------
+    panels
+        Definition to at most `MOST_CURVES` curves.
+    title
+        Printed above the panels.
+    credit_lines
+        Credits of real images.
+    """
+    figure, axes = new_figure(len(panels), width_in=3.9 * max(1, len(panels)), height_in=4.0)
+    for place, (definition, curves) in zip(axes, panels.items(), strict=True):
+        _draw_panel(place, curves)
+        place.set_title(f"bad: {definition}")
+    figure.suptitle(title, fontsize=9.5)
+    add_credits(figure, credit_lines)
+    return figure
+
+
+def _draw_panel(axes: Axes, curves: Sequence[Curve]) -> None:
+    axes.plot([0, 1], [0, 1], color=GREY, linewidth=0.9, linestyle=":")
+    for curve, colour, style in zip(curves, SERIES_COLOURS, LINE_STYLES, strict=False):
+        label = f"{curve.name}: AUC {curve.area:.2f}"
+        axes.plot(
+            curve.false_positives, curve.true_positives, color=colour, linestyle=style, linewidth=1.4, label=label
+        )
+    axes.set(xlabel="good solutions flagged", ylabel="bad solutions flagged", xlim=(0, 1), ylim=(0, 1.01))
+    axes.set_aspect("equal")
+    axes.legend(loc="lower right")
