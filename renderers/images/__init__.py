@@ -1,7 +1,9 @@
-"""Posed image sets: real images in the place of rendered ones."""
+"""Sets of real images in the place of rendered ones, and the readers of what missions publish."""
 
+from renderers.images.metadata import ImageMetadata
 from renderers.images.pixels import read_image
 from renderers.images.posed_set import PosedImageSet
+from renderers.images.product import Product, open_product
 from renderers.images.table import PoseTable, read_table
 
-__all__ = ["PoseTable", "PosedImageSet", "read_image", "read_table"]
+__all__ = ["ImageMetadata", "PoseTable", "PosedImageSet", "Product", "open_product", "read_image", "read_table"]

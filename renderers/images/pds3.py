@@ -1,0 +1,212 @@
+"""PDS3 labels, attached or detached, and the pixels that they describe."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+import pvl
+from numpy.typing import NDArray
+from pvl.collections import Quantity
+from pvl.decoder import OmniDecoder
+from pvl.exceptions import LexerError, ParseError, QuantityError
+
+from scenarios.errors import BoresightError
+
+LABEL_SUFFIXES = (".lbl",)
+ATTACHED_SUFFIXES = (".img",)
+_FIRST_WORDS = (b"PDS_VERSION_ID", b"CCSD3ZF", b"NJPL1I00")
+_END = re.compile(rb"^[ \t]*END[ \t]*\r?$", re.MULTILINE)
+_LONGEST_LABEL = 1 << 20
+# SAMPLE_TYPE to NumPy's byte order and kind (PDS Standards Reference 3.8, appendix C).
+_TYPES = {
+    **dict.fromkeys(("UNSIGNED_INTEGER", "MSB_UNSIGNED_INTEGER", "MAC_UNSIGNED_INTEGER", "SUN_UNSIGNED_INTEGER"), ">u"),
+    **dict.fromkeys(("LSB_UNSIGNED_INTEGER", "PC_UNSIGNED_INTEGER", "VAX_UNSIGNED_INTEGER"), "<u"),
+    **dict.fromkeys(("INTEGER", "MSB_INTEGER", "MAC_INTEGER", "SUN_INTEGER"), ">i"),
+    **dict.fromkeys(("LSB_INTEGER", "PC_INTEGER", "VAX_INTEGER"), "<i"),
+    **dict.fromkeys(("IEEE_REAL", "REAL", "FLOAT", "MAC_REAL", "SUN_REAL"), ">f"),
+    "PC_REAL": "<f",
+}
+_BITS = {"u": (8, 16, 32), "i": (8, 16, 32), "f": (32, 64)}
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """A label and the file that it was read from; numbers with a point are exact decimals."""
+
+    path: Path
+    values: Mapping[str, object]
+
+    def fault(self, what: str) -> BoresightError:
+        """Word an error about this label."""
+        return BoresightError(f"{self.path}: {what}")
+
+    def part(self, name: str) -> Mapping[str, object]:
+        """Return the object or group of a name, or an empty one."""
+        found = self.values.get(name)
+        return found if isinstance(found, Mapping) else {}
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """How the samples of an image lie in a file."""
+
+    path: Path
+    offset: int
+    dtype: np.dtype[np.generic]
+    lines: int
+    samples: int
+    prefix: int
+    suffix: int
+
+
+def has_label(content: bytes) -> bool:
+    """Tell whether a file starts with a PDS3 label."""
+    return content.startswith(_FIRST_WORDS)
+
+
+def parse_label(content: bytes, path: Path) -> Label:
+    """Parse the label that a file starts with.
+
+    Raises
+    ------
+    BoresightError
+        If there is none, or it breaks the rules of the language.
+    """
+    if not has_label(content):
+        raise BoresightError(f"{path}: does not start with a PDS3 label (PDS_VERSION_ID = PDS3)")
+    end = _END.search(content, 0, _LONGEST_LABEL)
+    if end is None:
+        raise BoresightError(f"{path}: the label has no line END within its first MiB")
+    text = content[: end.end()].decode("latin-1")
+    try:
+        values = pvl.loads(text, decoder=OmniDecoder(real_cls=Decimal))
+    except (LexerError, ParseError, QuantityError, ValueError) as error:
+        raise BoresightError(f"{path}: not a readable PDS3 label: {' '.join(str(error).split())[:200]}") from error
+    return Label(path, _flattened(values))
+
+
+def _flattened(values: Mapping[str, object]) -> dict[str, object]:
+    """Lift what stands in an OBJECT = FILE to the top, where other labels have it."""
+    flat = dict(values)
+    inner = flat.pop("FILE", None)
+    return {**flat, **dict(inner)} if isinstance(inner, Mapping) else flat
+
+
+def pixel_file(label: Label) -> Path:
+    """Return the file that holds the image: the label's own where ^IMAGE names none.
+
+    Names are matched whatever their case: labels often shout what lies in the folder in small letters.
+
+    Raises
+    ------
+    BoresightError
+        If the label points to no image or the file is missing.
+    """
+    name = next((item for item in _pointer(label) if isinstance(item, str)), None)
+    if name is None:
+        return label.path
+    folder = label.path.parent
+    found = [path for path in folder.iterdir() if path.name.casefold() == name.casefold()]
+    if not found:
+        raise label.fault(f"^IMAGE: {name} is not in {folder}")
+    return found[0]
+
+
+def read_pixels(label: Label) -> NDArray[np.float32]:
+    """Read the image that a label describes, (lines, samples), in the order of the file, scaled as the label says.
+
+    Raises
+    ------
+    BoresightError
+        If the layout is one that is not read, the file is too short, or pixels are marked as missing.
+    """
+    layout, image = _layout(label), label.part("IMAGE")
+    stride = layout.prefix + layout.samples * layout.dtype.itemsize + layout.suffix
+    try:
+        content = layout.path.read_bytes()[layout.offset : layout.offset + layout.lines * stride]
+    except OSError as error:
+        raise BoresightError(f"{layout.path}: cannot be read: {error.strerror or error}") from error
+    if len(content) < layout.lines * stride:
+        raise BoresightError(
+            f"{layout.path}: too short: {layout.lines} lines of {stride} bytes from byte {layout.offset} end beyond it"
+        )
+    rows = np.frombuffer(content, dtype=np.uint8).reshape(layout.lines, stride)
+    samples = rows[:, layout.prefix : stride - layout.suffix if layout.suffix else stride]
+    stored = np.ascontiguousarray(samples).view(layout.dtype)
+    missing = _number(label, image, "MISSING_CONSTANT", None)
+    if missing is not None and (gaps := int((stored == layout.dtype.type(missing)).sum())):
+        raise label.fault(f"{gaps} pixels are marked as missing (MISSING_CONSTANT = {missing:g})")
+    scale, offset = _number(label, image, "SCALING_FACTOR", 1.0), _number(label, image, "OFFSET", 0.0)
+    with np.errstate(over="ignore"):
+        return (stored.astype(np.float64) * (scale or 1.0) + (offset or 0.0)).astype(np.float32)
+
+
+def _pointer(label: Label) -> tuple[object, ...]:
+    value = label.values.get("^IMAGE")
+    if value is None:
+        raise label.fault("^IMAGE: missing: the label points to no image")
+    return tuple(value) if isinstance(value, (list, tuple)) and not isinstance(value, Quantity) else (value,)
+
+
+def _layout(label: Label) -> _Layout:
+    image = label.part("IMAGE")
+    if not image:
+        raise label.fault("OBJECT = IMAGE: missing")
+    bands = _whole(label, image, "BANDS", 1)
+    if bands != 1:
+        raise label.fault(f"BANDS: {bands} is not 1: only grey images are read")
+    return _Layout(
+        pixel_file(label),
+        _offset(label),
+        _dtype(label, image),
+        _whole(label, image, "LINES", None),
+        _whole(label, image, "LINE_SAMPLES", None),
+        _whole(label, image, "LINE_PREFIX_BYTES", 0),
+        _whole(label, image, "LINE_SUFFIX_BYTES", 0),
+    )
+
+
+def _offset(label: Label) -> int:
+    """Bytes before the image: places in a pointer count from 1, in records unless it says BYTES."""
+    places = [item for item in _pointer(label) if not isinstance(item, str)]
+    place = places[0] if places else 1
+    if isinstance(place, Quantity):
+        unit, number = str(place.units).upper(), place.value
+        size = 1 if unit in ("BYTE", "BYTES") else 0
+    else:
+        unit, number = "records", place
+        size = _whole(label, label.values, "RECORD_BYTES", None) if place != 1 else 1
+    if not isinstance(number, int) or number < 1 or size < 1:
+        raise label.fault(f"^IMAGE: {number} {unit} is no place in a file")
+    return (number - 1) * size
+
+
+def _dtype(label: Label, image: Mapping[str, object]) -> np.dtype[np.generic]:
+    name, bits = str(image.get("SAMPLE_TYPE", "")).upper(), _whole(label, image, "SAMPLE_BITS", None)
+    kind = _TYPES.get(name)
+    if kind is None:
+        raise label.fault(f"SAMPLE_TYPE: {name or 'missing'} is not read; these are: {', '.join(sorted(_TYPES))}")
+    if bits not in _BITS[kind[1]]:
+        raise label.fault(f"SAMPLE_BITS: {bits} with SAMPLE_TYPE {name} is not read")
+    return np.dtype(f"{kind}{bits // 8}")
+
+
+def _whole(label: Label, values: Mapping[str, object], key: str, default: int | None) -> int:
+    value = values.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise label.fault(f"{key}: {'missing' if value is None else value!r} is not a whole number of at least 0")
+    return value
+
+
+def _number(label: Label, values: Mapping[str, object], key: str, default: float | None) -> float | None:
+    value = values.get(key, default)
+    if value is None or (isinstance(value, str) and value.upper() in ("N/A", "UNK", "NULL")):
+        return default
+    if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)):
+        raise label.fault(f"{key}: {value!r} is not a number")
+    return float(value)
