@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from campaign.images import left_out_notes, open_images
 from campaign.machine import describe, package_versions
 from campaign.products import BuiltProduct
 from campaign.products.kinds import product_kind
@@ -46,6 +47,8 @@ def make_manifest(
         "commit": _commit(),
         "versions": package_versions(),
         "machine": {**describe(), "variant": campaign.variant},
+        "left_out": {s.spec.name: dict(open_images(s).left_out) for s in campaign.scenarios if s.spec.images},
+        "notes": [note for s in campaign.scenarios for note in left_out_notes(s)],
         "products": [_product(request.out, product) for product in products],
     }
 

@@ -13,9 +13,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from campaign.experiments.registry import experiment_class
+from campaign.images import images_digest
 from estimators.registry import needed_sensors
 from renderers.detector import Detector
-from renderers.images import PosedImageSet
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.beliefs import believed_spec
 from scenarios.bodies import body_digest
@@ -88,14 +88,6 @@ class ResolvedCampaign:
 
     def __hash__(self) -> int:
         return hash(self.digest)
-
-
-def images_digest(scenario: LoadedScenario) -> str:
-    """Digest the real images of a scenario; empty where images are rendered."""
-    spec = scenario.spec
-    if spec.images is None:
-        return ""
-    return PosedImageSet.open(spec.images, spec.camera.camera(), scenario.search_dirs).content_digest()
 
 
 def campaign_names() -> list[str]:

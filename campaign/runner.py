@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 from campaign import manifest as manifests
 from campaign.experiments.registry import Bench, Records, experiment_class
+from campaign.images import left_out_notes
 from campaign.parallel import in_order
 from campaign.products import BuiltProduct, Shelf
 from campaign.request import RunRequest
@@ -47,6 +48,8 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
     with RunLock(request.out):
         folder.sweep()
         previous = _previous(folder, campaign)
+        for note in (note for scenario in campaign.scenarios for note in left_out_notes(scenario)):
+            listener.message(note)
         products = _build_products(campaign, request, listener)
         manifest = manifests.make_manifest(campaign, request, products, previous)
         folder.write_manifest(manifest)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaign.image_store import ImageStore
-from campaign.resolve import images_digest
+from campaign.images import images_digest, open_images
 from renderers.detector import Detector
-from renderers.images import PosedImageSet
+from renderers.images import ImageSet
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.beliefs import believed_spec
 from scenarios.bodies import Body, body_digest, load_body
@@ -90,7 +90,7 @@ class RenderedSource:
 class RealSource:
     """Real images: trial t looks at image t modulo their number, so that few trials cover many images."""
 
-    images: PosedImageSet
+    images: ImageSet
     truth: str
     further: tuple[str, ...]
     realisations: int
@@ -139,7 +139,7 @@ def trial_limit(scenario: LoadedScenario) -> int | None:
     spec = scenario.spec
     if spec.images is None:
         return None
-    images = PosedImageSet.open(spec.images, spec.camera.camera(), scenario.search_dirs)
+    images = open_images(scenario)
     images.check_images()
     return len(images) * spec.images.noise_realisations
 
@@ -149,9 +149,7 @@ def typical_range_m(scenario: LoadedScenario) -> float:
     spec = scenario.spec
     if spec.viewpoint is not None:
         return spec.viewpoint.range_m
-    if spec.images is None:
-        raise BoresightError(f"{scenario.path}: give either viewpoint or images")
-    images = PosedImageSet.open(spec.images, spec.camera.camera(), scenario.search_dirs)
+    images = open_images(scenario)
     return float(np.median([np.linalg.norm(images.view(i).T_cam_body.translation_m) for i in range(len(images))]))
 
 
@@ -174,7 +172,7 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
         variant=choose_variant(variant),
     )
     if spec.images is not None:
-        images = PosedImageSet.open(spec.images, camera, scenario.search_dirs)
+        images = open_images(scenario)
         source: Source = RealSource(images, spec.images.truth, spec.images.also_score, spec.images.noise_realisations)
         return World(scenario, camera, body, renderer, source)
     if spec.viewpoint is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +10,10 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from renderers.images.image_set import check_size, files_digest
 from renderers.images.pixels import read_image
 from renderers.images.table import PoseTable, read_table
-from scenarios.bodies import find_data_file
+from scenarios.data import find_data_file
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, View
 from scenarios.spec.images import ImageSetSpec
@@ -28,6 +28,7 @@ class PosedImageSet:
 
     name: ClassVar[str] = "posed-images"
     version: ClassVar[int] = 1
+    left_out: ClassVar[tuple[tuple[str, str], ...]] = ()
 
     folder: Path
     camera: Camera
@@ -95,12 +96,7 @@ class PosedImageSet:
         """
         path = self.folder / self.names[index]
         image = read_image(path)
-        height, width = image.shape
-        if (width, height) != (self.camera.width_px, self.camera.height_px):
-            raise BoresightError(
-                f"{path}: the image is {width} x {height} pixels,"
-                f" but the camera has {self.camera.width_px} x {self.camera.height_px}"
-            )
+        check_size(image, self.camera, path)
         return image[::-1].copy() if self.spec.first_row == "bottom" else image
 
     def content_digest(self) -> str:
@@ -111,13 +107,7 @@ class PosedImageSet:
         BoresightError
             If a file cannot be read.
         """
-        digest = hashlib.sha256()
-        for path in (self.folder / self.spec.table, *(self.folder / name for name in self.names)):
-            try:
-                digest.update(hashlib.sha256(path.read_bytes()).digest())
-            except OSError as error:
-                raise BoresightError(f"{path}: cannot be read: {error.strerror or error}") from error
-        return digest.hexdigest()
+        return files_digest((self.folder / self.spec.table, *(self.folder / name for name in self.names)))
 
     def check_images(self) -> None:
         """Read every image once, so that a damaged one is found before a campaign starts.

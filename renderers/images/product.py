@@ -41,6 +41,17 @@ class Product:
         """Return the metadata; exposures without a unit are in units of ``exposure_unit_s``."""
         return metadata_of(self.keywords, self.path, exposure_unit_s)
 
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Samples and lines as label or header state them; 0 where they do not."""
+        image = self.label.part("IMAGE") if self.label is not None else {}
+        sizes = [
+            image.get("LINE_SAMPLES", self.keywords.get("NAXIS1")),
+            image.get("LINES", self.keywords.get("NAXIS2")),
+        ]
+        samples, lines = (size if isinstance(size, int) else 0 for size in sizes)
+        return samples, lines
+
     def pixels(self) -> NDArray[np.float32]:
         """Read the pixels, (lines, samples), in the order of the file and scaled as it says.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,11 +16,10 @@ from scenarios.bodies.embedded import EMBEDDED, EMBEDDED_VERSION
 from scenarios.bodies.height_error import HEIGHT_ERROR_VERSION, with_height_error
 from scenarios.bodies.readers import READER_VERSION, read_shape
 from scenarios.cache import Cache, default_cache
+from scenarios.data import find_data_file
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
 from scenarios.spec.body import BodySpec
-
-DATA_VARIABLE = "BORESIGHT_DATA"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,37 +95,6 @@ def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
     if spec.height_error is not None:
         content["height_error"] = [spec.height_error.model_dump(mode="json"), HEIGHT_ERROR_VERSION]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def find_data_file(name: str, search_dirs: Sequence[Path], folder: str, key: str) -> Path:
-    """Find a file: as given if absolute, else in ``search_dirs``, then under BORESIGHT_DATA.
-
-    Parameters
-    ----------
-    name
-        The file as the scenario names it.
-    search_dirs
-        Folders to try first.
-    folder
-        Folder under BORESIGHT_DATA to try before BORESIGHT_DATA itself.
-    key
-        The scenario's key, for the error.
-
-    Raises
-    ------
-    BoresightError
-        Listing where it was looked for.
-    """
-    data = os.environ.get(DATA_VARIABLE)
-    folders = [*search_dirs, *([Path(data).expanduser() / folder, Path(data).expanduser()] if data else [])]
-    given = Path(name).expanduser()
-    candidates = [given] if given.is_absolute() else [place / given for place in folders]
-    for candidate in candidates:
-        if candidate.is_file():
-            return candidate
-    looked = ", ".join(str(candidate) for candidate in candidates) or "nowhere"
-    advice = "check the path" if data or given.is_absolute() else f"or set {DATA_VARIABLE} to the folder of the data"
-    raise BoresightError(f"{key}: {name} was not found; looked for {looked}; {advice}")
 
 
 def _shape_path(spec: BodySpec, search_dirs: Sequence[Path]) -> Path | None:

@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel
 
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+class SpiceSpec(SpecModel):
+    """Times, poses, Sun and camera from labels and SPICE kernels."""
+
+    instrument: str = Field(min_length=1, description="The camera: hayabusa-amica, near-msi")
+    files: str = Field("*.lbl", min_length=1, description="Images in the folder: a pattern of labels or image files")
+    kernels: tuple[str, ...] = Field(
+        min_length=1,
+        description="Kernels in the order of loading, a later one overrides: paths beside the scenario file, in its"
+        " folder of images, or under BORESIGHT_DATA/spice",
+    )
+    target: str = Field(min_length=1, description="NAIF's name of the body")
+    target_frame: str = Field(min_length=1, description="NAIF's name of the body-fixed frame, that of the shape")
+    aberration: Literal["LT+S", "NONE"] = Field(
+        "LT+S", description="Light time and stellar aberration of the body's position, or the geometric position"
+    )
+
 
 class ImageSetSpec(SpecModel):
-    """Real images with a table of poses and Sun directions in place of rendered ones."""
+    """Real images in place of rendered ones: posed by a table, or by SPICE kernels."""
 
     prose: ClassVar = frozenset({"credit"})
 
@@ -19,9 +38,18 @@ class ImageSetSpec(SpecModel):
     first_row: Literal["top", "bottom"] = Field(
         "top", description="Where the first stored row belongs; FITS images are often stored bottom up"
     )
-    truth: str = Field("ref", min_length=1, description="Prefix of the columns that are scored against")
+    spice: SpiceSpec | None = Field(None, description="Poses from kernels instead of the table")
+    truth: str = Field(
+        "ref",
+        min_length=1,
+        description="Prefix of the columns that are scored against; with spice a name for the kernels' pose",
+    )
     also_score: tuple[str, ...] = Field((), description="Prefixes of further poses to score against")
     noise_realisations: int = Field(1, ge=1, description="Pose errors drawn for each image")
+    keep_clear_px: tuple[tuple[NonNegative, NonNegative, NonNegative, NonNegative], ...] = Field(
+        (),
+        description="Rectangles [left, top, right, bottom] of the detector; images with the body in one are left out",
+    )
     credit: str = Field("", description="Credit line that every figure with these images carries")
 
     @model_validator(mode="after")
@@ -30,4 +58,21 @@ class ImageSetSpec(SpecModel):
         twice = sorted({prefix for prefix in prefixes if prefixes.count(prefix) > 1})
         if twice:
             raise ValueError(f"{', '.join(twice)} is named twice in truth and also_score")
+        return self
+
+    @model_validator(mode="after")
+    def _kernels_leave_no_choice(self) -> Self:
+        if self.spice is not None:
+            given = {"table": self.table != "poses.csv", "first_row": self.first_row != "top"}
+            given |= {"also_score": bool(self.also_score)}
+            senseless = [key for key, is_given in given.items() if is_given]
+            if senseless:
+                raise ValueError(f"{', '.join(senseless)} has no meaning beside spice; leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _rectangles(self) -> Self:
+        for left, top, right, bottom in self.keep_clear_px:
+            if not (left < right and top < bottom):
+                raise ValueError(f"keep_clear_px: [{left:g}, {top:g}, {right:g}, {bottom:g}] has no area")
         return self

@@ -20,7 +20,7 @@ from campaign.resolve import CATALOG, campaign_names
 from campaign.store import RunFolder
 from estimators.registry import estimator_names
 from renderers.mitsuba3 import choose_variant
-from scenarios.bodies.load import DATA_VARIABLE
+from scenarios.data import DATA_VARIABLE
 from scenarios.load import load_campaign, load_scenario, scenario_names
 from scenarios.load.files import CATALOG as SCENARIOS
 

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from tiny_mission import make_mission
 
 from campaign.experiments.single_image import SingleImage
 from campaign.products import Shelf
@@ -64,6 +65,15 @@ REAL = """
 body: {shape: sphere}
 camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
 images: {folder: set, truth: ref, also_score: [label], noise_realisations: 2}
+"""
+
+KERNELS = "[naif.tls, tiny.tsc, tiny.tf, tiny.ti, tiny.bsp, tiny.bc]"
+SPICE = f"""
+body: {{shape: contact-binary}}
+camera: {{width_px: 64, height_px: 64, focal_px: [629.1667, 629.1667], distortion: {{k1: -0.40859392}}}}
+images:
+  folder: mission
+  spice: {{instrument: hayabusa-amica, target: ITOKAWA, target_frame: ITOKAWA_FIXED, kernels: {KERNELS}}}
 """
 
 # key: (scenario, new value)
@@ -156,6 +166,11 @@ CHANGES: dict[str, tuple[str, str]] = {
     "images.folder": (REAL, "other"),
     "images.table": (REAL, "more.csv"),
     "images.first_row": (REAL, "bottom"),
+    "images.spice.files": (SPICE, "b*.lbl"),
+    "images.spice.kernels": (SPICE, KERNELS.replace("tiny.tf", "tiny.tf, still.tf")),
+    "images.spice.target_frame": (SPICE, "J2000"),
+    "images.spice.aberration": (SPICE, "NONE"),
+    "images.keep_clear_px": (REAL, "[[0, 39.5, 48, 40]]"),
     "images.truth": (REAL, "third"),
     "images.also_score": (REAL, "[third]"),
     "images.noise_realisations": (REAL, "1"),
@@ -166,6 +181,8 @@ NO_RESULT = {
     "name": "names the scenario in tables",
     "description": "prose",
     "images.credit": "printed below figures",
+    "images.spice.instrument": "images of another camera are refused",
+    "images.spice.target": "images of another body are refused",
     "body.format": "says how to read the file; a wrong one is refused",
     "body.expected_diameter_m": "a guard: a body outside is refused",
     "viewpoint.kind": "has one value",
@@ -185,6 +202,10 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "grid.tab").write_text("\n".join(lines) + "\n")
     for number, name in enumerate(("set", "other")):
         _write_image_set(folder / name, np.random.default_rng(number))
+    mission = make_mission(folder / "mission")
+    for number, name in enumerate(("a", "b", "c")):
+        mission.write_image(name, np.random.default_rng(number).uniform(0, 100, (64, 64)), 600.0 * number)
+    (mission.folder / "still.tf").write_text("KPL/PCK\n\\begindata\nBODY2025143_PM = ( 0.0 0.0 0.0 )\n\\begintext\n")
     return folder
 
 
@@ -200,7 +221,7 @@ def _write_image_set(folder: Path, rng: np.random.Generator) -> None:
             parts = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
             writer.writerow(head + [f"{prefix}_{part}" for prefix in prefixes for part in parts])
             for time_s, name in enumerate(("a.png", "b.png")):
-                poses = [[1, 0, 0, 0, k + shift, 0, 2000] for k in range(3)]
+                poses = [[1, 0, 0, 0, k + shift, 80 * time_s, 2000] for k in range(3)]
                 writer.writerow([name, time_s, 0, 0, -1, *(x for pose in poses for x in pose)])
 
 

@@ -1,0 +1,58 @@
+"""The real images of a scenario, whatever poses them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from renderers.images import ImageSet, PosedImageSet, keep_clear
+from renderers.mitsuba3.rays import outline_points
+from renderers.spice import SpiceImageSet
+from scenarios.bodies import body_digest, load_body
+from scenarios.errors import BoresightError
+from scenarios.load import LoadedScenario
+
+
+def images_digest(scenario: LoadedScenario) -> str:
+    """Digest the real images of a scenario; empty where images are rendered."""
+    return "" if scenario.spec.images is None else _all_images(scenario).content_digest()
+
+
+def open_images(scenario: LoadedScenario) -> ImageSet:
+    """Open the real images of a scenario that can be used.
+
+    Raises
+    ------
+    BoresightError
+        If the scenario has none, or a file is missing or wrong.
+    """
+    # A file that changed under the same name is another set.
+    return _usable(scenario, images_digest(scenario), body_digest(scenario.spec.body, scenario.search_dirs))
+
+
+def left_out_notes(scenario: LoadedScenario) -> list[str]:
+    """Say which real images of a scenario are not used and why; nothing where all are."""
+    if scenario.spec.images is None:
+        return []
+    images = open_images(scenario)
+    if not images.left_out:
+        return []
+    listed = "; ".join(f"{name}: {reason}" for name, reason in images.left_out)
+    total = len(images) + len(images.left_out)
+    return [f"{scenario.spec.name}: {len(images.left_out)} of {total} images are left out. {listed}"]
+
+
+@lru_cache(maxsize=4)
+def _usable(scenario: LoadedScenario, *_content: str) -> ImageSet:
+    images, spec = _all_images(scenario), scenario.spec
+    if spec.images is None or not spec.images.keep_clear_px:
+        return images
+    body = load_body(spec.body, scenario.search_dirs)
+    return keep_clear(images, outline_points(body.mesh), spec.images.keep_clear_px)
+
+
+def _all_images(scenario: LoadedScenario) -> ImageSet:
+    spec = scenario.spec
+    if spec.images is None:
+        raise BoresightError(f"{scenario.path}: give either viewpoint or images")
+    kind = PosedImageSet if spec.images.spice is None else SpiceImageSet
+    return kind.open(spec.images, spec.camera.camera(), scenario.search_dirs)

@@ -1,0 +1,8 @@
+"""Pose, Sun and camera from SPICE kernels."""
+
+from renderers.spice.geometry import Actors, Sighting, sight
+from renderers.spice.image_set import SpiceImageSet
+from renderers.spice.instruments import INSTRUMENTS, Instrument
+from renderers.spice.kernels import Constants, loaded
+
+__all__ = ["INSTRUMENTS", "Actors", "Constants", "Instrument", "Sighting", "SpiceImageSet", "loaded", "sight"]

@@ -1,0 +1,187 @@
+"""Images as a mission publishes them, posed by its SPICE kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderers.images.image_set import check_size, files_digest
+from renderers.images.product import Product, open_product
+from renderers.spice.geometry import Actors, Sighting, sight
+from renderers.spice.instruments import INSTRUMENTS, Instrument
+from renderers.spice.kernels import SPICE_ERRORS, complaint, loaded
+from scenarios.data import find_data_file, find_data_folder
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, View
+from scenarios.spec.images import ImageSetSpec, SpiceSpec
+
+# How far the camera of a scenario may lie off that of the kernels, anywhere in the image.
+CAMERA_TOLERANCE_PX = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frame:
+    """One image with what label and kernels say."""
+
+    product: Product
+    et: float
+    sighting: Sighting
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpiceImageSet:
+    """Real images whose poses and Sun come from SPICE kernels at the middle of each exposure.
+
+    Nothing of SPICE is left when it is open: all is worked out at once and kept as values. ``version`` is part of
+    every result's key: raise it when pixels or views change.
+    """
+
+    name: ClassVar[str] = "spice-images"
+    version: ClassVar[int] = 1
+
+    camera: Camera
+    truth: str
+    frames: tuple[_Frame, ...]
+    files: tuple[Path, ...]
+    left_out: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def open(cls, spec: ImageSetSpec, camera: Camera, search_dirs: Sequence[Path] = ()) -> Self:
+        """Read all labels and work out all views; images that are of no use are left out with the reason.
+
+        Parameters
+        ----------
+        spec
+            The images section of a scenario, with ``spice``.
+        camera
+            The scenario's camera; it must be that of the kernels.
+        search_dirs
+            Folders where relative paths are looked for before ``$BORESIGHT_DATA``.
+
+        Raises
+        ------
+        BoresightError
+            If a file is missing or damaged, the cameras differ, or no image can be used.
+        """
+        if spec.spice is None:
+            raise BoresightError("images.spice: missing: name instrument, kernels and body")
+        spice = spec.spice
+        instrument = _instrument(spice)
+        folder = find_data_folder(spec.folder, search_dirs, "images", "images.folder")
+        paths = sorted(folder.glob(spice.files))
+        if not paths:
+            raise BoresightError(f"{folder}: images.spice.files: no file matches {spice.files!r}")
+        products = [open_product(path) for path in paths]
+        kernels = [
+            find_data_file(name, (folder, *search_dirs), "spice", "images.spice.kernels") for name in spice.kernels
+        ]
+        with loaded(kernels):
+            _check_camera(camera, instrument, spice)
+            judged = [_judge(product, instrument, spice) for product in products]
+        frames = tuple(frame for frame in judged if isinstance(frame, _Frame))
+        left_out = tuple(
+            (product.path.name, reason)
+            for product, reason in zip(products, judged, strict=True)
+            if isinstance(reason, str)
+        )
+        if not frames:
+            raise BoresightError(f"{folder}: none of {len(products)} images can be used: {': '.join(left_out[0])}")
+        files = (*kernels, *(path for product in products for path in product.files))
+        return cls(camera, spec.truth, frames, files, left_out)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """File names of the images in the order of the alphabet."""
+        return tuple(frame.product.path.name for frame in self.frames)
+
+    def time_s(self, index: int) -> float:
+        """Return the middle of an exposure, s past J2000 TDB."""
+        return self.frames[index].et
+
+    def view(self, index: int, prefix: str | None = None) -> View:
+        """Return the view of an image by the kernels.
+
+        Raises
+        ------
+        BoresightError
+            If another pose is asked for.
+        """
+        if prefix not in (None, self.truth):
+            raise BoresightError(f"images: no poses {prefix!r} were read, only {self.truth}")
+        sighting = self.frames[index].sighting
+        return View(self.camera, sighting.T_cam_body, sighting.sun_dir_body)
+
+    def image(self, index: int) -> NDArray[np.float32]:
+        """Read an image, (H, W) float32 in the units of its file, the top row first.
+
+        Raises
+        ------
+        BoresightError
+            If it cannot be read, or is not of the camera's size.
+        """
+        product = self.frames[index].product
+        image = product.pixels()
+        check_size(image, self.camera, product.path)
+        return image
+
+    def content_digest(self) -> str:
+        """Digest (hexadecimal SHA-256) of kernels, labels and images: what results depend on."""
+        return files_digest(self.files)
+
+    def check_images(self) -> None:
+        """Read every image once, so that a damaged one is found before a campaign starts."""
+        for index in range(len(self)):
+            self.image(index)
+
+
+def _instrument(spice: SpiceSpec) -> Instrument:
+    if spice.instrument not in INSTRUMENTS:
+        known = ", ".join(sorted(INSTRUMENTS))
+        raise BoresightError(f"images.spice.instrument: {spice.instrument} is not known; these are: {known}")
+    return INSTRUMENTS[spice.instrument]
+
+
+def _check_camera(camera: Camera, instrument: Instrument, spice: SpiceSpec) -> None:
+    """Refuse a scenario whose camera is another than the kernels say."""
+    known = instrument.camera(instrument.constants())
+    if (known.width_px, known.height_px) != (camera.width_px, camera.height_px):
+        raise BoresightError(
+            f"camera: {camera.width_px} x {camera.height_px} pixels, but {spice.instrument} has"
+            f" {known.width_px} x {known.height_px}"
+        )
+    steps = np.linspace(0.0, 1.0, 9)
+    uv = np.stack(np.meshgrid(steps * camera.width_px, steps * camera.height_px), axis=-1)
+    off_px = np.linalg.norm(camera.project(known.unproject(uv)) - uv, axis=-1).max()
+    if not off_px <= CAMERA_TOLERANCE_PX:
+        lens = known.distortion
+        raise BoresightError(
+            f"camera: up to {off_px:.3g} pixels off that of the kernels: write focal_px: [{known.fx_px:.6f},"
+            f" {known.fy_px:.6f}], principal_point_px: [{known.cx_px:g}, {known.cy_px:g}], distortion:"
+            + (" null" if lens is None else f" {{k1: {lens.k1:.8g}, k2: {lens.k2:.8g}}}")
+        )
+
+
+def _judge(product: Product, instrument: Instrument, spice: SpiceSpec) -> _Frame | str:
+    """Work out the view of an image, or say why it cannot be used; kernels are loaded."""
+    told = product.metadata(instrument.exposure_unit_s)
+    known = instrument.camera(instrument.constants())
+    if told.instrument not in instrument.names:
+        return f"its instrument is {told.instrument}, not {' or '.join(instrument.names)}"
+    if told.target is not None and spice.target.upper() not in told.target.upper():
+        return f"its target is {told.target}, not {spice.target}"
+    if product.size_px != (known.width_px, known.height_px):
+        return f"it is {product.size_px[0]} x {product.size_px[1]} pixels, not the whole field"
+    actors = Actors(instrument.spacecraft, instrument.frame, spice.target, spice.target_frame)
+    try:
+        et = instrument.middle_et(product)
+        return _Frame(product, et, sight(actors, et, spice.aberration))
+    except SPICE_ERRORS as error:
+        return f"SPICE: {complaint(error)}"
