@@ -61,7 +61,9 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
             folder.write_block(block, records)
             images.update(_images(records))
             listener.block(records, block.last - block.first)
-        listener.message(f"images: {images[FRESH_IMAGE]} rendered or read, {images[STORED_IMAGE]} from the store")
+        if images:
+            fresh, kept = images[FRESH_IMAGE], images[STORED_IMAGE]
+            listener.message(f"images: {fresh} rendered or read, {kept} from the store")
         folder.write_manifest(manifests.updated(manifest, finished=manifests.now()))
     return folder
 

@@ -19,6 +19,8 @@ from scenarios.errors import BoresightError
 
 Records = Sequence[Mapping[str, object]]
 
+_ROUND_BLOCKS = 50
+
 
 @dataclass(frozen=True, slots=True)
 class Block:
@@ -36,10 +38,15 @@ class Block:
 
 
 def blocks(scenarios: Sequence[str], trials: int, size: int) -> Iterator[Block]:
-    """Yield every block of ``size`` trials of a campaign, trials first, so that all scenarios advance together."""
-    for number, first in enumerate(range(0, trials, size)):
+    """Yield every block of ``size`` trials of a campaign.
+
+    Scenarios advance together, in rounds: a worker that changes to another opens its world, which takes as long as
+    many trials.
+    """
+    for start in range(0, trials, _ROUND_BLOCKS * size):
         for scenario in scenarios:
-            yield Block(scenario, first, min(first + size, trials), number)
+            for first in range(start, min(start + _ROUND_BLOCKS * size, trials), size):
+                yield Block(scenario, first, min(first + size, trials), first // size)
 
 
 class RunFolder:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import resource
 import subprocess
 import sys
@@ -35,6 +36,16 @@ def test_blocks_cover_every_trial_once():
     for scenario in "ab":
         mine = [b for b in found if b.scenario == scenario]
         assert [t for b in mine for t in range(b.first, b.last)] == list(range(25))
+        assert [b.number for b in mine] == [0, 1, 2]
+
+
+def test_scenarios_take_turns_in_rounds():
+    """A change of scenario opens another world: it must be rare beside the blocks, and no scenario must wait long."""
+    found = [b.scenario for b in blocks(["a", "b", "c"], 2000, 10)]
+    changes = sum(before != after for before, after in itertools.pairwise(found))
+    assert len(found) == 600
+    assert changes == 3 * 4 - 1
+    assert found.index("c") == 100
 
 
 def test_a_stored_block_reads_back_in_the_order_of_trials(tmp_path):
@@ -105,6 +116,7 @@ except BoresightError as error:
 def test_a_full_disk_leaves_nothing_half_written(tmp_path):
     # The limit on a file's size stands for the full disk: both end in an OSError in the middle of a write.
     code = f"""
+import itertools
 import resource, signal, sys
 from pathlib import Path
 from campaign.store.atomic import write_text

@@ -1,0 +1,81 @@
+"""``bench``: what a campaign costs on one core, stage by stage."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+
+from campaign.benchmark import WHOLE_TRIAL, Benchmark, StageTime, benchmark
+from campaign.cli.catalog import add_overrides
+from campaign.cli.terminal import console
+from campaign.resolve import resolve
+from campaign.store.atomic import write_text
+from renderers.mitsuba3 import choose_variant
+from scenarios.errors import BoresightError
+
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction
+
+_Ratios = dict[tuple[str, str, str], float]
+
+
+def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command to the parser."""
+    bench = commands.add_parser("bench", help="time every stage of a campaign's trials on one core")
+    bench.add_argument("name", help="a campaign from the list, or a YAML file")
+    bench.add_argument("--blocks", type=int, default=4, help="blocks of trials of each scenario (default: 4)")
+    bench.add_argument("--variant", help="Mitsuba variant (default: the fastest that works)")
+    bench.add_argument("--json", type=Path, metavar="FILE", help="write the times as JSON")
+    bench.add_argument("--against", type=Path, metavar="FILE", help="a JSON of before, to compare the ratios with")
+    add_overrides(bench)
+    bench.set_defaults(handler=_bench)
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    out = console()
+    earlier = {} if arguments.against is None else _read_ratios(arguments.against)
+    campaign = resolve(arguments.name, arguments.overrides, variant=choose_variant(arguments.variant).name)
+    with tempfile.TemporaryDirectory(prefix="boresight-bench-") as folder:
+        found = benchmark(campaign, arguments.blocks, Path(folder), out.print)
+    out.print(_table(found, earlier))
+    out.print(f"one core, {found.variant}; the yardstick, a Fourier transform, took {1e3 * found.yardstick_s:.1f} ms")
+    for whole in (stage for stage in found.stages if stage.stage == WHOLE_TRIAL):
+        minutes = campaign.spec.trials * whole.median_s / 60.0
+        out.print(f"{whole.scenario}: {campaign.spec.trials} trials take {minutes:.1f} core minutes at that rate")
+    if arguments.json is not None:
+        write_text(arguments.json, json.dumps(found.plain(), indent=1) + "\n")
+    return 0
+
+
+def _table(found: Benchmark, earlier: _Ratios) -> Table:
+    heads = ["scenario", "estimator", "stage", "median ms", "quartiles", "x yardstick"]
+    table = Table(*heads, *(["change"] if earlier else []), box=None, pad_edge=False)
+    for stage in found.stages:
+        cells = [
+            stage.scenario,
+            stage.estimator,
+            stage.stage.replace("_", " "),
+            f"{1e3 * stage.median_s:.2f}",
+            f"{1e3 * stage.low_s:.2f} to {1e3 * stage.high_s:.2f}",
+            f"{stage.ratio:.3f}",
+        ]
+        table.add_row(*cells, *([_change(stage, earlier)] if earlier else []))
+    return table
+
+
+def _change(stage: StageTime, earlier: _Ratios) -> str:
+    before = earlier.get((stage.scenario, stage.estimator, stage.stage))
+    return "new" if not before else f"x {stage.ratio / before:.2f}"
+
+
+def _read_ratios(path: Path) -> _Ratios:
+    try:
+        stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return {(s["scenario"], s["estimator"], s["stage"]): float(s["ratio"]) for s in stored["stages"]}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BoresightError(f"{path}: is no result of boresight bench --json ({error})") from error

@@ -1,0 +1,65 @@
+"""The times of a campaign's stages: all there, on one core, adding up, comparable with those of before."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+from tiny_campaign import boresight, write_campaign
+
+from campaign.benchmark import WHOLE_TRIAL
+from campaign.cli import main
+from scenarios.cache import default_cache
+
+
+@pytest.fixture(scope="module")
+def times(cache, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bench")
+    file = write_campaign(folder)
+    done = boresight("bench", file, "--blocks", 2, "--json", folder / "times.json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return file, folder / "times.json", done.stdout
+
+
+def test_every_stage_is_timed(times):
+    _, stored, said = times
+    found = json.loads(stored.read_text())
+    stages = {(s["estimator"], s["stage"]): s for s in found["stages"]}
+    assert {stage for _, stage in stages} == {
+        "image", "mesh_rendering", "centroid", "feature_extraction", "recognition", "consistency", WHOLE_TRIAL,
+    }  # fmt: skip
+    for stage in stages.values():
+        assert 0.0 < stage["low_s"] <= stage["median_s"] <= stage["high_s"]
+        assert stage["ratio"] == pytest.approx(stage["median_s"] / found["yardstick_s"])
+    parts = sum(s["median_s"] for key, s in stages.items() if key[1] != WHOLE_TRIAL)
+    assert parts < 1.5 * stages["", WHOLE_TRIAL]["median_s"]
+    assert "24 trials take" in said
+    assert found["trials"] == 30
+
+
+def test_nothing_is_left_behind(times):
+    _, stored, _ = times
+    assert sorted(path.name for path in stored.parent.iterdir()) == ["scene.yaml", "times.json", "tiny.yaml"]
+    assert "images" not in {entry.kind for entry in default_cache().entries()}
+
+
+def test_ratios_are_set_beside_those_of_before(times, tmp_path, capsys, monkeypatch):
+    file, stored, _ = times
+    before = json.loads(stored.read_text())
+    for stage in before["stages"]:
+        stage["ratio"] *= 1e-3
+    (tmp_path / "before.json").write_text(json.dumps(before))
+    cores = os.sched_getaffinity(0)
+    assert main(["bench", str(file), "--blocks", "1", "--against", str(tmp_path / "before.json")]) == 0
+    changes = [float(line.split(" x ")[1]) for line in capsys.readouterr().out.splitlines() if line.startswith("scene")]
+    assert len(changes) == 7
+    assert 100 < np.median(changes) < 10_000
+    assert os.sched_getaffinity(0) == cores
+
+
+@pytest.mark.parametrize("arguments", [("--blocks", "0"), ("--against", "scene.yaml"), ("--against", "none.json")])
+def test_bad_input_is_one_line(times, arguments):
+    file, _, _ = times
+    done = boresight("bench", file, *arguments, cwd=file.parent)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
