@@ -43,7 +43,7 @@ def test_nothing_is_left_behind(times):
     assert "images" not in {entry.kind for entry in default_cache().entries()}
 
 
-def test_ratios_are_set_beside_those_of_before(times, tmp_path, capsys, monkeypatch):
+def test_ratios_are_set_beside_those_of_before(times, tmp_path, capsys):
     file, stored, _ = times
     before = json.loads(stored.read_text())
     for stage in before["stages"]:
@@ -51,7 +51,9 @@ def test_ratios_are_set_beside_those_of_before(times, tmp_path, capsys, monkeypa
     (tmp_path / "before.json").write_text(json.dumps(before))
     cores = os.sched_getaffinity(0)
     assert main(["bench", str(file), "--blocks", "1", "--against", str(tmp_path / "before.json")]) == 0
-    changes = [float(line.split(" x ")[1]) for line in capsys.readouterr().out.splitlines() if line.startswith("scene")]
+    changes = [
+        float(line.split(" x ")[1]) for line in capsys.readouterr().out.splitlines() if line.startswith("scene ")
+    ]
     assert len(changes) == 7
     assert 100 < np.median(changes) < 10_000
     assert os.sched_getaffinity(0) == cores
