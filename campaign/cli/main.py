@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import NoReturn
 
-from campaign.cli import bench, catalog, machine, runs
+from campaign.cli import bench, catalog, fetch, machine, runs
 from campaign.store.atomic import explain
 from scenarios.errors import BoresightError
 
@@ -60,5 +60,6 @@ def _parser() -> argparse.ArgumentParser:
     catalog.add_commands(commands)
     runs.add_commands(commands)
     bench.add_commands(commands)
+    fetch.add_commands(commands)
     machine.add_commands(commands)
     return parser

@@ -60,6 +60,16 @@ def _find(name: str, search_dirs: Sequence[Path], folder: str, key: str, is_ther
         if is_there(candidate):
             return candidate
     looked = ", ".join(str(candidate) for candidate in candidates)
-    is_set = DATA_VARIABLE in os.environ or given.is_absolute()
-    advice = "check the path" if is_set else f"or set {DATA_VARIABLE} to the folder of the data"
-    raise BoresightError(f"{key}: {name} was not found; looked for {looked}; {advice}")
+    raise BoresightError(f"{key}: {name} was not found; looked for {looked}; {_advice(given, folder)}")
+
+
+def _advice(given: Path, folder: str) -> str:
+    # Imported here: data sets are YAML files, and only a missing file asks for them.
+    from scenarios.data.datasets import who_provides
+
+    known = None if given.is_absolute() else who_provides([f"{folder}/{given.as_posix()}", given.as_posix()])
+    if known is not None:
+        return f"to fetch it: boresight fetch {known}"
+    if DATA_VARIABLE in os.environ or given.is_absolute():
+        return "check the path"
+    return f"or set {DATA_VARIABLE} to the folder of the data"
