@@ -9,24 +9,33 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from estimators.landmark.pose.derivatives import image_jacobian, point_by_quaternion, point_by_rotation
 from estimators.landmark.pose.problem import PoseProblem
 from scenarios.geometry import Pose
 from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 
-_LAMBDA_MAX = 1e12
-_LAMBDA_MIN = 1e-9
+LAMBDA_MAX = 1e12
+LAMBDA_MIN = 1e-9
 
 
 class MarquardtOptions(SpecModel):
     """Parameters and end of the iteration."""
 
-    parameters: Literal["quaternion", "minimal"] = Field(
-        "quaternion", description="The paper's seven numbers, or a small rotation and a translation"
+    parameters: Literal["quaternion", "quaternion-as-printed", "minimal"] = Field(
+        "quaternion",
+        description="The paper's seven numbers, renormalised without or with (as printed) a change of the image; or a"
+        " small rotation and a translation",
     )
-    damping: float = Field(1e-3, gt=0, description="First lambda; a tenth of it after success, ten times after failure")
-    tolerance: float = Field(1e-10, gt=0, lt=1, description="Done when chi-square falls by less than this, relatively")
+    damping: float = Field(1e-3, gt=0, description="First lambda")
+    schedule: Literal["adaptive", "fixed"] = Field(
+        "adaptive",
+        description="A tenth of lambda after success and ten times after failure, or the same lambda for every step",
+    )
+    tolerance: float = Field(
+        1e-10, gt=0, lt=1, description="Done when chi-square changes by less than this, relatively"
+    )
     max_iterations: int = Field(100, ge=1, le=10_000)
 
 
@@ -53,25 +62,32 @@ class PoseFit:
 
 
 def refine_pose(problem: PoseProblem, start: Pose, options: MarquardtOptions) -> PoseFit:
-    """Minimise chi-square from ``start``; the result is never worse than it."""
+    """Minimise chi-square from ``start``; with adaptive damping the result is never worse than it.
+
+    With fixed damping every step is taken that leaves the landmarks in front of the camera.
+    """
     pose, chi2, damping = start, problem.chi2(start), options.damping
+    adaptive = options.schedule == "adaptive"
     iteration = 0
-    while iteration < options.max_iterations and np.isfinite(chi2) and damping <= _LAMBDA_MAX:
+    while iteration < options.max_iterations and np.isfinite(chi2) and damping <= LAMBDA_MAX:
         iteration += 1
         trial = _updated(pose, _damped_step(problem, pose, damping, options.parameters), options.parameters)
         trial_chi2 = problem.chi2(trial)
-        if trial_chi2 > chi2:
+        if adaptive and trial_chi2 > chi2:
             damping *= 10.0
             continue
-        done = chi2 - trial_chi2 <= options.tolerance * chi2
-        pose, chi2, damping = trial, trial_chi2, max(0.1 * damping, _LAMBDA_MIN)
+        if not np.isfinite(trial_chi2):
+            break
+        done = abs(chi2 - trial_chi2) <= options.tolerance * chi2
+        pose, chi2 = trial, trial_chi2
+        damping = max(0.1 * damping, LAMBDA_MIN) if adaptive else damping
         if done:
             break
     return PoseFit(pose, chi2, pose_covariance(problem, pose), iteration)
 
 
 def _damped_step(problem: PoseProblem, pose: Pose, damping: float, parameters: str) -> FloatArray:
-    jacobian = quaternion_jacobian(problem, pose) if parameters == "quaternion" else minimal_jacobian(problem, pose)
+    jacobian = minimal_jacobian(problem, pose) if parameters == "minimal" else quaternion_jacobian(problem, pose)
     matrix, vector = problem.normal_equations(jacobian, problem.residuals_px(pose))
     damped: FloatArray = matrix + damping * np.diag(np.diag(matrix))
     return np.asarray(np.linalg.solve(damped, vector), dtype=np.float64)  # eq. (24), by LUP
@@ -80,29 +96,22 @@ def _damped_step(problem: PoseProblem, pose: Pose, damping: float, parameters: s
 def _updated(pose: Pose, step: FloatArray, parameters: str) -> Pose:
     """Apply x + delta and renormalise the quaternion.
 
-    The R(q) of equation (8) scales the body by |q|**2. The translation is divided by the same, which the paper does
-    not say: renormalising then moves no pixel, and the iteration converges quadratically.
+    The R(q) of equation (8) scales the body by |q|**2, so that renormalising alone, as printed, changes the image and
+    takes back a part of the step. Where the translation is divided by the same factor, renormalising moves no pixel,
+    and the iteration converges quadratically.
     """
     if parameters == "minimal":
         return pose.perturbed(step[:3], step[3:])
-    quat_wxyz = pose.quat_wxyz + step[:4]
-    translation_m = (pose.translation_m + step[4:]) / float(quat_wxyz @ quat_wxyz)
+    quat_wxyz, translation_m = pose.quat_wxyz + step[:4], pose.translation_m + step[4:]
+    if parameters == "quaternion":
+        translation_m = translation_m / float(quat_wxyz @ quat_wxyz)
     return Pose.from_quat_wxyz(quat_wxyz, translation_m)
 
 
 def quaternion_jacobian(problem: PoseProblem, pose: Pose) -> FloatArray:
     """Differentiate the projections by (q0, q1, q2, q3, Tx, Ty, Tz), (N, 2, 7), for a unit quaternion."""
-    q0, q1, q2, q3 = pose.quat_wxyz
-    by_q = 2.0 * np.array(  # eq. (23): entry [k, i, j] is half the derivative of R_ij by q_k
-        [
-            [[q0, -q3, q2], [q3, q0, -q1], [-q2, q1, q0]],
-            [[q1, q2, q3], [q2, -q1, -q0], [q3, q0, -q1]],
-            [[-q2, q1, q0], [q1, q2, q3], [-q0, q3, -q2]],
-            [[-q3, -q0, q1], [q0, -q3, q2], [q1, q2, q3]],
-        ]
-    )
-    point_by_q = np.einsum("kij,nj->nik", by_q, problem.points_body_m)
-    return _image_jacobian(problem, pose, point_by_q)
+    by_quaternion = point_by_quaternion(pose.quat_wxyz, problem.points_body_m)
+    return image_jacobian(problem.camera, pose.transform(problem.points_body_m), by_quaternion)
 
 
 def minimal_jacobian(problem: PoseProblem, pose: Pose) -> FloatArray:
@@ -110,15 +119,8 @@ def minimal_jacobian(problem: PoseProblem, pose: Pose) -> FloatArray:
 
     The rotation perturbs the attitude on the left, as ``Pose.perturbed`` does.
     """
-    x, y, z = np.moveaxis(pose.rotate(problem.points_body_m), 1, 0)
-    zero = np.zeros_like(x)
-    point_by_rotation = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
-    return _image_jacobian(problem, pose, point_by_rotation)
-
-
-def _image_jacobian(problem: PoseProblem, pose: Pose, point_by_attitude: FloatArray) -> FloatArray:
-    by_point = problem.camera.jacobian(pose.transform(problem.points_body_m))
-    return np.concatenate([by_point @ point_by_attitude, by_point], axis=2)  # eqs. (21), (22)
+    by_rotation = point_by_rotation(pose.rotate(problem.points_body_m))
+    return image_jacobian(problem.camera, pose.transform(problem.points_body_m), by_rotation)
 
 
 def pose_covariance(problem: PoseProblem, pose: Pose) -> FloatArray:
