@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from estimators.landmark.pose.stack import PoseStack
 from scenarios.geometry import Pose
 
 FloatArray = NDArray[np.float64]
@@ -30,6 +31,20 @@ def pose_error(estimated: Pose, true: Pose) -> dict[str, float]:
         "position_error_x_m": float(in_camera[0]),
         "position_error_y_m": float(in_camera[1]),
         "position_error_z_m": float(in_camera[2]),
+    }
+
+
+def pose_errors(estimated: PoseStack, true: PoseStack) -> dict[str, FloatArray]:
+    """Score B poses against their truths: ``pose_error`` side by side, (B,) under each of its keys."""
+    in_body = estimated.camera_positions_m - true.camera_positions_m
+    in_camera = np.einsum("bij,bj->bi", true.rotations, in_body)
+    turn = Rotation.from_matrix(np.einsum("bij,bkj->bik", estimated.rotations, true.rotations))
+    return {
+        "position_error_m": np.linalg.norm(in_body, axis=1),
+        "attitude_error_deg": np.degrees(turn.magnitude()),
+        "position_error_x_m": in_camera[:, 0],
+        "position_error_y_m": in_camera[:, 1],
+        "position_error_z_m": in_camera[:, 2],
     }
 
 

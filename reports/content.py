@@ -19,13 +19,14 @@ from reports.figures import (
     draw_cumulative_errors,
     draw_landmark_counts,
     draw_landmark_errors,
+    draw_method_errors,
     draw_pose_errors,
     draw_roc,
 )
 from reports.measures import CONTROL, Record, errors_by_stage, final_stage, measure_run
 from reports.published import Comparison, load_published
 from reports.run_data import RunData, read_run, select
-from reports.statistics import MEDIAN
+from reports.statistics import LARGE, MEDIAN
 from reports.tables import (
     Grid,
     comparison_grid,
@@ -123,7 +124,8 @@ def _notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
         yield f"The run is not finished: {done} of {total} trials."
     yield (
         "Intervals are 95 % percentile-bootstrap intervals (2,000 resamples of whole trials"
-        " or, for real images, of whole images, because the noise realisations of one image are not independent)."
+        " or, for real images, of whole images, because the noise realisations of one image are not independent;"
+        f" from {LARGE:,} independent trials on, between order statistics or from the standard error of a mean)."
     )
     yield (
         "Position error is the difference of camera positions in the body frame, its components turned into the true"
@@ -160,6 +162,7 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
             yield _pose_figure(content, scenario, estimator)
             yield from _landmark_figures(content, scenario, estimator)
             yield from _outlier_figures(content, scenario, estimator)
+        yield from _method_figures(content, scenario)
         yield _cumulative_figure(content, scenario)
 
 
@@ -205,7 +208,7 @@ def _landmark_figures(content: Content, scenario: str, estimator: str) -> Iterat
         )
     rows = select(run.rows, scenario, estimator)
     counts = _finite(rows.loc[rows["status"] == "ok", "n_landmarks"])
-    if len(counts):
+    if len(set(counts)) > 1:
         title = f"Landmarks an image, {scenario}, {estimator}"
         medians = _published_medians(content, scenario, estimator)
         median = medians.get((final_stage(run, scenario, estimator), "n_landmarks"))
@@ -242,6 +245,22 @@ def _curves(found: Sequence[Detection]) -> dict[str, list[Curve]]:
         panel = f"{DEFINITIONS[one.definition]} ({int(one.bad.sum())} of {len(one.bad)})"
         curves.setdefault(panel, []).append(Curve(name, false, true, size))
     return {panel: sorted(lines, key=lambda line: -line.area)[:MOST_CURVES] for panel, lines in curves.items()}
+
+
+def _method_figures(content: Content, scenario: str) -> Iterator[NamedFigure]:
+    """Lay the final errors of several estimators over each other."""
+    run = content.run
+    labels = [name for where, name in run.pairs() if where == scenario and name != CONTROL]
+    if len(labels) > 1:
+        errors = {label: select(run.rows, scenario, label) for label in labels}
+        title = f"Final pose error by estimator, {scenario}"
+        yield NamedFigure(
+            _stem("method_errors", scenario),
+            draw_method_errors({"": errors}, title, run.manifest.credits),
+            f"{title}: normalised histograms over the trials with an estimate; what lies beyond the axis is said in the"
+            " legend.",
+            f"Two histograms of the errors of attitude and position of {', '.join(labels)}.",
+        )
 
 
 def _cumulative_figure(content: Content, scenario: str) -> NamedFigure:

@@ -3,6 +3,9 @@
 The interval is the percentile bootstrap: a median is not smooth, so the jackknife that BCa needs is of no
 help. Whole clusters are resampled (a trial, or every noise realisation of one real image), because the
 realisations of one image share its difficulty and are not independent.
+
+From 10,000 independent numbers on, resampling brings nothing and costs minutes: the interval of a quantile then
+lies between two order statistics, that of a mean is its standard error's.
 """
 
 from __future__ import annotations
@@ -13,11 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 FloatArray = NDArray[np.float64]
 
 RESAMPLES = 2000
 LEVEL = 0.95
+LARGE = 10_000
 _CHUNK = 4_000_000  # numbers held at a time while resampling
 
 
@@ -89,10 +94,32 @@ def measure(values: FloatArray, clusters: NDArray[np.generic], statistics: Seque
     codes = np.unique(clusters, return_inverse=True)[1]
     if codes.max() == 0:
         return [Measured(point) for point in points]
+    if codes.max() + 1 == len(values) >= LARGE:
+        return [Measured(p, *large_sample_interval(values, s)) for p, s in zip(points, statistics, strict=True)]
     draws = bootstrap(values, codes, statistics, content_rng(values, codes))
     tail = 50.0 * (1.0 - LEVEL)
     bounds = np.percentile(draws, [tail, 100.0 - tail], axis=1)
     return [Measured(p, float(low), float(high)) for p, low, high in zip(points, *bounds, strict=True)]
+
+
+def large_sample_interval(values: FloatArray, statistic: Statistic) -> tuple[float, float]:
+    """Bound a statistic of many independent ``values`` (n,) at the 95 % level, without resampling.
+
+    The rank of a quantile q is binomial, nearly normal with variance n q (1 - q); a mean is nearly normal.
+    """
+    powers, n, wide = values**statistic.power, len(values), float(ndtri(0.5 * (1.0 + LEVEL)))
+    if statistic.quantile is None:
+        half = wide * float(np.std(powers, ddof=1)) / np.sqrt(n)
+        low, high = float(powers.mean()) - half, float(powers.mean()) + half
+    else:
+        spread = wide * np.sqrt(n * statistic.quantile * (1.0 - statistic.quantile))
+        ranks = np.array([np.floor(n * statistic.quantile - spread) - 1.0, np.ceil(n * statistic.quantile + spread)])
+        below, above = np.clip(ranks, 0, n - 1).astype(np.intp)
+        ordered = np.partition(powers, [below, above])
+        low, high = float(ordered[below]), float(ordered[above])
+    if statistic.power == 1:
+        return low, high
+    return max(low, 0.0) ** (1 / statistic.power), high ** (1 / statistic.power)
 
 
 def content_rng(*arrays: NDArray[np.generic]) -> np.random.Generator:

@@ -27,6 +27,7 @@ class Stream(IntEnum):
     DATABASE = 4
     KNOWLEDGE = 5
     ALTIMETER = 6
+    LANDMARKS = 7
 
 
 def generator(seed: int, stream: Stream, trial: int) -> np.random.Generator:

@@ -58,7 +58,12 @@ class Experiment(Protocol):
         ...
 
 
-_KINDS: Mapping[str, str] = MappingProxyType({"single-image": "campaign.experiments.single_image:SingleImage"})
+_KINDS: Mapping[str, str] = MappingProxyType(
+    {
+        "single-image": "campaign.experiments.single_image:SingleImage",
+        "pose-convergence": "campaign.experiments.pose_convergence:PoseConvergence",
+    }
+)
 
 
 def experiment_class(kind: str) -> type[Experiment]:

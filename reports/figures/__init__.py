@@ -2,6 +2,7 @@
 
 from reports.figures.fit import Fit, Overlay, draw_fit_panels
 from reports.figures.landmarks import draw_landmark_counts, draw_landmark_errors
+from reports.figures.methods import draw_method_errors
 from reports.figures.pose import draw_cumulative_errors, draw_pose_errors
 from reports.figures.roc import MOST_CURVES, Curve, draw_roc
 from reports.figures.style import save_figure
@@ -15,6 +16,7 @@ __all__ = [
     "draw_fit_panels",
     "draw_landmark_counts",
     "draw_landmark_errors",
+    "draw_method_errors",
     "draw_pose_errors",
     "draw_roc",
     "save_figure",

@@ -33,6 +33,9 @@ _PANELS = (
 )
 
 
+_CURVE_POINTS = 2000
+
+
 @styled
 def draw_pose_errors(
     stages: Mapping[str, pd.DataFrame],
@@ -133,6 +136,13 @@ def _mark_published(axes: Axes, value: float, colour: str) -> None:
     )
 
 
+def _thinned(ascending: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
+    """Values (m,) of a curve and its shares (m + 1,) of n; more points than the eye can tell apart are left out."""
+    stride = max(1, len(ascending) // _CURVE_POINTS)
+    kept = ascending[stride - 1 :: stride]
+    return kept, np.append(np.arange(len(kept)) * stride, len(ascending)) / n
+
+
 @styled
 def draw_cumulative_errors(
     estimators: Mapping[str, tuple[pd.DataFrame, int]], title: str, credit_lines: Sequence[str] = ()
@@ -154,8 +164,7 @@ def draw_cumulative_errors(
         limit = float(shared_edges(list(samples.values()))[-1])
         for i, (name, sample) in enumerate(samples.items()):
             n = estimators[name][1]
-            shown = sample[sample <= limit]
-            share = np.arange(len(shown) + 1) / n
+            shown, share = _thinned(sample[sample <= limit], n)
             axes.step(
                 np.concatenate([[0.0], shown, [limit]]),
                 np.append(share, share[-1]),

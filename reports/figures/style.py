@@ -61,9 +61,17 @@ def styled(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
 
 def new_figure(columns: int, width_in: float = 7.5, height_in: float = 3.4) -> tuple[Figure, list[Axes]]:
     """Make a figure with ``columns`` panels side by side, without pyplot's global state."""
+    figure, axes = grid_figure(1, columns, width_in, height_in)
+    return figure, list(axes[0])
+
+
+def grid_figure(
+    rows: int, columns: int, width_in: float = 7.5, height_in: float = 6.0
+) -> tuple[Figure, NDArray[np.object_]]:
+    """Make a figure with (rows, columns) panels."""
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
-    return figure, list(figure.subplots(1, columns, squeeze=False)[0])
+    return figure, np.asarray(figure.subplots(rows, columns, squeeze=False))
 
 
 def render(figure: Figure, kind: str, dpi: int = 160) -> bytes:

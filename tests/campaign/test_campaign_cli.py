@@ -50,7 +50,8 @@ def test_every_campaign_of_the_catalogue_is_sound(capsys, name):
     for scenario in loaded.spec.scenarios:
         assert load_scenario(scenario).spec.name == scenario
     labels = [estimator.name for estimator in loaded.spec.estimators]
-    assert labels[0] == "prior", "there is always a control row"
+    if loaded.spec.experiment == "single-image":
+        assert labels[0] == "prior", "there is always a control row"
     assert "ok, a campaign of" in said(capsys, "validate", name)
 
 

@@ -131,3 +131,18 @@ def test_shapes_that_disagree_are_refused():
 def test_camera_positions_are_those_of_the_poses():
     _, starts, poses = stack(6)
     np.testing.assert_allclose(starts.camera_positions_m, [p.camera_position_m for p in poses], rtol=1e-12)
+
+
+def test_a_problem_without_a_solution_leaves_the_others_alone():
+    """Weights of zero make a normal matrix of zeros, which is singular whatever the damping."""
+    problems, starts, _ = stack(5)
+    information = problems.information_px2.copy()
+    information[2] = 0.0
+    spoilt = ProblemStack(problems.points_body_m, problems.uv_px, information, CAMERA)
+    for name in ("quaternion", "minimal"):
+        options = MarquardtOptions(parameters=name)
+        fits, alone = refine_poses(spoilt, starts, options), refine_poses(problems, starts, options)
+        np.testing.assert_allclose(fits.poses.rotations[2], starts.rotations[2], atol=1e-12)
+        others = [0, 1, 3, 4]
+        np.testing.assert_array_equal(fits.poses.rotations[others], alone.poses.rotations[others])
+        np.testing.assert_array_equal(fits.chi2[others], alone.chi2[others])

@@ -13,6 +13,7 @@ from reports.figures import (
     draw_fit_panels,
     draw_landmark_counts,
     draw_landmark_errors,
+    draw_method_errors,
     draw_pose_errors,
     save_figure,
 )
@@ -54,6 +55,9 @@ FIGURES = {
         {"prior": _errors(40), "after recognition": _errors(20, 150, 1)}, "T", {}, [CREDIT]
     ),
     "cumulative": lambda: draw_cumulative_errors({"prior": (_errors(40), 200), "a": (_errors(20), 250)}, "T", [CREDIT]),
+    "methods": lambda: draw_method_errors(
+        {"A": {"a": _errors(40), "b": _errors(20)}, "B": {"a": _errors(40)}}, "T", [CREDIT]
+    ),
     "landmarks": lambda: draw_landmark_errors(np.arange(1.0, 99.0), np.arange(1.0, 99.0), "T", [CREDIT]),
     "counts": lambda: draw_landmark_counts(np.arange(30.0, 80.0), "T", 59.0, [CREDIT]),
     "fit": lambda: draw_fit_panels(_fit(), "T", [CREDIT]),

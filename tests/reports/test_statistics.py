@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from reports.statistics import (
+    LARGE,
     MEAN,
     MEDIAN,
     P95,
@@ -16,6 +17,7 @@ from reports.statistics import (
     Measured,
     bootstrap,
     content_rng,
+    large_sample_interval,
     measure,
 )
 
@@ -138,3 +140,34 @@ def test_inputs_are_not_changed():
     measure(values, clusters, ALL)
     np.testing.assert_array_equal(values, before[0])
     np.testing.assert_array_equal(clusters, before[1])
+
+
+@pytest.mark.parametrize("statistic", ALL, ids=lambda s: s.name)
+def test_large_samples_need_no_resampling(statistic):
+    """The ends agree with the bootstrap's to a tenth of the width, which is the bootstrap's own noise."""
+    values = np.random.default_rng(8).gamma(2.0, 10.0, size=LARGE) - 3.0
+    found = measure(values, np.arange(LARGE), (statistic,))[0]
+    assert (found.low, found.high) == large_sample_interval(values, statistic)
+    draws = bootstrap(values, np.arange(LARGE), (statistic,), np.random.default_rng(9))[0]
+    low, high = np.percentile(draws, [2.5, 97.5])
+    assert found.low == pytest.approx(low, abs=0.1 * (high - low))
+    assert found.high == pytest.approx(high, abs=0.1 * (high - low))
+
+
+@pytest.mark.parametrize(("statistic", "truth"), [(MEDIAN, np.log(2)), (P95, np.log(20)), (MEAN, 1.0), (RMS, 2**0.5)])
+def test_large_sample_intervals_cover_the_truth_at_their_level(statistic, truth):
+    """400 repetitions at 95 %: binomial standard error 1.1 %, so [0.915, 0.985] is more than 3 sigma on each side."""
+    rng = np.random.default_rng(10)
+    covered = 0
+    for _ in range(400):
+        low, high = large_sample_interval(rng.exponential(size=2000), statistic)
+        covered += low <= truth <= high
+    assert 0.915 <= covered / 400 <= 0.985
+
+
+def test_large_samples_in_clusters_are_resampled():
+    values = np.repeat(np.random.default_rng(11).normal(size=LARGE // 2), 2)
+    clustered = measure(values, np.repeat(np.arange(LARGE // 2), 2), (MEAN,))[0]
+    independent = measure(values, np.arange(LARGE), (MEAN,))[0]
+    widths = [m.high - m.low for m in (clustered, independent)]
+    assert widths[0] == pytest.approx(2**0.5 * widths[1], rel=0.08)

@@ -87,8 +87,19 @@ def _trial(problems: ProblemStack, poses: PoseStack, damping: FloatArray, parame
 
 
 def _step(problems: ProblemStack, poses: PoseStack, jacobians: FloatArray, damping: FloatArray) -> FloatArray:
-    """Solve equation (24) for each problem: (B, P)."""
+    """Solve equation (24) for each problem, (B, P); no step where its matrix is singular."""
     matrices, vectors = problems.normal_equations(jacobians, poses)
     diagonal = np.arange(matrices.shape[1])
     matrices[:, diagonal, diagonal] *= 1.0 + damping[:, None]
-    return np.asarray(np.linalg.solve(matrices, vectors[..., None])[..., 0], dtype=np.float64)  # eq. (24), by LUP
+    try:
+        return np.asarray(np.linalg.solve(matrices, vectors[..., None])[..., 0], dtype=np.float64)  # eq. (24), by LUP
+    except np.linalg.LinAlgError:
+        return np.stack([_solution(matrix, vector) for matrix, vector in zip(matrices, vectors, strict=True)])
+
+
+def _solution(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """Solve one of them; one singular matrix must not take its whole stack with it."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, vector), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.zeros(len(vector))
