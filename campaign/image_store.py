@@ -86,9 +86,10 @@ def image_set_key(scenario: LoadedScenario, variant: str, stream: Stream, laws: 
 
 
 def fingerprint(view: View) -> bytes:
-    """Hash the pose and the Sun of a view, to the last bit."""
+    """Hash camera, pose and Sun of a view, to the last bit."""
     numbers = (view.T_cam_body.rotation, view.T_cam_body.translation_m, view.sun_dir_body)
-    return hashlib.sha256(b"".join(np.ascontiguousarray(n, dtype=np.float64).tobytes() for n in numbers)).digest()[:16]
+    parts = [repr(view.camera).encode(), *(np.ascontiguousarray(n, dtype=np.float64).tobytes() for n in numbers)]
+    return hashlib.sha256(b"|".join(parts)).digest()[:16]
 
 
 @dataclass(slots=True, eq=False)

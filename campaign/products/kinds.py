@@ -32,8 +32,10 @@ class ProductKind(Protocol):
         """Say what takes time in a build."""
         ...
 
-    def build(self, scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> None:
-        """Build the product into an empty folder."""
+    def build(
+        self, scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str
+    ) -> Mapping[str, object] | None:
+        """Build the product into an empty folder; return what is to be said of the building, if anything."""
         ...
 
     def load(self, folder: Path) -> object:

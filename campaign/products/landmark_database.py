@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from campaign.image_store import ImageStore
 from campaign.machine import use_threads
 from campaign.parallel import in_order
 from campaign.world import World, open_world, typical_range_m
@@ -40,19 +41,21 @@ def announcement(options: SpecModel) -> str:
     return f"{_checked(options).images} images"
 
 
-def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> None:
+def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
     """Build the data base of ``scenario`` and store it in ``folder``.
 
     The images are noise free, of the scenario's own body, BRDF and camera (without distortion), from random
     directions at the scenario's range, with the Sun anywhere within the largest phase angle (Rowell et al. 2015,
-    section 4.1).
+    section 4.1). They are kept, so that other corners or clusters render nothing again.
     """
     options = _checked(options)
     chunks = [range(i, min(i + _CHUNK_IMAGES, options.images)) for i in range(0, options.images, _CHUNK_IMAGES)]
     calls = ((scenario, options, chunk, variant, jobs) for chunk in chunks)
-    candidates = [points for found in in_order(jobs, _candidates, calls) for points in found]
-    database = database_from_candidates(candidates, options)
+    found = [image for chunk in in_order(jobs, _candidates, calls) for image in chunk]
+    database = database_from_candidates([candidates for candidates, _ in found], options)
     database.save(folder)
+    from_store = sum(stored for _, stored in found)
+    return {"images": len(found), "images_from_store": from_store}
 
 
 def load(folder: Path) -> LandmarkDatabase:
@@ -74,16 +77,24 @@ def _checked(options: SpecModel) -> DatabaseOptions:
 
 def _candidates(
     scenario: LoadedScenario, options: DatabaseOptions, images: Sequence[int], variant: str, jobs: int
-) -> list[NDArray[np.float64]]:
+) -> list[tuple[NDArray[np.float64], bool]]:
+    """Find the candidates of some images, and whether each image came from the store."""
     use_threads(jobs)
     world = open_world(scenario, variant)
     viewpoint = ViewpointSpec(range_m=typical_range_m(scenario))
     lighting = LightingSpec(phase_deg=Uniform(uniform=(0.0, options.phase_deg_max)))
-    streams = (generator(options.seed, Stream.DATABASE, image) for image in images)
-    views = (draw_lit_view(viewpoint, lighting, world.camera.pinhole, rng) for rng in streams)
-    return [_candidates_of(world, view, options) for view in views]
+    store = ImageStore.open(scenario, variant, Stream.DATABASE, viewpoint, lighting)
+    found = []
+    for image in images:
+        rng = generator(options.seed, Stream.DATABASE, image)
+        view = draw_lit_view(viewpoint, lighting, world.camera.pinhole, rng)
+        pixels, stored = store.image(options.seed, image, view, world.renderer.render)
+        found.append((_candidates_of(world, view, pixels, options), stored))
+    store.flush()
+    return found
 
 
-def _candidates_of(world: World, view: View, options: DatabaseOptions) -> NDArray[np.float64]:
-    image = world.renderer.render(view)
+def _candidates_of(
+    world: World, view: View, image: NDArray[np.float32], options: DatabaseOptions
+) -> NDArray[np.float64]:
     return extract_candidates(image, lambda uv: world.renderer.surface(view, uv).points_body_m, options)

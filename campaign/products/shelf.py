@@ -130,9 +130,11 @@ class Shelf:
             if self._tell is not None:
                 name = self._scenario.spec.name
                 self._tell(f"building the {kind.replace('-', ' ')} of {name}: {maker.announcement(options)}")
-            maker.build(self._scenario, options, place, self._jobs, self._variant)
+            facts = maker.build(self._scenario, options, place, self._jobs, self._variant) or {}
             seconds = {"seconds": time.perf_counter() - started}
-            (place / "built.json").write_text(json.dumps(seconds), encoding="utf-8")
+            (place / "built.json").write_text(json.dumps({**seconds, **facts}), encoding="utf-8")
+            if self._tell is not None and facts:
+                self._tell("; ".join(f"{name.replace('_', ' ')}: {value}" for name, value in facts.items()))
 
         cached = default_cache().folder(kind, folder.name.rsplit("-", 1)[1], build)
         _place(cached, folder)

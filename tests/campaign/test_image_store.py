@@ -160,6 +160,24 @@ def test_another_threshold_or_detector_renders_nothing(own_cache, tmp_path, caps
         assert f"images: 0 rendered or read, {TRIALS} from the store" in capsys.readouterr().out
 
 
+def test_another_kernel_of_the_data_base_renders_nothing(own_cache, tmp_path, capsys):
+    """The same data base comes out, and other corners are looked for in the images that are there."""
+    run(write_campaign(tmp_path / "first"), tmp_path / "a")
+    assert "images: 40; images from store: 0" in capsys.readouterr().out
+    kernel = CAMPAIGN.replace("images: 40,", "images: 40, corners: {patch_px: 9},")
+    run(write_campaign(tmp_path / "kernel", kernel), tmp_path / "b")
+    assert "images: 40; images from store: 40" in capsys.readouterr().out
+    more = CAMPAIGN.replace("images: 40,", "images: 45,")
+    run(write_campaign(tmp_path / "more", more), tmp_path / "c")
+    assert "images: 45; images from store: 40" in capsys.readouterr().out
+    boresight("cache", "--clear", "landmark-database")
+    run(write_campaign(tmp_path / "again"), tmp_path / "d")
+    assert "images: 40; images from store: 40" in capsys.readouterr().out
+    for name in ("landmarks.csv", "facets.csv"):
+        first, again = (next(tmp_path.glob(f"{out}/products/*/{name}")).read_bytes() for out in "ad")
+        assert first == again
+
+
 def test_a_killed_run_leaves_a_sound_store(own_cache, tmp_path):
     file = write_campaign(tmp_path / "campaign", CAMPAIGN.replace(f"trials: {TRIALS}", "trials: 400"))
     arguments = ("run", file, "--jobs", 2, "--out", tmp_path / "killed", "--trials", 400)
@@ -179,8 +197,8 @@ def test_a_killed_run_leaves_a_sound_store(own_cache, tmp_path):
 def test_cache_lists_images_by_kind_and_clears_them_alone(own_cache, tmp_path):
     run(write_campaign(tmp_path), tmp_path / "run")
     listing = boresight("cache").stdout
-    assert "images: 3 entries" in listing
-    assert "3 entries removed" in boresight("cache", "--clear", "images").stdout
+    assert "images: 7 entries" in listing  # three blocks of trials, four of the data base
+    assert "7 entries removed" in boresight("cache", "--clear", "images").stdout
     left = boresight("cache").stdout
     assert "images:" not in left
     assert "landmark-database: 1 entries" in left
