@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from campaign.experiments.registry import experiment_class
 from campaign.images import images_digest
-from estimators.registry import needed_sensors
+from estimators.registry import base_of, needed_sensors
 from renderers.detector import Detector
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.beliefs import believed_spec
@@ -123,9 +123,8 @@ def resolve(
 
 def _versions(campaign: CampaignSpec, entry: EstimatorSpec) -> list[int]:
     """Return the versions of a method and of the one that it builds on; refuse an unknown one."""
-    base = entry.options.get("base")
-    names = [entry.name, base] if isinstance(base, str) else [entry.name]
-    return [experiment_class(campaign.experiment).method_version(name) for name in names]
+    names = [entry.name, base_of(entry.name, entry.options)]
+    return [experiment_class(campaign.experiment).method_version(name) for name in names if name is not None]
 
 
 def _check_sensors(entry: EstimatorSpec, scenarios: Sequence[LoadedScenario]) -> None:

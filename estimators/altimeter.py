@@ -65,6 +65,8 @@ class Fusion:
         Standard deviation of the range's error and the mesh's, along the boresight.
     inflation
         Factor on the covariance that the pose came with.
+    contradiction
+        Size of the innovation in standard deviations, by what the pose and the range believed of themselves.
     """
 
     T_cam_body: Pose
@@ -73,6 +75,7 @@ class Fusion:
     innovation_m: float
     sigma_m: float
     inflation: float
+    contradiction: float
 
 
 def fuse_range(
@@ -102,34 +105,61 @@ def fuse_range(
     None where the boresight of the estimate misses the mesh.
     """
     start, covariance = prior
-    step, pose, result, inflation = np.zeros(6), start, None, 0.0
+    first = _linearised(start, reading, mesh, height_sigma_m)
+    if first is None:
+        return None
+    projected_m2 = float(first.gradient @ covariance @ first.gradient)
+    excess = (first.innovation_m**2 - first.variance_m2) / projected_m2
+    inflation = max(1.0, excess) if adaptive else 1.0
+    grown = inflation * covariance
+    step, pose, at = np.zeros(6), start, first
     for _ in range(_ROUNDS):
-        predicted = boresight_range(mesh, pose)
-        if predicted is None:
-            break
-        H, variance_m2 = predicted.gradient, reading.sigma_m**2 + (height_sigma_m / predicted.cos_incidence) ** 2
-        innovation_m = reading.range_m - predicted.range_m + float(H @ step)
-        projected_m2 = float(H @ covariance @ H)
-        if result is None:
-            excess = (innovation_m**2 - variance_m2) / projected_m2
-            inflation, first_m = (max(1.0, excess) if adaptive else 1.0), innovation_m
-        grown = inflation * covariance
-        gain = grown @ H / (inflation * projected_m2 + variance_m2)
-        previous, step = step, gain * innovation_m
+        previous, step = step, at.gain(grown) * (at.innovation_m + float(at.gradient @ step))
         pose = start.perturbed(step[:3], step[3:])
-        information = np.outer(H, H) / variance_m2
-        updated = grown - np.outer(gain, H @ grown)
-        result = Fusion(pose, 0.5 * (updated + updated.T), information, first_m, float(np.sqrt(variance_m2)), inflation)
-        if np.linalg.norm((step - previous)[3:]) < _SETTLED_M:
+        there = _linearised(pose, reading, mesh, height_sigma_m)
+        if there is None or np.linalg.norm((step - previous)[3:]) < _SETTLED_M:
             break
-    return result
+        at = there
+    updated = grown - np.outer(at.gain(grown), at.gradient @ grown)
+    return Fusion(
+        T_cam_body=pose,
+        covariance=0.5 * (updated + updated.T),
+        information=np.outer(at.gradient, at.gradient) / at.variance_m2,
+        innovation_m=first.innovation_m,
+        sigma_m=float(np.sqrt(first.variance_m2)),
+        inflation=inflation,
+        contradiction=abs(first.innovation_m) / float(np.sqrt(projected_m2 + first.variance_m2)),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linearised:
+    """A reading at one pose: gradient (6,) of the predicted range, measured less predicted, and its variance R."""
+
+    gradient: FloatArray
+    innovation_m: float
+    variance_m2: float
+
+    def gain(self, covariance: FloatArray) -> FloatArray:
+        """Kalman gain (6,) for a pose of this covariance."""
+        carried: FloatArray = covariance @ self.gradient
+        return carried / (float(self.gradient @ carried) + self.variance_m2)
+
+
+def _linearised(pose: Pose, reading: RangeReading, mesh: TriangleMesh, height_sigma_m: float) -> _Linearised | None:
+    predicted = boresight_range(mesh, pose)
+    if predicted is None:
+        return None
+    variance_m2 = reading.sigma_m**2 + (height_sigma_m / predicted.cos_incidence) ** 2
+    return _Linearised(predicted.gradient, reading.range_m - predicted.range_m, variance_m2)
 
 
 class AltimeterEstimator:
     """Another estimator's pose, fused with the altimeter's range; where there is no reading, the pose as it is."""
 
     name: ClassVar[str] = "landmark-altimeter"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
+    base: ClassVar[str] = "landmark-harris"
     sensors: ClassVar[frozenset[str]] = frozenset({"altimeter"})
 
     def __init__(self, base: Estimator, database: LandmarkDatabase, options: AltimeterOptions) -> None:
@@ -184,6 +214,7 @@ def _with_ranges(estimate: Estimate, fused: list[Fusion | None], seconds: Mappin
     if last is not None:
         numbers |= {
             "range_innovation_m": last.innovation_m,
+            "range_contradiction": last.contradiction,
             "range_sigma_m": last.sigma_m,
             "range_inflation": last.inflation,
         }

@@ -95,8 +95,8 @@ class Estimator(Protocol):
     """Anything that turns an observation into an estimate.
 
     ``version`` is part of every result's key: raise it when results change. Two things are optional: a class attribute
-    ``sensors``, the names of the sensors beside the camera that it needs, and an option ``base``, the name of another
-    estimator that it builds on, whose version then is part of the key too.
+    ``sensors``, the names of the sensors beside the camera that it needs, and a class attribute ``base``, the name of
+    another estimator that it builds on unless the option ``base`` says otherwise; its version is part of the key too.
     """
 
     name: ClassVar[str]

@@ -32,6 +32,12 @@ def needed_sensors(name: str) -> frozenset[str]:
     return frozenset(getattr(estimator_class(name), "sensors", ())) if name in estimator_names() else frozenset()
 
 
+def base_of(name: str, options: Mapping[str, object]) -> str | None:
+    """Return the estimator that another builds on, by its option ``base`` or its class's default; mostly none."""
+    base = getattr(estimator_class(name), "base", None) if name in estimator_names() else None
+    return None if base is None else str(options.get("base", base))
+
+
 def estimator_class(name: str) -> type[Estimator]:
     """Look up an estimator; our own names cannot be taken over by a third party.
 

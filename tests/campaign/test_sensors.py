@@ -6,8 +6,10 @@ from scipy.stats import kstest
 from tiny_campaign import SCENE
 
 from campaign.experiments.single_image import SingleImage
+from campaign.resolve import resolve
 from campaign.world import open_world
 from estimators.landmark.ranging import boresight_range
+from estimators.landmark.recognizer import LandmarkRecognizer
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
 from scenarios.geometry import View
@@ -52,6 +54,17 @@ def test_a_boresight_past_the_body_gives_no_reading(tmp_path):
     past = View(sight.view.camera, aside, sight.view.sun_dir_body)
     moved = type(sight)(sight.image, past, {})
     assert trials.observe(moved, 0).frames[0].altimeter is None
+
+
+@pytest.mark.parametrize("options", ["{}", "{base: landmark-harris}"])
+def test_a_new_version_of_the_base_is_another_run(tmp_path, monkeypatch, options):
+    (tmp_path / "scene.yaml").write_text(SCENE + "sensors: {altimeter: {sigma_m: 5}}\n")
+    (tmp_path / "tiny.yaml").write_text(
+        f"scenarios: [scene.yaml]\nestimators: [landmark-altimeter: {options}]\ntrials: 1\nseed: 5\n"
+    )
+    before = resolve(str(tmp_path / "tiny.yaml")).digest
+    monkeypatch.setattr(LandmarkRecognizer, "version", LandmarkRecognizer.version + 1)
+    assert resolve(str(tmp_path / "tiny.yaml")).digest != before
 
 
 def test_real_images_carry_no_altimeter(tmp_path):
