@@ -4,15 +4,23 @@ from renderers.brdf.arrays import NUMPY, ArrayMath
 from renderers.brdf.evaluate import brdf_value
 from renderers.brdf.hapke import HapkeParameters, hapke
 from renderers.brdf.lambert import lambert
+from renderers.brdf.lommel_seeliger import lommel_seeliger
+from renderers.brdf.mcewen import McEwenParameters, mcewen
+from renderers.brdf.models import MODELS, ReflectanceModel
 from renderers.brdf.oren_nayar import OrenNayarParameters, oren_nayar
 
 __all__ = [
+    "MODELS",
     "NUMPY",
     "ArrayMath",
     "HapkeParameters",
+    "McEwenParameters",
     "OrenNayarParameters",
+    "ReflectanceModel",
     "brdf_value",
     "hapke",
     "lambert",
+    "lommel_seeliger",
+    "mcewen",
     "oren_nayar",
 ]

@@ -1,12 +1,10 @@
-"""One door to the three reflectance models."""
+"""One door to the reflectance models."""
 
 from __future__ import annotations
 
 from renderers.brdf.arrays import NUMPY, Array, ArrayMath
-from renderers.brdf.hapke import HapkeParameters, hapke
-from renderers.brdf.lambert import lambert
-from renderers.brdf.oren_nayar import OrenNayarParameters, oren_nayar
-from scenarios.spec.brdf import BrdfSpec, HapkeSpec, OrenNayarSpec
+from renderers.brdf.models import MODELS
+from scenarios.spec.brdf import BrdfSpec
 
 
 def brdf_value(spec: BrdfSpec, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath = NUMPY) -> Array:
@@ -29,8 +27,4 @@ def brdf_value(spec: BrdfSpec, cos_i: Array, cos_e: Array, phase_rad: Array, xp:
         The BRDF, finite and never negative; the radiance factor I/F is pi times it times ``cos_i``. For Lambert
         it is a single number.
     """
-    if isinstance(spec, HapkeSpec):
-        return hapke(HapkeParameters.from_spec(spec), cos_i, cos_e, phase_rad, xp)
-    if isinstance(spec, OrenNayarSpec):
-        return oren_nayar(OrenNayarParameters.from_spec(spec), cos_i, cos_e, phase_rad, xp)
-    return lambert(spec.albedo)
+    return MODELS[spec.kind].formula(dict(spec), cos_i, cos_e, phase_rad, xp)

@@ -7,12 +7,12 @@ Equation numbers in the code are those of Hapke (1984) for the roughness.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from math import pi, radians
-from typing import Literal
+from math import pi
+from typing import Any, Literal
 
 from renderers.brdf.arrays import Array, ArrayMath, azimuth_haversine, grazing_safe, sine
-from scenarios.spec.brdf import HapkeSpec
 
 _TINY = 1e-12
 
@@ -44,9 +44,10 @@ class HapkeParameters:
     H_function: Literal["2002", "1981"] = "2002"
 
     @classmethod
-    def from_spec(cls, spec: HapkeSpec) -> HapkeParameters:
-        """From a scenario's section."""
-        return cls(spec.w, spec.b, spec.c, spec.B0, spec.h, radians(spec.theta_bar_deg), spec.H_function)
+    def from_values(cls, values: Mapping[str, Any]) -> HapkeParameters:
+        """From the values of a scenario's section, by key."""
+        v = values
+        return cls(v["w"], v["b"], v["c"], v["B0"], v["h"], v["theta_bar_deg"] * (pi / 180.0), v["H_function"])
 
 
 def hapke(p: HapkeParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:

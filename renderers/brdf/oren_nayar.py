@@ -6,12 +6,12 @@ The equations are those of section 4.4 of the paper (Gaussian slope distribution
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from math import pi, radians
-from typing import Literal
+from math import pi
+from typing import Any, Literal
 
 from renderers.brdf.arrays import Array, ArrayMath, azimuth_haversine, grazing_safe, sine
-from scenarios.spec.brdf import OrenNayarSpec
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +33,9 @@ class OrenNayarParameters:
     form: Literal["full", "qualitative"] = "full"
 
     @classmethod
-    def from_spec(cls, spec: OrenNayarSpec) -> OrenNayarParameters:
-        """From a scenario's section."""
-        return cls(spec.albedo, radians(spec.sigma_deg), spec.form)
+    def from_values(cls, values: Mapping[str, Any]) -> OrenNayarParameters:
+        """From the values of a scenario's section, by key."""
+        return cls(values["albedo"], values["sigma_deg"] * (pi / 180.0), values["form"])
 
 
 def oren_nayar(p: OrenNayarParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:

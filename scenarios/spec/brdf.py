@@ -40,4 +40,25 @@ class HapkeSpec(SpecModel):
     H_function: Literal["2002", "1981"] = Field("2002", description="Approximation of Chandrasekhar's H function")
 
 
-BrdfSpec = Annotated[LambertSpec | OrenNayarSpec | HapkeSpec, Field(discriminator="kind")]
+class LommelSeeligerSpec(SpecModel):
+    """Lommel and Seeliger: single scattering, I/F = w/4 mu0 / (mu0 + mu)."""
+
+    kind: Literal["lommel-seeliger"]
+    w: float = Field(
+        0.42, gt=0, le=1, description="Single scattering albedo of isotropic particles; I/F at the zenith is w/8"
+    )
+
+
+class McEwenSpec(SpecModel):
+    """McEwen's lunar-Lambert law: I/F = A [2 L mu0 / (mu0 + mu) + (1 - L) mu0], L = 1 + L1 g + L2 g^2 + L3 g^3."""
+
+    kind: Literal["mcewen"]
+    albedo: float = Field(0.3, gt=0, le=1, description="A: I/F at normal incidence and emission")
+    L1_per_deg: float = Field(-0.019, description="Weight of the lunar part, linear in the phase angle (the Moon's)")
+    L2_per_deg2: float = Field(2.42e-4, description="Its term in the square of the phase angle")
+    L3_per_deg3: float = Field(-1.46e-6, description="Its term in the cube of the phase angle")
+
+
+BrdfSpec = Annotated[
+    LambertSpec | OrenNayarSpec | HapkeSpec | LommelSeeligerSpec | McEwenSpec, Field(discriminator="kind")
+]

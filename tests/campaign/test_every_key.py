@@ -45,6 +45,7 @@ viewpoint: {range_m: 2000}
 LENS = RENDERED.replace("fov_deg: 18.3}", "fov_deg: 18.3, distortion: {k1: 1.5}}")
 OREN_NAYAR = RENDERED + "brdf: {kind: oren-nayar}\n"
 HAPKE = RENDERED + "brdf: {kind: hapke, c: 0.4}\n"
+MCEWEN = RENDERED + "brdf: {kind: mcewen}\n"
 OPPOSITION = HAPKE.replace("uniform: [20, 60]", "uniform: [0, 4]")
 GAUSSIAN = RENDERED + (
     "pose_error: {position_cam_m: {normal: [9, 9, 2]}, attitude: {rotation_vector_deg: {normal: [1, 1, 1]}}}\n"
@@ -124,6 +125,9 @@ CHANGES: dict[str, tuple[str, str]] = {
     "brdf.sigma_deg": (OREN_NAYAR, "40"),
     "brdf.form": (OREN_NAYAR, "qualitative"),
     "brdf.w": (HAPKE, "0.6"),
+    "brdf.L1_per_deg": (MCEWEN, "-0.01"),
+    "brdf.L2_per_deg2": (MCEWEN, "1.0e-4"),
+    "brdf.L3_per_deg3": (MCEWEN, "-1.0e-6"),
     "brdf.b": (HAPKE, "0.5"),
     "brdf.c": (HAPKE, "0.9"),
     "brdf.B0": (OPPOSITION, "0.4"),

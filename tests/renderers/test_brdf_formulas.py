@@ -1,4 +1,4 @@
-"""The three reflectance models against their sources, worked again here in other ways."""
+"""The reflectance models of more than a line against their sources, worked again here in other ways."""
 
 import math
 
@@ -186,7 +186,7 @@ def smooth_hapke(p: HapkeParameters, mu0: float, mu: float, g: float) -> float:
 @pytest.mark.parametrize("spec", [spec for spec in HAPKES if spec.theta_bar_deg > 0], ids=repr)
 @given(i=st.floats(0.01, 1.57), e=st.floats(0.01, 1.57), psi=st.floats(0.001, 3.1))
 def test_hapke_is_the_papers_two_cases(spec, i, e, psi):
-    expected = hapke_1984(HapkeParameters.from_spec(spec), i, e, psi)
+    expected = hapke_1984(HapkeParameters.from_values(dict(spec)), i, e, psi)
     assert value(spec, i, e, psi) == pytest.approx(expected, rel=2e-6)
 
 
@@ -226,7 +226,9 @@ def test_hapke_gives_the_radiance_factors_that_isis_publishes(spec, zenith, obli
 @given(i=st.floats(0.0, 1.57), e=st.floats(0.0, 1.57), psi=st.floats(0.0, 3.1))
 def test_hapke_without_roughness_is_the_smooth_model(H_function, i, e, psi):
     spec = HapkeSpec(kind="hapke", theta_bar_deg=0.0, H_function=H_function)
-    expected = smooth_hapke(HapkeParameters.from_spec(spec), math.cos(i), math.cos(e), phase(i, e, psi)) / math.cos(i)
+    expected = smooth_hapke(
+        HapkeParameters.from_values(dict(spec)), math.cos(i), math.cos(e), phase(i, e, psi)
+    ) / math.cos(i)
     assert value(spec, i, e, psi) == pytest.approx(expected, rel=2e-4)
 
 

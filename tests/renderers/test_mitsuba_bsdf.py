@@ -7,7 +7,8 @@ import pytest
 
 from renderers.brdf import brdf_value
 from renderers.mitsuba3 import register_bsdfs
-from scenarios.spec.brdf import HapkeSpec, OrenNayarSpec
+from renderers.mitsuba3.bsdf import PLUGINS as NAMED
+from scenarios.spec.brdf import HapkeSpec, LommelSeeligerSpec, McEwenSpec, OrenNayarSpec
 
 PLUGINS = [
     ({"type": "boresight_oren_nayar"}, OrenNayarSpec(kind="oren-nayar")),
@@ -15,6 +16,8 @@ PLUGINS = [
         {"type": "boresight_oren_nayar", "albedo": 0.8, "sigma_deg": 35.0, "form": "qualitative"},
         OrenNayarSpec(kind="oren-nayar", albedo=0.8, sigma_deg=35.0, form="qualitative"),
     ),
+    ({"type": "boresight_lommel_seeliger"}, LommelSeeligerSpec(kind="lommel-seeliger")),
+    ({"type": "boresight_mcewen", "albedo": 0.5}, McEwenSpec(kind="mcewen", albedo=0.5)),
     ({"type": "boresight_hapke"}, HapkeSpec(kind="hapke")),
     (
         {"type": "boresight_hapke", "w": 0.7, "b": -0.2, "c": 0.1, "B0": 0.3, "h": 0.1, "theta_bar_deg": 12.0}
@@ -62,7 +65,7 @@ def test_plugin_is_the_formula_without_llvm(scalar, plugin, spec):
     np.testing.assert_allclose(values, expected_value(spec, wi, wo), rtol=5e-4, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["boresight_oren_nayar", "boresight_hapke"])
+@pytest.mark.parametrize("name", [plugin.name for plugin in NAMED])
 @pytest.mark.parametrize("wi", [[0.0, 0.0, 1.0], [0.6, -0.3, 0.74]])
 def test_samples_follow_the_density(llvm, name, wi):
     """Chi-square at a significance of 0.01; the seed is fixed, so a pass stays a pass."""
@@ -95,7 +98,7 @@ def test_sample_weights_average_to_the_reflectance(llvm, plugin, spec):
     assert weights.max() < 50.0
 
 
-@pytest.mark.parametrize("name", ["boresight_oren_nayar", "boresight_hapke"])
+@pytest.mark.parametrize("name", [plugin.name for plugin in NAMED])
 def test_nothing_is_reflected_below_the_horizon(llvm, name):
     mi = register_bsdfs(llvm)
     bsdf, si = mi.load_dict({"type": name}), mi.SurfaceInteraction3f()
@@ -122,6 +125,8 @@ def test_factor_texture_multiplies(llvm):
         ("boresight_hapke", "theta_bar_deg", 20.0, 0.5),
         ("boresight_oren_nayar", "sigma_deg", 20.0, 0.5),
         ("boresight_oren_nayar", "albedo", 0.4, 0.01),
+        ("boresight_lommel_seeliger", "w", 0.4, 0.01),
+        ("boresight_mcewen", "L1_per_deg", -0.015, 0.0005),
     ],
 )
 def test_parameters_can_be_changed_and_differentiated(llvm, name, key, start, step):

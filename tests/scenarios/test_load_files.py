@@ -108,7 +108,7 @@ def test_faults_of_lookup_and_reading(here, tmp_path):
     here("long.yaml", "#" * 1_000_001)
     assert fault("quikstart") == "quikstart: no such scenario; did you mean quickstart?"
     assert fault("empti.yaml") == "empti.yaml: no such scenario; did you mean empty.yaml?"
-    assert "no such scenario; give a path, or one of itokawa-2km-lambert, " in fault("zzz")
+    assert "no such scenario; give a path, or one of itokawa-2km-altimeter, itokawa-2km-lambert, " in fault("zzz")
     assert fault("empty.yaml") == "empty.yaml: the file is empty: write 'key: value' lines"
     assert fault("list.yaml") == "list.yaml: the file is not a section of keys: write 'key: value' lines"
     assert fault("word.yaml") == "word.yaml: the file is not a section of keys: write 'key: value' lines"
@@ -146,7 +146,10 @@ def test_file_kind_goes_by_the_keys(here, tmp_path):
             "x.yaml:1: brdf.albedo: unknown key; known here are kind, w, b, c, B0, h,",
         ),
         ("lightning: {}\n", "x.yaml:1: lightning: unknown key; did you mean lighting?"),
-        ("brdf: {kind: lamber}", "x.yaml:1: brdf.kind: 'lamber' is not one of 'lambert', 'oren-nayar', 'hapke'"),
+        (
+            "brdf: {kind: lamber}",
+            "x.yaml:1: brdf.kind: 'lamber' is not one of 'lambert', 'oren-nayar', 'hapke', 'lommel-seeliger', 'mcewen'",
+        ),
         ("body: {unit: mm}", "x.yaml:1: body.unit: 'mm' is not 'm' or 'km'"),
         ("camera: {fov_deg: '20'}", "x.yaml:1: camera.fov_deg: '20' is not a number"),
         ("camera: {fov_deg: true}", "x.yaml:1: camera.fov_deg: true is not a number"),
