@@ -17,6 +17,7 @@ _OWN: Mapping[str, str] = MappingProxyType(
     {
         "landmark-harris": "estimators.landmark.recognizer:LandmarkRecognizer",
         "landmark-altimeter": "estimators.altimeter:AltimeterEstimator",
+        "landmark-ransac": "estimators.landmark.robust.estimator:ConsensusRecognizer",
         "prior": "estimators.prior:PriorEstimator",
     }
 )

@@ -17,9 +17,8 @@ from estimators.landmark.centroid import Alignment, AlignmentOptions, MeshView, 
 from estimators.landmark.consistency import centroid_residual_px, inconsistency
 from estimators.landmark.corners import CornerOptions, Corners, detect_corners
 from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.matching import squared_distances
+from estimators.landmark.matched import MatchedFrame, matched_table
 from estimators.landmark.pose.outliers import PoseOptions, PoseSolution, solve_pose
-from estimators.landmark.projection import project_landmarks
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
@@ -31,8 +30,7 @@ from scenarios.spec.base import SpecModel
 FloatArray = NDArray[np.float64]
 
 PRODUCT = "landmark-database"
-_MEASURES = {"centroid": centroid_pair, "image": correlation_pair}
-_COVARIANCE_NAMES = ("sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
+MEASURES = {"centroid": centroid_pair, "image": correlation_pair}
 
 
 class LandmarkOptions(SpecModel):
@@ -109,7 +107,7 @@ def recognise(
         )
     alignment, view = nothing, MeshView(camera, renderer, frame.sun_dir_cam)
     if options.alignment != "none":
-        measure = _MEASURES[options.alignment]
+        measure = MEASURES[options.alignment]
         alignment = align_translation(observed.image, prior, view, measure, options.alignment_loop, clock)
     if alignment.failure:
         return Recognition(prior, alignment, None, None, clock.seconds, alignment.failure)
@@ -211,26 +209,18 @@ def _diagnostics(result: Recognition) -> dict[str, float | int | str]:
 
 
 def landmark_table(results: list[Recognition], database: LandmarkDatabase, camera: Camera) -> Table:
-    """One row for each recognised landmark of each frame.
-
-    Columns: ``frame``, ``landmark`` (row of the data base), ``u_px, v_px`` (its corner), ``d2_px`` (weighted squared
-    distance of the corner to the landmark at the estimated pose), ``x_m, y_m, z_m`` and ``sxx_m2 ... szz_m2`` (the
-    data base's mean and covariance).
-    """
-    parts = []
-    for index, result in enumerate(results):
-        if result.corners is None or result.solution is None or result.solution.fit is None:
-            continue
-        matches = result.solution.rounds[-1].matches
-        uv_px = result.corners.uv_px[matches.corner]
-        projection = project_landmarks(database, camera, result.solution.fit.T_cam_body)
-        rows = matches.landmark
-        d2 = squared_distances(uv_px - projection.uv_px[rows], projection.covariances_px2[rows])
-        parts.append((np.full(len(matches), index), matches.landmark, uv_px, d2))
-    frame, landmark, uv, d2 = (np.concatenate(column) for column in zip(*parts, strict=True))
-    covariances = database.covariances_m2[landmark][:, *np.triu_indices(3)]
-    table: dict[str, NDArray[np.generic]] = {"frame": frame, "landmark": landmark}
-    table |= {"u_px": uv[:, 0], "v_px": uv[:, 1], "d2_px": d2}
-    table |= {name: database.means_m[landmark, axis] for axis, name in enumerate(("x_m", "y_m", "z_m"))}
-    table |= {name: covariances[:, axis] for axis, name in enumerate(_COVARIANCE_NAMES)}
-    return table
+    """List the recognised landmarks of each frame, see `matched_table`."""
+    return matched_table(
+        [
+            MatchedFrame(
+                index,
+                result.solution.fit.T_cam_body,
+                result.solution.rounds[-1].matches.landmark,
+                result.corners.uv_px[result.solution.rounds[-1].matches.corner],
+            )
+            for index, result in enumerate(results)
+            if result.corners is not None and result.solution is not None and result.solution.fit is not None
+        ],
+        database,
+        camera,
+    )

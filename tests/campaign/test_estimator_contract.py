@@ -25,6 +25,7 @@ from scenarios.observation import Frame, Observation
 # What a table entry needs to be built quickly; whoever is not here is built with its defaults.
 QUICK = {
     "landmark-harris": {"database": DATABASE},
+    "landmark-ransac": {"database": DATABASE},
     "landmark-altimeter": {"options": {"database": DATABASE}},
 }
 # The control row answers whatever the image shows.

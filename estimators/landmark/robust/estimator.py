@@ -1,0 +1,185 @@
+"""The estimator ``landmark-ransac``: image to pose by consensus of all corners."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.contract import Assets, Estimate, ImageRenderer, Stage
+from estimators.landmark.centroid import Alignment, MeshView, align_translation
+from estimators.landmark.corners import detect_corners
+from estimators.landmark.database import LandmarkDatabase
+from estimators.landmark.matched import MatchedFrame, matched_table
+from estimators.landmark.recognizer import MEASURES, PRODUCT
+from estimators.landmark.robust.mixture import Mixture, PosePrior, Poses, Step
+from estimators.landmark.robust.options import ConsensusOptions
+from estimators.landmark.robust.search import best_hypotheses, refined
+from estimators.landmark.signal import extract_signal
+from estimators.landmark.stopwatch import Stopwatch
+from estimators.landmark.visibility import visible_landmarks
+from estimators.options import parse_options
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Pose
+from scenarios.observation import Frame, Observation
+
+FloatArray = NDArray[np.float64]
+_MATCHED_D2 = 11.83
+_FEWEST = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solution:
+    """A frame's result; ``failure`` says why there is no pose."""
+
+    failure: str = ""
+    alignment: Alignment | None = None
+    pose: Pose | None = None
+    step: Step | None = None
+    visible: NDArray[np.intp] | None = None
+    corners_px: FloatArray | None = None
+
+
+class ConsensusRecognizer:
+    """All corners as candidates, the whole prior searched, maximum a posteriori; each frame on its own."""
+
+    name: ClassVar[str] = "landmark-ransac"
+    version: ClassVar[int] = 1
+
+    def __init__(self, database: LandmarkDatabase, renderer: ImageRenderer, options: ConsensusOptions) -> None:
+        self._database = database
+        self._mesh = database.mesh()
+        self._renderer = renderer
+        self._options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
+        """Build from a campaign's options and its landmark data base."""
+        parsed = parse_options(ConsensusOptions, options, cls.name)
+        database = assets.product(PRODUCT, parsed.database.model_dump(mode="json"))
+        if not isinstance(database, LandmarkDatabase):
+            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
+        return cls(database, assets.mesh_renderer(database.mesh()), parsed)
+
+    def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
+        """Estimate the pose of each frame on its own; the first frame that fails fails the whole.
+
+        Stages, diagnostics and timings are those of the last frame; nothing is drawn at random.
+        """
+        del rng
+        if not observation.frames:
+            return Estimate("failed", "the observation holds no image")
+        clock = Stopwatch()
+        solutions: list[_Solution] = []
+        for frame in observation.frames:
+            solutions.append(self._solve(frame, observation.camera, clock))
+            if solutions[-1].failure:
+                return Estimate("failed", solutions[-1].failure, timings_s=clock.seconds)
+        return self._estimate(solutions, observation.camera, clock)
+
+    def _solve(self, frame: Frame, camera: Camera, clock: Stopwatch) -> _Solution:
+        options, prior = self._options, frame.prior_T_cam_body
+        if frame.image.shape != (camera.height_px, camera.width_px):
+            expected = (camera.height_px, camera.width_px)
+            raise BoresightError(f"the image has shape {frame.image.shape}, but the camera's is {expected}")
+        if not np.isfinite(frame.image).all():
+            return _Solution("the image holds NaN or infinite pixels")
+        with clock("centroid"):
+            observed = extract_signal(frame.image)
+        if observed.empty:
+            return _Solution("the image is black: nothing above its background")
+        view = MeshView(camera, self._renderer, frame.sun_dir_cam)
+        measure = MEASURES[options.alignment]
+        alignment = align_translation(observed.image, prior, view, measure, options.alignment_loop, clock)
+        if alignment.failure:
+            return _Solution(alignment.failure, alignment)
+        with clock("feature_extraction"):
+            corners_px = detect_corners(frame.image, options.corners).uv_px
+        with clock("recognition"):
+            return self._recognise(frame, camera, alignment, corners_px)
+
+    def _recognise(self, frame: Frame, camera: Camera, alignment: Alignment, corners_px: FloatArray) -> _Solution:
+        options, start = self._options, alignment.T_cam_body
+        visible = np.flatnonzero(visible_landmarks(self._mesh, camera, start))
+        if min(len(visible), len(corners_px)) < _FEWEST:
+            found = f"{len(visible)} landmarks in view and {len(corners_px)} corners, {_FEWEST} of each needed"
+            return _Solution(found, alignment)
+        sigma_px = options.mixture.corner_sigma_px
+        turn_sigma_rad = float(np.sqrt(np.diag(frame.prior_covariance)[:3].max()))
+        first = self._mixture(visible, corners_px, camera, _prior_after_alignment(frame, start, camera, options))
+        hypotheses = best_hypotheses(first, start, turn_sigma_rad, corners_px, camera, options.search)
+        pose = refined(first, hypotheses, sigma_px, options.search)
+        # A turn of some degrees brings other landmarks into view.
+        visible = np.flatnonzero(visible_landmarks(self._mesh, camera, pose))
+        last = self._mixture(visible, corners_px, camera, _prior_after_alignment(frame, start, camera, options))
+        poses = last.climb(_single(pose), sigma_px, options.search.max_iterations, 1e-3)
+        return _Solution("", alignment, poses.pose(0), last.step(poses, sigma_px), visible, corners_px)
+
+    def _mixture(self, visible: NDArray[np.intp], corners_px: FloatArray, camera: Camera, prior: PosePrior) -> Mixture:
+        means, covariances = self._database.means_m[visible], self._database.covariances_m2[visible]
+        area_px2 = float(cv2.contourArea(cv2.convexHull(corners_px.astype(np.float32))))
+        area_px2 = max(area_px2, float(len(corners_px)))
+        return Mixture(means, covariances, corners_px, area_px2, camera, prior, self._options.mixture)
+
+    def _estimate(self, solutions: list[_Solution], camera: Camera, clock: Stopwatch) -> Estimate:
+        done = [(s.alignment, s.pose, s.step) for s in solutions]
+        poses = [pose for _, pose, _ in done if pose is not None]
+        bounds = [np.linalg.inv(step.hessian[0]) for _, _, step in done if step is not None]
+        aligned = [alignment for alignment, _, _ in done if alignment is not None]
+        frames = [_matched(index, solution) for index, solution in enumerate(solutions)]
+        return Estimate(
+            "ok",
+            poses=tuple(poses),
+            covariances=tuple(self._options.covariance_scale * bound for bound in bounds),
+            bounds=tuple(bounds),
+            stages=(Stage("alignment", aligned[-1].T_cam_body), Stage("recognition", poses[-1])),
+            details={"landmarks": matched_table(frames, self._database, camera)},
+            diagnostics=_diagnostics(solutions[-1], frames[-1]),
+            timings_s=clock.seconds,
+        )
+
+
+def _single(pose: Pose) -> Poses:
+    return Poses(pose.rotation[None], pose.translation_m[None])
+
+
+def _prior_after_alignment(frame: Frame, aligned: Pose, camera: Camera, options: ConsensusOptions) -> PosePrior:
+    """Put what the alignment says of the translation across the line of sight in the place of the prior's.
+
+    The prior's own information is kept: the aligned translation is a measurement of x and y with the error
+    ``alignment_sigma_px``; along the boresight and in attitude the prior stands alone.
+    """
+    prior_information = np.linalg.inv(frame.prior_covariance)
+    sigma_m = options.alignment_sigma_px * camera.pixel_angle_rad * float(np.linalg.norm(aligned.translation_m))
+    measured = np.zeros((6, 6))
+    measured[3, 3] = measured[4, 4] = sigma_m**-2
+    information = prior_information + measured
+    offset = np.concatenate([np.zeros(3), aligned.translation_m - frame.prior_T_cam_body.translation_m])
+    shift = np.linalg.solve(information, measured @ offset)
+    mean = frame.prior_T_cam_body.perturbed(shift[:3], shift[3:])
+    return PosePrior(mean, information)
+
+
+def _matched(index: int, solution: _Solution) -> MatchedFrame:
+    """Take as matches the landmarks with a corner within their 3-sigma region (two degrees of freedom)."""
+    step, visible, corners_px, pose = solution.step, solution.visible, solution.corners_px, solution.pose
+    if step is None or visible is None or corners_px is None or pose is None:
+        raise BoresightError("a frame without a solution has no matches")
+    rows, likely = np.arange(len(visible)), step.squares[0].argmin(axis=1)
+    sure = step.squares[0, rows, likely] < _MATCHED_D2
+    corner = step.candidates[0, rows, likely][sure]
+    return MatchedFrame(index, pose, visible[sure], corners_px[corner])
+
+
+def _diagnostics(solution: _Solution, matched: MatchedFrame) -> dict[str, float | int | str]:
+    step, visible, corners_px = solution.step, solution.visible, solution.corners_px
+    return {
+        "n_landmarks": len(matched.landmark),
+        "n_predicted": 0 if visible is None else len(visible),
+        "n_corners": 0 if corners_px is None else len(corners_px),
+        "log_posterior": 0.0 if step is None else float(step.log_posterior[0]),
+    }
