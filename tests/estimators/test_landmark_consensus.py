@@ -83,7 +83,7 @@ def test_poses_side_by_side_are_those_one_by_one():
 
 
 def test_the_pose_is_found_and_its_covariance_is_true():
-    """The mean of e^T P^-1 e over drawn scenes lies in its 99 % band: no scene is lost, and P is neither vain nor shy."""
+    """The mean of e^T P^-1 e over drawn scenes lies in its 99 % band: no scene is lost, P neither vain nor shy."""
     squares = []
     for seed in range(25):
         mixture, corners, prior = scene(seed)
