@@ -24,6 +24,7 @@ from reports.figures import (
     draw_roc,
 )
 from reports.measures import CONTROL, Record, errors_by_stage, final_stage, measure_run
+from reports.paired import paired_records
 from reports.published import Comparison, load_published
 from reports.run_data import RunData, read_run, select
 from reports.statistics import LARGE, MEDIAN
@@ -34,6 +35,7 @@ from reports.tables import (
     diagnostic_grid,
     failure_grid,
     outlier_grid,
+    paired_grid,
     pose_grids,
     reference_grid,
     stage_label,
@@ -80,6 +82,7 @@ class Content:
             comparison_grid(self.compared),
             detail_grid(self.records),
             diagnostic_grid(self.records),
+            paired_grid(self.records),
             outlier_grid(self.records),
             timing_grid(self.records),
             failure_grid(self.run),
@@ -112,7 +115,7 @@ def read_content(folder: Path) -> Content:
     """
     run = read_run(folder)
     comparison = load_published(run.manifest.report) if run.manifest.report else None
-    records = (*measure_run(run), *outlier_records(run))
+    records = (*measure_run(run), *outlier_records(run), *paired_records(run))
     compared = compare(records, comparison) if comparison else ()
     return Content(run, records, comparison, compared, tuple(_notes(run, comparison)))
 

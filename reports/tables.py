@@ -9,6 +9,16 @@ from dataclasses import dataclass
 from reports.comparison import VERDICT_RULE, ComparedValue
 from reports.detection import AUC, BAD, DEFINITIONS, MEASURE, THRESHOLD, TRUE_POSITIVES
 from reports.measures import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
+from reports.paired import (
+    BETTER,
+    DIFFERENCE,
+    DIFFERENCES,
+    FAILURE_RATE,
+    OWN,
+    PAIRED,
+    SIGN_TEST,
+    THEIRS,
+)
 from reports.run_data import RunData
 from reports.statistics import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE
 
@@ -280,6 +290,41 @@ def diagnostic_grid(records: Sequence[Record]) -> Grid | None:
         for line in lines
     )
     return Grid("Diagnostics", heads, rows, frozenset({0, 1, 2, 7})) if rows else None
+
+
+def paired_grid(records: Sequence[Record]) -> Grid | None:
+    """Tabulate estimators beside the first one on the same trials; None where there is only one."""
+    names = list(DIFFERENCES)
+    lines = [r for r in records if r.stage == PAIRED and r.measure == names[0] and r.statistic == MEDIAN.name]
+    heads = (
+        "scenario", "estimator", "against", "both ok", "position m [95 %]", "better", "p", "attitude deg [95 %]",
+        "better", "p", "failures", "of the other", "difference [95 %]",
+    )  # fmt: skip
+
+    def cells(line: Record) -> tuple[str, ...]:
+        key = {"scenario": line.scenario, "estimator": line.estimator, "stage": PAIRED, "reference": line.reference}
+
+        def get(measure: str, statistic: str, interval: bool = False) -> str:
+            return value_of(find(records, **key, measure=measure, statistic=statistic), interval)
+
+        def chance(measure: str) -> str:
+            found = find(records, **key, measure=measure, statistic=SIGN_TEST)
+            p = None if found is None else found.value
+            return "< 0.001" if p is not None and p < 1e-3 else value_of(found)
+
+        differences = [
+            cell for name in names for cell in (get(name, MEDIAN.name, interval=True), get(name, BETTER), chance(name))
+        ]
+        rates = (get(FAILURE_RATE, OWN), get(FAILURE_RATE, THEIRS), get(FAILURE_RATE, DIFFERENCE, interval=True))
+        return (line.scenario, line.estimator, line.reference, counts(line), *differences, *rates)
+
+    note = (
+        "On the same images and priors: median of the differences of the errors, trial by trial (negative is better),"
+        " share of trials in which it is better, and p of the sign test. Failures: no estimate, or a position error"
+        " above the prior's."
+    )
+    rows = tuple(cells(line) for line in lines)
+    return Grid("Estimators on the same trials", heads, rows, frozenset({0, 1, 2}), note) if rows else None
 
 
 def outlier_grid(records: Sequence[Record]) -> Grid | None:

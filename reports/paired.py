@@ -1,0 +1,109 @@
+"""Estimators beside each other on the same trials: median difference, sign test, failure rates.
+
+The first estimator that a campaign names, after the control, is what the others are compared with. Differences are
+those of trials that both solved. The sign test asks whether either of a pair is better with equal chance; the noise
+realisations of one real image count as one, by the sign of their median.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import binomtest
+
+from reports.measures import CONTROL, Record, clusters_of, unit_of
+from reports.run_data import RunData, select
+from reports.statistics import MEDIAN, Measured, measure
+
+PAIRED = "paired"
+"""Stage of the records that set an estimator beside another, which their ``reference`` names."""
+
+DIFFERENCES = {"position_difference_m": "position_error_m", "attitude_difference_deg": "attitude_error_deg"}
+FAILURE_RATE = "failure_rate"
+BETTER, SIGN_TEST = "share better", "sign test p"
+OWN, THEIRS, DIFFERENCE = "rate", "rate of the other", "difference"
+_NORMAL_95 = 1.959964
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pair:
+    """Two estimators on the trials of a scenario: their rows, trial for trial."""
+
+    scenario: str
+    estimator: str
+    against: str
+    rows: pd.DataFrame
+    base: pd.DataFrame
+
+    def record(self, name: str, statistic: str, measured: Measured, n_ok: int) -> Record:
+        return Record(
+            self.scenario, self.estimator, PAIRED, self.against, name, unit_of(name), statistic,
+            measured.value, measured.low, measured.high, n_ok, len(self.rows),
+        )  # fmt: skip
+
+
+def paired_records(run: RunData) -> list[Record]:
+    """Compare every estimator with the first one of its scenario; nothing where there is only one."""
+    records: list[Record] = []
+    for pair in _pairs(run):
+        both = ((pair.rows["status"] == "ok") & (pair.base["status"] == "ok")).to_numpy()
+        clusters = clusters_of(run, pair.rows)[both]
+        for name, error in DIFFERENCES.items():
+            difference = (pair.rows[error].to_numpy() - pair.base[error].to_numpy())[both]
+            records += _difference_records(pair, name, difference, clusters)
+        records += _failure_records(pair)
+    return records
+
+
+def _pairs(run: RunData) -> Iterator[_Pair]:
+    order = {str(label): place for place, label in enumerate(run.manifest.estimators)}
+    for scenario in dict.fromkeys(scenario for scenario, _ in run.pairs()):
+        found = [name for where, name in run.pairs() if where == scenario and name != CONTROL]
+        names = sorted(found, key=lambda name: order.get(name, len(order)))
+        tables = {name: select(run.rows, scenario, name).set_index("trial", drop=False) for name in names}
+        for name in names[1:]:
+            trials = tables[name].index.intersection(tables[names[0]].index)
+            yield _Pair(scenario, name, names[0], tables[name].loc[trials], tables[names[0]].loc[trials])
+
+
+def _difference_records(
+    pair: _Pair, name: str, difference: NDArray[np.float64], clusters: NDArray[np.generic]
+) -> Iterator[Record]:
+    """Yield the median of the differences (negative is better), the share of negative ones and the test's p."""
+    n = len(difference)
+    yield pair.record(name, MEDIAN.name, measure(difference, clusters, (MEDIAN,))[0], n)
+    signs = pd.Series(difference).groupby(np.asarray(clusters)).median().to_numpy() if n else difference
+    better, decided = int((signs < 0.0).sum()), int((signs != 0.0).sum())
+    test = binomtest(better, decided) if decided else None
+    ends = (None, None) if test is None else tuple(float(x) for x in test.proportion_ci(method="wilson"))
+    share = Measured(None if test is None else better / decided, *ends)
+    yield pair.record(name, BETTER, share, decided)
+    yield pair.record(name, SIGN_TEST, Measured(None if test is None else float(test.pvalue)), decided)
+
+
+def failures(rows: pd.DataFrame) -> NDArray[np.bool_]:
+    """Tell which trials failed: no estimate, or a position error above the prior's."""
+    worse = rows["position_error_m"].to_numpy() > rows["prior_position_error_m"].to_numpy()
+    return np.asarray((rows["status"] != "ok").to_numpy() | worse)
+
+
+def _failure_records(pair: _Pair) -> Iterator[Record]:
+    """Yield both failure rates and their difference, negative where there are fewer.
+
+    The rates have Wilson's interval. With b and c trials of n that one and the other alone failed, the variance of the
+    difference is (b + c - (b - c)^2 / n) / n^2 (McNemar).
+    """
+    mine, theirs = failures(pair.rows), failures(pair.base)
+    n, alone, other = len(mine), int((mine & ~theirs).sum()), int((~mine & theirs).sum())
+    if n == 0:
+        return
+    for name, failed in ((OWN, mine), (THEIRS, theirs)):
+        low, high = binomtest(int(failed.sum()), n).proportion_ci(method="wilson")
+        yield pair.record(FAILURE_RATE, name, Measured(float(failed.mean()), float(low), float(high)), n)
+    rate = (alone - other) / n
+    half = float(_NORMAL_95 * np.sqrt(alone + other - (alone - other) ** 2 / n) / n)
+    yield pair.record(FAILURE_RATE, DIFFERENCE, Measured(rate, rate - half, rate + half), n)
