@@ -370,13 +370,16 @@ def test_a_broken_third_party_is_refused_in_one_line(tmp_path, monkeypatch, code
     assert "\n" not in str(caught.value)
 
 
-def test_a_solution_that_disagrees_with_the_light_fails_if_asked(world):
-    _, frame = world.frame(1)
-    reported = estimate(recogniser(world), frame)
+@pytest.mark.parametrize("name", ["landmark-harris", "landmark-ransac"])
+def test_a_solution_that_disagrees_with_the_light_fails_if_asked(world, name):
+    def limited(**options):
+        built = estimator_class(name).from_options({"database": DATABASE, **options}, world)
+        return estimate(built, world.frame(1)[1])
+
+    reported = limited()
     residual = reported.diagnostics["centroid_residual_px"]
     assert 0.0 < residual < 10.0
-    assert estimate(recogniser(world, consistency_max_px=1.01 * residual), frame).status == "ok"
-    refused = estimate(recogniser(world, consistency_max_px=0.99 * residual), frame)
+    assert limited(consistency_max_px=1.01 * residual).status == "ok"
+    refused = limited(consistency_max_px=0.99 * residual)
     assert (refused.status, refused.poses) == ("failed", ())
     assert f"{residual:.3g} px from the image's" in refused.reason
-    assert [stage.name for stage in refused.stages] == ["centroid", "recognition"]

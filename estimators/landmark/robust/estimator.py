@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import cv2
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from estimators.contract import Assets, Estimate, ImageRenderer, Stage
 from estimators.landmark.centroid import Alignment, MeshView, align_translation
+from estimators.landmark.consistency import centroid_residual_px, inconsistency
 from estimators.landmark.corners import detect_corners
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.matched import MatchedFrame, matched_table
@@ -42,19 +43,25 @@ class _Solution:
     step: Step | None = None
     visible: NDArray[np.intp] | None = None
     corners_px: FloatArray | None = None
+    centroid_residual_px: float | None = None
 
 
 class ConsensusRecognizer:
     """All corners as candidates, the whole prior searched, maximum a posteriori; each frame on its own."""
 
     name: ClassVar[str] = "landmark-ransac"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     def __init__(self, database: LandmarkDatabase, renderer: ImageRenderer, options: ConsensusOptions) -> None:
         self._database = database
         self._mesh = database.mesh()
         self._renderer = renderer
         self._options = options
+
+    @property
+    def database(self) -> LandmarkDatabase:
+        """The landmarks that are looked for."""
+        return self._database
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
@@ -100,7 +107,13 @@ class ConsensusRecognizer:
         with clock("feature_extraction"):
             corners_px = detect_corners(frame.image, options.corners).uv_px
         with clock("recognition"):
-            return self._recognise(frame, camera, alignment, corners_px)
+            solution = self._recognise(frame, camera, alignment, corners_px)
+        if solution.pose is None:
+            return solution
+        with clock("consistency"):
+            residual_px = centroid_residual_px(observed.image, solution.pose, view)
+        failure = inconsistency(residual_px, options.consistency_max_px)
+        return replace(solution, failure=failure, centroid_residual_px=residual_px)
 
     def _recognise(self, frame: Frame, camera: Camera, alignment: Alignment, corners_px: FloatArray) -> _Solution:
         options, start = self._options, alignment.T_cam_body
@@ -177,9 +190,11 @@ def _matched(index: int, solution: _Solution) -> MatchedFrame:
 
 def _diagnostics(solution: _Solution, matched: MatchedFrame) -> dict[str, float | int | str]:
     step, visible, corners_px = solution.step, solution.visible, solution.corners_px
+    residual_px = solution.centroid_residual_px
     return {
         "n_landmarks": len(matched.landmark),
         "n_predicted": 0 if visible is None else len(visible),
         "n_corners": 0 if corners_px is None else len(corners_px),
         "log_posterior": 0.0 if step is None else float(step.log_posterior[0]),
+        **({} if residual_px is None else {"centroid_residual_px": residual_px}),
     }

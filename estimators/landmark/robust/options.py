@@ -53,3 +53,6 @@ class ConsensusOptions(SpecModel):
     covariance_scale: float = Field(
         1.8, gt=0, description="Factor on the covariance of the result: errors of neighbouring landmarks go together"
     )
+    consistency_max_px: float | None = Field(
+        None, gt=0, description="A solution whose mesh, rendered, has its brightness centroid farther off fails"
+    )
