@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -20,6 +21,13 @@ from reports.figures.style import (
 
 MOST_CURVES = 5
 """More lines in a panel could not be told apart."""
+
+_LineStyle = str | tuple[int, tuple[int, ...]]
+# As many as there can be of both, so that neighbours differ in colour and in dashes.
+_LOOKS = [
+    (LINE_STYLES[i % len(LINE_STYLES)], SERIES_COLOURS[i % len(SERIES_COLOURS)])
+    for i in range(len(LINE_STYLES) * len(SERIES_COLOURS))
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,22 +53,25 @@ def draw_roc(panels: Mapping[str, Sequence[Curve]], title: str, credit_lines: Se
     credit_lines
         Credits of real images.
     """
-    figure, axes = new_figure(len(panels), width_in=3.9 * max(1, len(panels)), height_in=4.0)
+    figure, axes = new_figure(len(panels), width_in=3.9 * max(1, len(panels)), height_in=4.2)
+    names = dict.fromkeys(curve.name for curves in panels.values() for curve in curves)
+    looks = dict(zip(names, itertools.cycle(_LOOKS), strict=False))
     for place, (definition, curves) in zip(axes, panels.items(), strict=True):
-        _draw_panel(place, curves)
+        _draw_panel(place, curves, looks)
         place.set_title(f"bad: {definition}")
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
     return figure
 
 
-def _draw_panel(axes: Axes, curves: Sequence[Curve]) -> None:
+def _draw_panel(axes: Axes, curves: Sequence[Curve], looks: Mapping[str, tuple[_LineStyle, str]]) -> None:
+    """Draw the curves of a panel; a score looks the same in all of them."""
     axes.plot([0, 1], [0, 1], color=GREY, linewidth=0.9, linestyle=":")
-    for curve, colour, style in zip(curves, SERIES_COLOURS, LINE_STYLES, strict=False):
+    for curve in curves:
+        style, colour = looks[curve.name]
         label = f"{curve.name}: AUC {curve.area:.2f}"
-        axes.plot(
-            curve.false_positives, curve.true_positives, color=colour, linestyle=style, linewidth=1.4, label=label
-        )
+        x, y = curve.false_positives, curve.true_positives
+        axes.plot(x, y, color=colour, linestyle=style, linewidth=1.4, label=label)
     axes.set(xlabel="good solutions flagged", ylabel="bad solutions flagged", xlim=(0, 1), ylim=(0, 1.01))
-    axes.set_aspect("equal")
+    axes.set_box_aspect(1)
     axes.legend(loc="lower right")
