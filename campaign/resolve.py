@@ -137,6 +137,11 @@ def _check_sensors(entry: EstimatorSpec, scenarios: Sequence[LoadedScenario]) ->
             )
 
 
+def _in_order(manifest: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """List the scenarios as the campaign names them; a manifest is sorted by name."""
+    return [(entry["name"], manifest["scenarios"][entry["name"]]) for entry in manifest["identity"]["scenarios"]]
+
+
 def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
     """Resolve a stored run's campaign again from its manifest; None where code or data have changed since.
 
@@ -153,7 +158,7 @@ def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
                 Path(manifest["files"][name][0]),
                 tuple(map(Path, manifest["files"][name][1:])),
             )
-            for name, scenario in manifest["scenarios"].items()
+            for name, scenario in _in_order(manifest)
         )
     except (KeyError, ValidationError):
         return None

@@ -15,6 +15,7 @@ ENTRY_POINT_GROUP = "boresight.estimators"
 
 _OWN: Mapping[str, str] = MappingProxyType(
     {
+        "centroid": "estimators.landmark.centroiding:CentroidAligner",
         "landmark-harris": "estimators.landmark.recognizer:LandmarkRecognizer",
         "landmark-altimeter": "estimators.altimeter:AltimeterEstimator",
         "landmark-ransac": "estimators.landmark.robust.estimator:ConsensusRecognizer",

@@ -11,11 +11,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from reports.comparison import ComparedValue, compare
+from reports.comparison import ComparedClaim, ComparedValue, compare, compare_claims
+from reports.derived import derived_records
 from reports.detection import DEFINITIONS, Detection, area, detections, outlier_records, roc_curve
 from reports.figures import (
     MOST_CURVES,
     Curve,
+    draw_centroid_offsets,
     draw_cumulative_errors,
     draw_landmark_counts,
     draw_landmark_errors,
@@ -27,9 +29,10 @@ from reports.measures import CONTROL, Record, errors_by_stage, final_stage, meas
 from reports.paired import paired_records
 from reports.published import Comparison, load_published
 from reports.run_data import RunData, read_run, select
-from reports.statistics import LARGE, MEDIAN
+from reports.statistics import LARGE, MEDIAN, FloatArray
 from reports.tables import (
     Grid,
+    claim_grid,
     comparison_grid,
     detail_grid,
     diagnostic_grid,
@@ -65,6 +68,8 @@ class Content:
         Every measured number.
     comparison, compared
         Published values and our numbers beside them; None and empty if the campaign names none.
+    claims
+        Published orders and our medians in them.
     notes
         What a reader must know before trusting the numbers.
     """
@@ -73,6 +78,7 @@ class Content:
     records: tuple[Record, ...]
     comparison: Comparison | None
     compared: tuple[ComparedValue, ...]
+    claims: tuple[ComparedClaim, ...]
     notes: tuple[str, ...]
 
     def grids(self) -> list[Grid]:
@@ -80,6 +86,7 @@ class Content:
         optional = (
             reference_grid(self.records, self.run),
             comparison_grid(self.compared),
+            claim_grid(self.claims),
             detail_grid(self.records),
             diagnostic_grid(self.records),
             paired_grid(self.records),
@@ -115,9 +122,11 @@ def read_content(folder: Path) -> Content:
     """
     run = read_run(folder)
     comparison = load_published(run.manifest.report) if run.manifest.report else None
-    records = (*measure_run(run), *outlier_records(run), *paired_records(run))
+    derived = derived_records(run, comparison.radius_m) if comparison and comparison.radius_m else ()
+    records = (*measure_run(run), *derived, *outlier_records(run), *paired_records(run))
     compared = compare(records, comparison) if comparison else ()
-    return Content(run, records, comparison, compared, tuple(_notes(run, comparison)))
+    claims = compare_claims(records, comparison) if comparison else ()
+    return Content(run, records, comparison, compared, claims, tuple(_notes(run, comparison)))
 
 
 def _notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
@@ -167,6 +176,7 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
             yield from _outlier_figures(content, scenario, estimator)
         yield from _method_figures(content, scenario)
         yield _cumulative_figure(content, scenario)
+    yield from _centroid_figures(content)
 
 
 def _published_medians(content: Content, scenario: str, estimator: str) -> dict[tuple[str, str], float]:
@@ -263,6 +273,29 @@ def _method_figures(content: Content, scenario: str) -> Iterator[NamedFigure]:
             f"{title}: normalised histograms over the trials with an estimate; what lies beyond the axis is said in the"
             " legend.",
             f"Two histograms of the errors of attitude and position of {', '.join(labels)}.",
+        )
+
+
+def centroid_offsets(run: RunData, estimator: str) -> dict[str, FloatArray]:
+    """Collect the offsets (n, 2) of the brightness centroid that an estimator reports, px, scenario by scenario."""
+    numbers = run.diagnostics[run.diagnostics["estimator"] == estimator]
+    axes = numbers[numbers["name"].isin(["centroid_du_px", "centroid_dv_px"])]
+    wide = axes.pivot_table(index=["scenario", "trial"], columns="name", values="value")
+    return {
+        str(name): table[["centroid_du_px", "centroid_dv_px"]].dropna().to_numpy(dtype=np.float64)
+        for name, table in wide.groupby("scenario", sort=False)
+    }
+
+
+def _centroid_figures(content: Content) -> Iterator[NamedFigure]:
+    run = content.run
+    for estimator in dict.fromkeys(run.diagnostics.loc[run.diagnostics["name"] == "centroid_du_px", "estimator"]):
+        title = f"Offset of the brightness centroid, observed minus rendered, {estimator}"
+        yield NamedFigure(
+            _stem("centroid_offsets", str(estimator)),
+            draw_centroid_offsets(centroid_offsets(run, str(estimator)), title),
+            f"{title}: one point a trial; ellipses: one standard deviation of the sample.",
+            "Scatter of the offsets of the brightness centroid along the columns and rows of the image.",
         )
 
 

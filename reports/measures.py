@@ -17,8 +17,14 @@ CONTROL = "prior"
 FAILURES_AT_PRIOR = "failures-at-prior"
 """Stage in which a trial without an estimate counts with the error of its prior."""
 
+DERIVED = "derived"
+"""Stage of what follows from the scenario alone."""
+
 DIAGNOSTICS = "diagnostics"
 """Stage of the numbers that an estimator reports beside its pose."""
+
+MIN_LANDMARKS = 4
+"""Landmarks that fix a pose."""
 
 UNITS = {
     "position_error_m": "m",
@@ -29,6 +35,8 @@ UNITS = {
     "position_reduction_m": "m",
     "attitude_reduction_deg": "deg",
     "n_landmarks": "",
+    "four_landmarks_share": "%",
+    "landmark_observations": "",
     "landmark_error_m": "m",
     "chi_square": "",
     "database_landmarks": "",
@@ -183,6 +191,8 @@ def pose_measures(run: RunData) -> list[Record]:
     records = []
     for scenario, estimator in run.pairs():
         rows = select(run.rows, scenario, estimator)
+        if not rows["prior_position_error_m"].notna().any():
+            continue
         stages = errors_by_stage(run, scenario, estimator)
         if estimator != CONTROL:
             ok = (rows["status"] == "ok").to_numpy()
@@ -237,8 +247,18 @@ def landmark_measures(run: RunData) -> list[Record]:
         if len(ok):
             subject = _Subject(scenario, estimator, stage, len(rows))
             records += subject.records("n_landmarks", ok["n_landmarks"], clusters_of(run, ok), (MEDIAN, MEAN))
+        if (ok["n_landmarks"] > 0).any():
+            enough = 100.0 * (rows["n_landmarks"].fillna(0.0) >= MIN_LANDMARKS)
+            subject = _Subject(scenario, estimator, stage, len(rows))
+            records += subject.records("four_landmarks_share", enough, clusters_of(run, rows), (MEAN,))
         marks = select(run.landmarks, scenario, estimator)
         if len(marks):
+            count = Measured(len(marks), len(marks), len(marks))
+            records.append(
+                _Subject(scenario, estimator, stage, len(marks)).record(
+                    "landmark_observations", "count", count, len(marks)
+                )
+            )
             subject = _Subject(scenario, estimator, stage, len(marks))
             clusters = clusters_of(run, marks)
             records += subject.records("landmark_error_m", marks["error_m"], clusters, (MEDIAN, RMS, P95))

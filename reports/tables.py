@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from reports.comparison import VERDICT_RULE, ComparedValue
+from reports.comparison import VERDICT_RULE, ComparedClaim, ComparedValue
 from reports.detection import AUC, BAD, DEFINITIONS, MEASURE, THRESHOLD, TRUE_POSITIVES
-from reports.measures import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
+from reports.measures import CONTROL, DERIVED, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find, unit_of
 from reports.paired import (
     BETTER,
     DIFFERENCE,
@@ -32,6 +32,8 @@ _STAGES = {
     "final": "final",
     FAILURES_AT_PRIOR: "failures at prior",
     "database": "data base",
+    DIAGNOSTICS: "of each trial",
+    DERIVED: "of the scenario",
 }
 _TIMED = {
     "mesh_rendering": "data base image rendering",
@@ -50,8 +52,19 @@ _MEASURES = {
     "position_error_z_m": "position error, z",
     "attitude_error_deg": "attitude error",
     "n_landmarks": "landmarks an image",
+    "four_landmarks_share": "four landmarks or more",
+    "landmark_observations": "landmark observations",
     "landmark_error_m": "landmark error",
     "chi_square": "chi-square of a landmark",
+    "landmarks": "landmarks in the data base",
+    "facets": "facets of the data base",
+    "centroid_offset_px": "offset of the brightness centroid",
+    "extent_px": "extent of the body, longer side",
+    "diameter_px": "extent of the body, disc of equal area",
+    "pixel_scale_m": "a pixel on the surface",
+    "pixel_rotation_deg": "rotation of the body by a pixel",
+    "pixel_displacement_m": "displacement of the camera by a pixel",
+    "outlier_rounds": "outlier rounds",
     "database_landmarks": "landmarks in the data base",
     "database_facets": "facets of the data base",
     "position_reduction_m": "reduction of the position error",
@@ -117,6 +130,8 @@ def value_of(record: Record | None, interval: bool = False) -> str:
         return NO_VALUE
     if record.statistic == "count":
         return str(int(record.value))
+    if record.statistic == "value":
+        interval = False
     scale, unit = (1.0, "") if record.unit != "s" else (1.0, " s") if record.value >= 1 else (1e3, " ms")
     value = f"{number(scale * record.value)}{unit}"
     if not interval or record.low is None or record.high is None:
@@ -136,7 +151,7 @@ def stage_label(stage: str, timed: bool = False) -> str:
 
 def measure_label(name: str) -> str:
     """Name a measure in plain words."""
-    return _MEASURES[name]
+    return _MEASURES.get(name, name.removesuffix(f"_{unit_of(name)}").replace("_", " "))
 
 
 def pose_grids(records: Sequence[Record]) -> list[Grid]:
@@ -236,6 +251,21 @@ def verdict_grid(compared: Sequence[ComparedValue]) -> Grid | None:
             rows.append((f"{quantity}, {stage}, {statistic}", paper, ours, verdict))
     heads = ("quantity", "paper", "ours [95 %]", "verdict")
     return Grid("Beside the published values", heads, tuple(rows), frozenset({0, 3})) if rows else None
+
+
+def claim_grid(claims: Sequence[ComparedClaim]) -> Grid | None:
+    """Tabulate orders that the paper states in words; None if it states none."""
+    heads = ("the paper says", "ours: medians [95 %], in that order", "verdict", "place in the paper")
+    rows = tuple(
+        (
+            item.claim.text,
+            " < ".join(f"{r.estimator} {value_of(r, interval=True)} {r.unit}" if r else NO_VALUE for r in item.ours),
+            item.verdict,
+            item.claim.place,
+        )
+        for item in claims
+    )
+    return Grid("Beside what the paper says in words", heads, rows, frozenset({0, 1, 2, 3})) if rows else None
 
 
 def _compared_cells(compared: ComparedValue, several: bool) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """The figures of a report, drawn from plain tables and arrays."""
 
+from reports.figures.centroid import draw_centroid_offsets
 from reports.figures.fit import Fit, Overlay, draw_fit_panels
 from reports.figures.landmarks import draw_landmark_counts, draw_landmark_errors
 from reports.figures.methods import draw_method_errors
@@ -12,6 +13,7 @@ __all__ = [
     "Curve",
     "Fit",
     "Overlay",
+    "draw_centroid_offsets",
     "draw_cumulative_errors",
     "draw_fit_panels",
     "draw_landmark_counts",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib import resources
 from typing import Literal, Self
 
@@ -9,11 +10,21 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from reports.measures import UNITS
+from reports.measures import DERIVED, DIAGNOSTICS, UNITS, unit_of
 from scenarios.errors import BoresightError
 
 _FILES = ("rowell2015.yaml",)
-_SCALE = {("", ""): 1.0, ("m", "m"): 1.0, ("deg", "deg"): 1.0, ("s", "s"): 1.0, ("ms", "s"): 1e-3}
+_SCALE = {
+    ("", ""): 1.0,
+    ("m", "m"): 1.0,
+    ("deg", "deg"): 1.0,
+    ("s", "s"): 1.0,
+    ("ms", "s"): 1e-3,
+    ("px", "px"): 1.0,
+    ("pixels", "px"): 1.0,
+    ("%", "%"): 1.0,
+}
+_PRINTED = r"^(?:up to )?~?(?P<low>[\d,]+(?:\.\d+)?)(?:-(?P<high>\d+(?:\.\d+)?))?(?: (?P<unit>%|[a-z]+))?$"
 
 
 class _Model(BaseModel):
@@ -21,7 +32,7 @@ class _Model(BaseModel):
 
 
 class PublishedValue(_Model):
-    """One printed number.
+    """One printed number, or a printed range, of which the middle counts.
 
     Parameters
     ----------
@@ -31,6 +42,10 @@ class PublishedValue(_Model):
         Number and unit, verbatim.
     tolerance
         Half-width of the band that counts as reproduced, in the measure's unit; None where no verdict is due.
+    relation
+        ``about`` the printed number, or ``above`` it, whatever the tolerance.
+    scenario
+        Name of the scenario that it is for; '' for every one.
     better
         Which side of the band is an improvement.
     place
@@ -40,27 +55,52 @@ class PublishedValue(_Model):
     measure: str
     stage: str
     statistic: str
-    printed: str = Field(pattern=r"^\d+(\.\d+)?( [a-z]+)?$")
+    printed: str = Field(pattern=_PRINTED.replace("?P<low>", "").replace("?P<high>", "").replace("?P<unit>", ""))
     tolerance: float | None = Field(None, gt=0)
+    relation: Literal["about", "above"] = "about"
+    scenario: str = ""
     better: Literal["lower", "higher", "neither"] = "neither"
     place: str = Field(min_length=1)
 
     @model_validator(mode="after")
     def _known(self) -> Self:
-        if self.measure not in UNITS:
+        if self.measure not in UNITS and self.stage not in (DIAGNOSTICS, DERIVED):
             raise ValueError(f"measure {self.measure!r} is not one of {', '.join(UNITS)}")
-        if (self._unit, UNITS[self.measure]) not in _SCALE:
-            raise ValueError(f"{self.printed!r}: unit {self._unit!r} does not fit {self.measure}")
+        if (self._part("unit"), unit_of(self.measure)) not in _SCALE:
+            raise ValueError(f"{self.printed!r}: unit {self._part('unit')!r} does not fit {self.measure}")
         return self
 
-    @property
-    def _unit(self) -> str:
-        return self.printed.partition(" ")[2]
+    def _part(self, name: str) -> str:
+        found = re.match(_PRINTED, self.printed)
+        return (found and found[name]) or ""
 
     @property
     def value(self) -> float:
-        """The printed number in the unit of the measure."""
-        return float(self.printed.partition(" ")[0]) * _SCALE[self._unit, UNITS[self.measure]]
+        """The printed number, or the middle of the printed range, in the unit of the measure."""
+        low = self._part("low").replace(",", "")
+        middle = 0.5 * (float(low) + float(self._part("high") or low))
+        return middle * _SCALE[self._part("unit"), unit_of(self.measure)]
+
+
+class Claim(_Model):
+    """An order that the paper states in words: medians of estimators of one run, the smallest first.
+
+    Parameters
+    ----------
+    text
+        What the paper says.
+    order
+        Labels of the estimators, the best first.
+    measure
+        Whose final median is compared.
+    place
+        Where it is said.
+    """
+
+    text: str = Field(min_length=1)
+    order: tuple[str, ...] = Field(min_length=2)
+    measure: str = "position_error_m"
+    place: str = Field(min_length=1)
 
 
 class Comparison(_Model):
@@ -74,18 +114,26 @@ class Comparison(_Model):
         False where the conditions differ so much that a verdict would mean nothing.
     values
         The printed numbers.
+    claims
+        Orders that are stated in words.
+    radius_m
+        Radius of the body with which the paper turns a pixel into a rotation and a displacement.
     source
         The paper.
     """
 
     conditions: str
     verdicts: bool = True
-    values: tuple[PublishedValue, ...] = Field(min_length=1)
+    values: tuple[PublishedValue, ...] = ()
+    claims: tuple[Claim, ...] = ()
+    radius_m: float | None = Field(None, gt=0)
     source: str = ""
 
     @model_validator(mode="after")
     def _distinct(self) -> Self:
-        keys = [(value.measure, value.stage, value.statistic) for value in self.values]
+        if not self.values and not self.claims:
+            raise ValueError("neither values nor claims are given")
+        keys = [(value.scenario, value.measure, value.stage, value.statistic) for value in self.values]
         repeated = {key for key in keys if keys.count(key) > 1}
         if repeated:
             raise ValueError(f"values are given twice: {sorted(repeated)}")

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from tiny_campaign import CAMPAIGN, DATABASE, RESULTS, TRIALS, compute, files, run
+from tiny_campaign import CAMPAIGN, DATABASE, RESULTS, SCENE, TRIALS, compute, files, run, write_campaign
 
 from campaign.cli import main
 from campaign.cli.progress import RunningMedian
@@ -129,6 +129,18 @@ def test_a_run_is_resolved_again_from_its_manifest_alone(tiny_run, tmp_path):
     )
     assert reload({**manifest, "seed": 6}) is None
     assert reload({key: value for key, value in manifest.items() if key != "scenarios"}) is None
+
+
+def test_scenarios_are_resolved_again_in_the_order_of_the_campaign(tmp_path):
+    """A manifest is sorted by name, and the digest of a run is not."""
+    file = write_campaign(tmp_path, CAMPAIGN.replace("[scene]", "[scene, another]"))
+    (tmp_path / "another.yaml").write_text(SCENE + "detector: {}\n", encoding="utf-8")
+    compute(file, tmp_path / "run", 1)
+    manifest = RunFolder(tmp_path / "run").read_manifest()
+    assert list(manifest["scenarios"]) == ["another", "scene"]
+    campaign = reload(manifest)
+    assert campaign is not None
+    assert [scenario.spec.name for scenario in campaign.scenarios] == ["scene", "another"]
 
 
 def test_the_campaign_in_the_manifest_can_be_run_again(tiny_run, tmp_path):

@@ -3,9 +3,9 @@ from importlib import resources
 
 import pytest
 
-from reports.comparison import compare, judge
+from reports.comparison import compare, compare_claims, judge, judge_order
 from reports.measures import Record
-from reports.published import PublishedValue, load_published, parse, published_names
+from reports.published import Comparison, PublishedValue, load_published, parse, published_names
 from scenarios.errors import BoresightError
 
 # Abstract, sections 4.1, 4.2.1, 4.2.2, 4.3.1, 4.3.2 and table 1 of the paper, typed apart from the package's file.
@@ -25,6 +25,13 @@ SIMULATED = {
     ("landmark_error_m", "recognition", "median"): 1.99,
     ("database_landmarks", "database", "count"): 409,
     ("database_facets", "database", "count"): 814,
+    ("landmark_observations", "recognition", "count"): 337_854,
+    ("chi_square", "recognition", "mean"): 3,
+    ("four_landmarks_share", "recognition", "mean"): 100,
+    ("outlier_rounds", "diagnostics", "median"): 2.5,
+    ("pixel_scale_m", "derived", "value"): 1.13,
+    ("pixel_rotation_deg", "derived", "value"): 0.324,
+    ("pixel_displacement_m", "derived", "value"): 11.3,
     ("seconds", "mesh_rendering", "median"): 32.7,
     ("seconds", "centroid", "median"): 0.00670,
     ("seconds", "feature_extraction", "median"): 0.758,
@@ -44,6 +51,27 @@ REAL = {
     ("n_landmarks", "recognition", "median"): 44,
     ("database_landmarks", "database", "count"): 337,
     ("database_facets", "database", "count"): 670,
+    ("four_landmarks_share", "recognition", "mean"): 100,
+    ("outlier_rounds", "diagnostics", "median"): 2.5,
+    ("pixel_scale_m", "derived", "value"): 0.78,
+    ("pixel_rotation_deg", "derived", "value"): 0.223,
+    ("pixel_displacement_m", "derived", "value"): 31,
+}
+# Sections 3.2.3 and 4.1.
+CENTROID = {
+    ("itokawa-2km-lambert", "centroid_offset_px", "median"): 1.5,
+    ("itokawa-2km-lambert", "centroid_offset_px", "95th percentile"): 1.5,
+    ("itokawa-2km-oren-nayar", "centroid_offset_px", "95th percentile"): 4,
+    ("itokawa-2km-hapke", "centroid_offset_px", "95th percentile"): 4,
+    ("itokawa-2km-hapke-1981", "centroid_offset_px", "95th percentile"): 4,
+    ("itokawa-2km-lambert", "extent_px", "median"): 250,
+    ("itokawa-2km-lambert", "diameter_px", "median"): 250,
+}
+DATABASE = {
+    ("itokawa-2km-lambert", "landmarks", "mean"): 409,
+    ("itokawa-2km-lambert", "facets", "mean"): 814,
+    ("itokawa-2km-oren-nayar", "landmarks", "mean"): 337,
+    ("itokawa-2km-oren-nayar", "facets", "mean"): 670,
 }
 
 
@@ -56,16 +84,33 @@ def test_values_are_those_of_the_paper(name, expected):
     assert values == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(("name", "expected"), [("rowell2015-centroid", CENTROID), ("rowell2015-database", DATABASE)])
+def test_values_of_one_scenario_are_those_of_the_paper(name, expected):
+    values = {(v.scenario, v.measure, v.statistic): v.value for v in load_published(name).values}
+    assert values == pytest.approx(expected)
+
+
 @pytest.mark.parametrize(("name", "stage_rule"), [("rowell2015-simulated", 0.15), ("rowell2015-real", 0.15)])
 def test_tolerances_follow_the_stated_rule(name, stage_rule):
     for value in load_published(name).values:
-        if value.tolerance is not None:
+        if value.tolerance is None:
+            continue
+        if value.stage == "derived":
+            # The whole number is known no better than its rounding.
+            assert value.tolerance == pytest.approx(0.5 if value.printed == "31 m" else 0.01 * value.value)
+        elif value.measure == "four_landmarks_share":
+            assert value.tolerance == 0.5
+        elif "-" in value.printed:
+            low, high = map(float, value.printed.split("-"))
+            assert value.tolerance == 0.5 * (high - low)
+        else:
             share = stage_rule if value.stage == "recognition" else 0.10
             assert value.tolerance == pytest.approx(share * value.value, rel=0.1)
 
 
 def test_names_are_listed_and_an_unknown_one_is_refused_with_them():
-    assert published_names() == ["rowell2015-real", "rowell2015-real-context", "rowell2015-simulated"]
+    kinds = ("centroid", "convergence", "database", "real", "real-context", "simulated")
+    assert published_names() == [f"rowell2015-{kind}" for kind in kinds]
     with pytest.raises(BoresightError, match=r"'rowell2016'.*rowell2015-simulated"):
         load_published("rowell2016")
 
@@ -127,3 +172,56 @@ def test_no_verdict_without_a_tolerance_or_across_conditions():
     compared = compare((prior, OURS), load_published("rowell2015-real-context"))
     assert {c.verdict for c in compared} == {"context"}
     assert sum(c.ours is OURS for c in compared) == 1
+
+
+@pytest.mark.parametrize(
+    ("printed", "value"),
+    [("1-2 pixels", 1.5), ("up to ~4 pixels", 4.0), ("200-300 pixels", 250.0), ("0.5 px", 0.5)],
+)
+def test_ranges_and_rough_numbers_are_read(printed, value):
+    found = PublishedValue(
+        measure="extent_px", stage="diagnostics", statistic="median", printed=printed, place="section 3.2.3"
+    )
+    assert found.value == value
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "verdict"), [(3.1, 3.4, "reproduced"), (2.9, 3.4, "undecided"), (2.5, 2.9, "differs")]
+)
+def test_a_value_above_a_bound_needs_its_whole_interval_there(low, high, verdict):
+    above = VALUE.model_copy(update={"printed": "3 m", "relation": "above", "tolerance": None})
+    assert judge(replace(OURS, value=0.5 * (low + high), low=low, high=high), above) == verdict
+
+
+def test_a_value_of_one_scenario_stands_beside_no_other():
+    mine = VALUE.model_copy(update={"scenario": "s"})
+    other = replace(OURS, scenario="t")
+    compared = compare((OURS, other), Comparison(conditions="c", values=(mine,)))
+    assert [(c.scenario, c.ours) for c in compared] == [("s", OURS)]
+
+
+def medians(*bounds):
+    return [replace(OURS, estimator=f"e{i}", low=low, high=high) for i, (low, high) in enumerate(bounds)]
+
+
+@pytest.mark.parametrize(
+    ("bounds", "verdict"),
+    [
+        ([(1, 2), (3, 4), (5, 6)], "reproduced"),
+        ([(1, 2), (5, 6), (3, 4)], "differs"),
+        ([(1, 2), (1.5, 4), (5, 6)], "undecided"),
+        ([(1, None), (3, 4)], "not measured"),
+    ],
+)
+def test_orders_need_intervals_that_are_apart(bounds, verdict):
+    assert judge_order(medians(*bounds)) == verdict
+
+
+def test_claims_of_the_paper_name_the_solvers_of_its_campaign():
+    comparison = load_published("rowell2015-convergence")
+    labels = {label for claim in comparison.claims for label in claim.order}
+    text = (resources.files("campaign") / "catalog" / "rowell2015-convergence.yaml").read_text(encoding="utf-8")
+    assert all(f"label: {label}" in text for label in labels)
+    records = [replace(OURS, estimator=label, stage="final") for label in sorted(labels)]
+    verdicts = [c.verdict for c in compare_claims(records, comparison)]
+    assert verdicts == ["undecided", "undecided", "not measured", "not measured"]

@@ -1,0 +1,110 @@
+"""Brightness centroiding as an estimator of its own: section 3.2 without the recognition that follows it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.contract import Assets, Estimate, ImageRenderer, Stage
+from estimators.landmark.build import DatabaseOptions
+from estimators.landmark.centroid import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
+from estimators.landmark.database import LandmarkDatabase
+from estimators.landmark.recognizer import PRODUCT
+from estimators.landmark.signal import extract_signal
+from estimators.landmark.stopwatch import Stopwatch
+from estimators.options import parse_options
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Pose
+from scenarios.observation import Frame, Observation
+from scenarios.spec.base import SpecModel
+
+
+class CentroidOptions(SpecModel):
+    """Options of centroiding."""
+
+    database: DatabaseOptions = DatabaseOptions()
+    alignment_loop: AlignmentOptions = AlignmentOptions()
+
+
+class CentroidAligner:
+    """Shifts each frame's prior until the mesh of the landmarks and the image share their centre of brightness."""
+
+    name: ClassVar[str] = "centroid"
+    version: ClassVar[int] = 1
+
+    def __init__(self, renderer: ImageRenderer, options: CentroidOptions) -> None:
+        self._renderer = renderer
+        self._options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
+        """Build from a campaign's options and its landmark data base."""
+        parsed = parse_options(CentroidOptions, options, cls.name)
+        database = assets.product(PRODUCT, parsed.database.model_dump(mode="json"))
+        if not isinstance(database, LandmarkDatabase):
+            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
+        return cls(assets.mesh_renderer(database.mesh()), parsed)
+
+    def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
+        """Shift each frame's prior; the first frame that fails fails the whole.
+
+        Diagnostics are those of the last frame: ``centroid_du_px``, ``centroid_dv_px`` and their length
+        ``centroid_offset_px`` (observed minus rendered, both at the prior pose), ``extent_px`` (longer side of the box
+        about the observed body), ``diameter_px`` (of the disc of its area) and ``centroid_iterations``. Nothing is
+        drawn at random.
+        """
+        del rng
+        clock, poses, numbers, failure = Stopwatch(), list[Pose](), dict[str, float](), ""
+        for frame in observation.frames:
+            alignment, extent = self.align(frame, observation.camera, clock)
+            poses.append(alignment.T_cam_body)
+            numbers, failure = {**_offset(alignment), **extent}, alignment.failure
+            if failure:
+                break
+        ok = bool(poses) and not failure
+        return Estimate(
+            status="ok" if ok else "failed",
+            reason="" if ok else failure or "the observation holds no image",
+            poses=tuple(poses) if ok else (),
+            stages=(Stage("centroid", poses[-1]),) if ok else (),
+            diagnostics=numbers,
+            timings_s=clock.seconds,
+        )
+
+    def align(self, frame: Frame, camera: Camera, clock: Stopwatch) -> tuple[Alignment, dict[str, float]]:
+        """Align one frame; also return how large the observed body is."""
+        prior = frame.prior_T_cam_body
+        if not np.isfinite(frame.image).all():
+            return Alignment(prior, (), "the image holds NaN or infinite pixels"), {}
+        with clock("centroid"):
+            observed = extract_signal(frame.image)
+        if observed.empty:
+            return Alignment(prior, (), "the image is black: nothing above its background"), {}
+        view = MeshView(camera, self._renderer, frame.sun_dir_cam)
+        options = self._options.alignment_loop
+        alignment = align_translation(observed.image, prior, view, centroid_pair, options, clock)
+        return alignment, _extent(observed.image)
+
+
+def _extent(signal: NDArray[np.float32]) -> dict[str, float]:
+    rows, columns = np.nonzero(signal)
+    return {
+        "extent_px": float(max(np.ptp(rows), np.ptp(columns)) + 1),
+        "diameter_px": float(np.sqrt(4.0 / np.pi * len(rows))),
+    }
+
+
+def _offset(alignment: Alignment) -> dict[str, float]:
+    if not alignment.steps:
+        return {}
+    first = alignment.steps[0]
+    du, dv = (float(value) for value in first.observed_px - first.rendered_px)
+    return {
+        "centroid_du_px": du,
+        "centroid_dv_px": dv,
+        "centroid_offset_px": float(np.hypot(du, dv)),
+        "centroid_iterations": float(len(alignment.steps)),
+    }

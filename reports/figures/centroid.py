@@ -1,0 +1,73 @@
+"""Offsets of the brightness centroid as scatter with ellipses (the paper's figure 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+
+from reports.figures.style import BLUE, VERMILION, FloatArray, grid_figure, styled
+
+
+@styled
+def draw_centroid_offsets(offsets: Mapping[str, FloatArray], title: str) -> Figure:
+    """Draw the offsets of each group with the 1-sigma ellipse of their sample covariance, on the same axes.
+
+    Parameters
+    ----------
+    offsets
+        Title of each panel and its (n, 2) offsets (du, dv), px.
+    title
+        Printed above the panels.
+    """
+    columns = min(len(offsets), 4)
+    rows = -(-len(offsets) // columns)
+    figure, panels = grid_figure(rows, columns, width_in=2.6 * columns + 0.3, height_in=2.9 * rows + 0.4)
+    limit = _limit(offsets)
+    for axes, (name, sample) in zip(panels.ravel(), offsets.items(), strict=False):
+        _draw_panel(axes, sample)
+        sigma = np.sqrt(np.trace(np.atleast_2d(np.cov(sample.T))) / 2.0) if len(sample) > 1 else 0.0
+        beyond = int(np.count_nonzero(np.abs(sample).max(axis=1) > limit)) if len(sample) else 0
+        note = f", {beyond} beyond" if beyond else ""
+        axes.set_title(f"{name}\nn = {len(sample)}, sigma {sigma:.2g} px an axis{note}", fontsize=8.5)
+        axes.set(xlim=(-limit, limit), ylim=(limit, -limit), aspect="equal", xlabel="$\\Delta u$, px")
+    for axes in panels.ravel()[len(offsets) :]:
+        axes.set_visible(False)
+    for row in panels:
+        row[0].set_ylabel("$\\Delta v$, px")
+    figure.suptitle(title, fontsize=9.5)
+    return figure
+
+
+def _limit(offsets: Mapping[str, FloatArray]) -> float:
+    """Choose round axes that hold 99.5 % of every group."""
+    reach = [float(np.percentile(np.abs(sample).max(axis=1), 99.5)) for sample in offsets.values() if len(sample)]
+    return max(1.0, float(np.ceil(max(reach, default=1.0))))
+
+
+def _draw_panel(axes: Axes, sample: FloatArray) -> None:
+    axes.axhline(0.0, color="#9aa0a6", linewidth=0.7)
+    axes.axvline(0.0, color="#9aa0a6", linewidth=0.7)
+    axes.plot(*sample.T, ".", markersize=2.6, color=BLUE, alpha=0.55, markeredgewidth=0.0, rasterized=True)
+    if len(sample) > 1:
+        axes.add_patch(one_sigma_ellipse(sample))
+
+
+def one_sigma_ellipse(sample: FloatArray) -> Ellipse:
+    """Return the contour at one standard deviation of a (n, 2) sample's mean and covariance."""
+    variances, vectors = np.linalg.eigh(np.cov(sample.T))
+    small, large = 2.0 * np.sqrt(np.maximum(variances, 0.0))
+    angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
+    centre = sample.mean(axis=0)
+    return Ellipse(
+        (float(centre[0]), float(centre[1])),
+        float(large),
+        float(small),
+        angle=angle,
+        fill=False,
+        edgecolor=VERMILION,
+        linewidth=1.5,
+    )

@@ -1,0 +1,86 @@
+"""Centroiding as an estimator, on balls whose images are drawn by formula."""
+
+import numpy as np
+import pytest
+from test_landmark_centroid import CAMERA, RADIUS_M, Ball, disc
+
+from estimators.landmark.centroiding import CentroidAligner, CentroidOptions
+from estimators.registry import estimator_class
+from scenarios.geometry import Pose
+from scenarios.observation import Frame, Observation
+
+TRUTH = Pose(np.eye(3), np.array([15.0, -20.0, 1500.0]))
+
+
+def observed(shift_m=(0.0, 0.0, 0.0), image=None):
+    """A ball at the truth, and a prior that is wrong by a shift."""
+    seen = CAMERA.project(TRUTH.translation_m)
+    ball = disc(*seen, CAMERA.fx_px * RADIUS_M / TRUTH.translation_m[2])
+    prior = TRUTH.perturbed(np.zeros(3), np.array(shift_m))
+    frame = Frame(
+        image=100.0 * ball if image is None else image,
+        sun_dir_cam=np.array([0.0, 0.0, -1.0]),
+        prior_T_cam_body=prior,
+        prior_covariance=np.eye(6),
+        time_s=0.0,
+    )
+    return Observation(CAMERA, (frame,))
+
+
+def estimate(observation, **options):
+    aligner = CentroidAligner(Ball(), CentroidOptions(**options))
+    return aligner.estimate(observation, rng=np.random.default_rng(0))
+
+
+def test_it_is_in_the_registry():
+    assert estimator_class("centroid") is CentroidAligner
+
+
+@pytest.mark.parametrize("shift_m", [(30.0, 0.0, 0.0), (-25.0, 40.0, 3.0)])
+def test_offsets_are_observed_minus_rendered_at_the_prior(shift_m):
+    found = estimate(observed(shift_m), alignment_loop={"tolerance_px": 0.05})
+    numbers = found.diagnostics
+    expected = CAMERA.project(TRUTH.translation_m) - CAMERA.project(TRUTH.translation_m + np.array(shift_m))
+    assert (numbers["centroid_du_px"], numbers["centroid_dv_px"]) == pytest.approx(tuple(expected), abs=0.05)
+    assert numbers["centroid_offset_px"] == pytest.approx(np.linalg.norm(expected), abs=0.05)
+    assert found.status == "ok"
+    across = found.poses[0].translation_m - TRUTH.translation_m
+    np.testing.assert_allclose(across[:2], 0.0, atol=0.3)
+    np.testing.assert_array_equal(found.poses[0].rotation, TRUTH.rotation)
+    assert [stage.name for stage in found.stages] == ["centroid"]
+
+
+def test_without_an_error_nothing_moves():
+    found = estimate(observed())
+    assert found.diagnostics["centroid_offset_px"] < 1e-3
+    assert found.diagnostics["centroid_iterations"] == 2
+
+
+def test_the_extent_is_that_of_the_disc():
+    """A ball's disc is as long as it is wide: both measures give its diameter, to the pixels that it cuts."""
+    diameter = 2.0 * CAMERA.fx_px * RADIUS_M / TRUTH.translation_m[2]
+    numbers = estimate(observed()).diagnostics
+    assert numbers["extent_px"] == pytest.approx(diameter, abs=2.0)
+    assert numbers["diameter_px"] == pytest.approx(diameter, abs=1.5)
+
+
+@pytest.mark.parametrize(
+    ("image", "reason"),
+    [
+        (np.zeros((200, 256), np.float32), "the image is black"),
+        (np.full((200, 256), np.nan, np.float32), "NaN or infinite pixels"),
+    ],
+)
+def test_a_hopeless_image_is_a_failure_with_a_reason(image, reason):
+    found = estimate(observed(image=image))
+    assert found.status == "failed"
+    assert reason in found.reason
+    assert found.poses == ()
+
+
+def test_a_mesh_out_of_view_is_a_failure_with_a_reason():
+    assert "out of view" in estimate(observed((900.0, 0.0, 0.0))).reason
+
+
+def test_an_observation_without_an_image_is_a_failure():
+    assert estimate(Observation(CAMERA, ())).reason == "the observation holds no image"
