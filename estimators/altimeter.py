@@ -42,7 +42,8 @@ class AltimeterOptions(SpecModel):
     base: str = Field("landmark-harris", description="The estimator on a landmark data base that finds the pose")
     options: Mapping[str, JsonValue] = Field(default_factory=dict, description="Options of the base")
     trust: Literal["adaptive", "reported"] = Field(
-        "adaptive", description="Whether the base's covariance grows where the range contradicts it"
+        "adaptive",
+        description="adaptive: the covariance of a base that is too sure grows where the range contradicts it",
     )
     height_sigma_m: float | None = Field(
         None, gt=0, description="RMS error of the mesh's heights; worked out from the data base if left out"
