@@ -169,8 +169,8 @@ def _scenario_lines(run: RunData) -> Iterator[str]:
 def draw_figures(content: Content) -> Iterator[NamedFigure]:
     """Draw every figure that the run's tables allow."""
     run = content.run
-    for scenario in dict.fromkeys(scenario for scenario, _ in run.pairs()):
-        for _, estimator in (pair for pair in run.pairs() if pair[0] == scenario and pair[1] != CONTROL):
+    for scenario in dict.fromkeys(scenario for scenario, _ in run.posed_pairs()):
+        for _, estimator in (pair for pair in run.posed_pairs() if pair[0] == scenario and pair[1] != CONTROL):
             yield _pose_figure(content, scenario, estimator)
             yield from _landmark_figures(content, scenario, estimator)
             yield from _outlier_figures(content, scenario, estimator)
@@ -263,7 +263,7 @@ def _curves(found: Sequence[Detection]) -> dict[str, list[Curve]]:
 def _method_figures(content: Content, scenario: str) -> Iterator[NamedFigure]:
     """Lay the final errors of several estimators over each other."""
     run = content.run
-    labels = [name for where, name in run.pairs() if where == scenario and name != CONTROL]
+    labels = [name for where, name in run.posed_pairs() if where == scenario and name != CONTROL]
     if len(labels) > 1:
         errors = {label: select(run.rows, scenario, label) for label in labels}
         title = f"Final pose error by estimator, {scenario}"
@@ -302,7 +302,7 @@ def _centroid_figures(content: Content) -> Iterator[NamedFigure]:
 def _cumulative_figure(content: Content, scenario: str) -> NamedFigure:
     run = content.run
     found = {}
-    for estimator in (name for where, name in run.pairs() if where == scenario):
+    for estimator in (name for where, name in run.posed_pairs() if where == scenario):
         rows = select(run.rows, scenario, estimator)
         found[estimator] = (rows[rows["status"] == "ok"], len(rows))
     title = f"Cumulative error, {scenario}"

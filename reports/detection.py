@@ -66,7 +66,7 @@ class Detection:
 
 def detections(run: RunData) -> Iterator[Detection]:
     """Yield every score of every estimator, for each definition with at least five solutions of either kind."""
-    for scenario, estimator in run.pairs():
+    for scenario, estimator in run.posed_pairs():
         rows = select(run.rows, scenario, estimator)
         rows = rows[rows["status"] == "ok"]
         if estimator == CONTROL or rows.empty:

@@ -189,10 +189,8 @@ def errors_by_stage(run: RunData, scenario: str, estimator: str) -> dict[str, pd
 def pose_measures(run: RunData) -> list[Record]:
     """Measure pose errors after each stage, and with failures counted at the error of their prior."""
     records = []
-    for scenario, estimator in run.pairs():
+    for scenario, estimator in run.posed_pairs():
         rows = select(run.rows, scenario, estimator)
-        if not rows["prior_position_error_m"].notna().any():
-            continue
         stages = errors_by_stage(run, scenario, estimator)
         if estimator != CONTROL:
             ok = (rows["status"] == "ok").to_numpy()
@@ -224,7 +222,7 @@ def reference_measures(run: RunData) -> list[Record]:
 def improvement_measures(run: RunData) -> list[Record]:
     """Measure prior error minus final error, trial by trial, over the trials that are ok (positive is better)."""
     records = []
-    for scenario, estimator in run.pairs():
+    for scenario, estimator in run.posed_pairs():
         if estimator == CONTROL:
             continue
         rows = select(run.rows, scenario, estimator)
@@ -244,22 +242,15 @@ def landmark_measures(run: RunData) -> list[Record]:
         rows = select(run.rows, scenario, estimator)
         ok = rows[(rows["status"] == "ok") & rows["n_landmarks"].notna()]
         stage = final_stage(run, scenario, estimator)
-        if len(ok):
+        if (ok["n_landmarks"] > 0).any():
             subject = _Subject(scenario, estimator, stage, len(rows))
             records += subject.records("n_landmarks", ok["n_landmarks"], clusters_of(run, ok), (MEDIAN, MEAN))
-        if (ok["n_landmarks"] > 0).any():
             enough = 100.0 * (rows["n_landmarks"].fillna(0.0) >= MIN_LANDMARKS)
-            subject = _Subject(scenario, estimator, stage, len(rows))
             records += subject.records("four_landmarks_share", enough, clusters_of(run, rows), (MEAN,))
         marks = select(run.landmarks, scenario, estimator)
         if len(marks):
-            count = Measured(len(marks), len(marks), len(marks))
-            records.append(
-                _Subject(scenario, estimator, stage, len(marks)).record(
-                    "landmark_observations", "count", count, len(marks)
-                )
-            )
-            subject = _Subject(scenario, estimator, stage, len(marks))
+            subject, count = _Subject(scenario, estimator, stage, len(marks)), Measured(*3 * (len(marks),))
+            records.append(subject.record("landmark_observations", "count", count, len(marks)))
             clusters = clusters_of(run, marks)
             records += subject.records("landmark_error_m", marks["error_m"], clusters, (MEDIAN, RMS, P95))
             records += subject.records("chi_square", marks["chi_square"], clusters, (MEDIAN, MEAN))

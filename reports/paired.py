@@ -61,8 +61,8 @@ def paired_records(run: RunData) -> list[Record]:
 
 def _pairs(run: RunData) -> Iterator[_Pair]:
     order = {str(label): place for place, label in enumerate(run.manifest.estimators)}
-    for scenario in dict.fromkeys(scenario for scenario, _ in run.pairs()):
-        found = [name for where, name in run.pairs() if where == scenario and name != CONTROL]
+    for scenario in dict.fromkeys(scenario for scenario, _ in run.posed_pairs()):
+        found = [name for where, name in run.posed_pairs() if where == scenario and name != CONTROL]
         names = sorted(found, key=lambda name: order.get(name, len(order)))
         tables = {name: select(run.rows, scenario, name).set_index("trial", drop=False) for name in names}
         for name in names[1:]:

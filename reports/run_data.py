@@ -104,6 +104,11 @@ class RunData:
         """List (scenario, estimator) in the order in which the rows name them."""
         return list(self.rows[["scenario", "estimator"]].drop_duplicates().itertuples(index=False, name=None))
 
+    def posed_pairs(self) -> list[tuple[str, str]]:
+        """List those of them that are about poses: their trials have a prior."""
+        posed = self.rows[self.rows["prior_position_error_m"].notna()]
+        return list(posed[["scenario", "estimator"]].drop_duplicates().itertuples(index=False, name=None))
+
     def progress(self) -> tuple[int, int]:
         """Count the trials that are stored and those that were asked for, over all scenarios."""
         done = len(self.rows[["scenario", "trial"]].drop_duplicates())

@@ -61,6 +61,7 @@ class Experiment(Protocol):
 _KINDS: Mapping[str, str] = MappingProxyType(
     {
         "single-image": "campaign.experiments.single_image:SingleImage",
+        "landmark-database": "campaign.experiments.landmark_database:DatabaseTrials",
         "pose-convergence": "campaign.experiments.pose_convergence:PoseConvergence",
     }
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 import time
@@ -10,33 +9,23 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from campaign.products.keys import content_key
 from campaign.products.kinds import product_kind
 from campaign.store.atomic import explain
-from campaign.world import believed, typical_range_m
+from campaign.world import believed
 from estimators.contract import ImageRenderer
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
-from scenarios.bodies import body_digest, load_body
+from scenarios.bodies import load_body
 from scenarios.cache import default_cache
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh
-from scenarios.load import LoadedScenario, canonical_json
+from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
 
 
 def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant: str) -> str:
     """Return the content hash of a product: whatever would change it changes the key."""
-    spec = scenario.spec
-    parts = {
-        "kind": kind,
-        "options": json.loads(options.model_dump_json()),
-        "body": body_digest(spec.body, scenario.search_dirs),
-        "scenario": [canonical_json(part) for part in (spec.camera, spec.brdf, spec.rendering)],
-        "shading": spec.body.shading,
-        "range_m": typical_range_m(scenario),
-        "versions": [*product_kind(kind).versions(), MitsubaRenderer.version],
-        "variant": variant,
-    }
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
+    return content_key(scenario, kind, options, product_kind(kind).versions(), variant)
 
 
 @dataclass(frozen=True, slots=True)

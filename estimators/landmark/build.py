@@ -6,12 +6,13 @@ The campaign draws the views, renders the images and lends ``deproject``; nothin
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.landmark.clustering import Cluster, ClusterOptions, cluster_points
+from estimators.landmark.clustering import Cluster, ClusterOptions, ClusterStages, cluster_stages
 from estimators.landmark.corners import CornerOptions, detect_corners
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.hull import concave_hull
@@ -24,19 +25,47 @@ METHOD = "rowell2015-harris"
 METHOD_VERSION = 1
 
 
-class DatabaseOptions(SpecModel):
-    """How a landmark data base is made."""
+class NoDatabaseError(BoresightError):
+    """The candidates make no data base: too few landmarks, or all in one plane."""
+
+
+class CandidateOptions(SpecModel):
+    """How candidate landmarks are found."""
 
     images: int = Field(500, ge=1, le=100_000, description="Images rendered, at the range and camera of the scenario")
     phase_deg_max: float = Field(60.0, gt=0, le=180, description="Largest phase angle of those images")
     seed: int = Field(0, ge=0, description="Seed of their views")
     corners: CornerOptions = CornerOptions()
+
+
+class DatabaseOptions(CandidateOptions):
+    """How a landmark data base is made of them."""
+
     clusters: ClusterOptions = ClusterOptions()
     min_observations: int = Field(24, ge=2, description="A landmark must be seen in at least this many images")
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class BuiltDatabase:
+    """A data base and what it was made of.
+
+    Parameters
+    ----------
+    points_m
+        (N, 3) candidates of all images.
+    clusters
+        The clusters of these after each stage.
+    database
+        The landmarks and their mesh.
+    """
+
+    points_m: FloatArray
+    clusters: ClusterStages
+    database: LandmarkDatabase
+
+
 def extract_candidates(
-    image: NDArray[np.float32], deproject: Callable[[FloatArray], FloatArray], options: DatabaseOptions
+    image: NDArray[np.float32], deproject: Callable[[FloatArray], FloatArray], options: CandidateOptions
 ) -> FloatArray:
     """Candidate landmarks of one image: its corners, taken back to the surface (section 2.2).
 
@@ -61,6 +90,11 @@ def extract_candidates(
 
 
 def database_from_candidates(candidates: Sequence[FloatArray], options: DatabaseOptions) -> LandmarkDatabase:
+    """Cluster the candidates of all images and span the mesh: `build_database` without what it was made of."""
+    return build_database(candidates, options).database
+
+
+def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -> BuiltDatabase:
     """Cluster the candidates of all images and span the mesh (sections 2.3 and 2.4).
 
     An image counts once for a landmark, however many of its corners fell into the cluster. Clusters seen in fewer than
@@ -76,20 +110,24 @@ def database_from_candidates(candidates: Sequence[FloatArray], options: Database
 
     Raises
     ------
-    BoresightError
+    NoDatabaseError
         If fewer than four landmarks come out, or they lie in one plane.
     """
     points_m = np.concatenate([np.empty((0, 3)), *candidates])
     image_of = np.repeat(np.arange(len(candidates)), [len(points) for points in candidates])
-    clusters = cluster_points(points_m, options.clusters, keep=_seen_in(image_of, options.min_observations))
+    stages = cluster_stages(points_m, options.clusters, keep=_seen_in(image_of, options.min_observations))
+    clusters = stages.refined
     if len(clusters) < 4:
-        raise BoresightError(
+        raise NoDatabaseError(
             f"{len(clusters)} landmarks came out of {len(points_m)} corners in {len(candidates)} images; at least 4 are"
             " needed: use more images, a lower min_observations or a larger seed_radius_m"
         )
-    hull = concave_hull(np.stack([cluster.mean_m for cluster in clusters]))
+    try:
+        hull = concave_hull(np.stack([cluster.mean_m for cluster in clusters]))
+    except BoresightError as error:
+        raise NoDatabaseError(str(error)) from error
     kept = [clusters[index] for index in hull.kept]
-    return LandmarkDatabase(
+    database = LandmarkDatabase(
         np.stack([cluster.mean_m for cluster in kept]),
         np.stack([cluster.covariance_m2 for cluster in kept]),
         np.array([len(np.unique(image_of[cluster.members])) for cluster in kept]),
@@ -103,6 +141,7 @@ def database_from_candidates(candidates: Sequence[FloatArray], options: Database
             "dropped_by_mesh": len(hull.dropped),
         },
     )
+    return BuiltDatabase(points_m, stages, database)
 
 
 def _seen_in(image_of: NDArray[np.intp], min_observations: int) -> Callable[[Cluster], bool]:

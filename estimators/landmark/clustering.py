@@ -181,14 +181,33 @@ class _Pool:
         return int(near[nearest]) if d2[nearest] < sigma**2 else None
 
 
-def cluster_points(points_m: FloatArray, options: ClusterOptions, keep: Callable[[Cluster], bool]) -> list[Cluster]:
+@dataclass(frozen=True, slots=True, eq=False)
+class ClusterStages:
+    """The clusters of a cloud after each stage.
+
+    Parameters
+    ----------
+    grown
+        Seed clusters with a dispersion, after growth.
+    kept
+        Those of them that take part in the refinement.
+    refined
+        After merging and pruning, sorted by the first member.
+    """
+
+    grown: list[Cluster]
+    kept: list[Cluster]
+    refined: list[Cluster]
+
+
+def cluster_stages(points_m: FloatArray, options: ClusterOptions, keep: Callable[[Cluster], bool]) -> ClusterStages:
     """Run seeds, growth and refinement on a cloud of (N, 3) candidate points.
 
-    Only clusters for which ``keep`` holds after growth take part in the refinement. The result is sorted by the first
-    member.
+    Only clusters for which ``keep`` holds after growth take part in the refinement.
     """
     if not len(points_m):
-        return []
+        return ClusterStages([], [], [])
     grown = grow_clusters(points_m, seed_clusters(points_m, options.seed_radius_m), options)
-    refined = refine_clusters(points_m, [cluster for cluster in grown if keep(cluster)], options)
-    return sorted(refined, key=lambda cluster: int(cluster.members[0]))
+    kept = [cluster for cluster in grown if keep(cluster)]
+    refined = refine_clusters(points_m, kept, options)
+    return ClusterStages(grown, kept, sorted(refined, key=lambda cluster: int(cluster.members[0])))

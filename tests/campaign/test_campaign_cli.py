@@ -118,9 +118,9 @@ def test_cache_shows_and_clears_its_own_folder_alone(tiny_file, tmp_path, monkey
     text = said(capsys, "cache")
     assert text.startswith(f"{store}: ")
     assert [line.split(":")[0] for line in text.splitlines()[1:] if not line.startswith(" ")] == [
-        "bodies", "images", "landmark-database",
+        "bodies", "images", "landmark-candidates", "landmark-database",
     ]  # fmt: skip
-    assert f"{store}: 7 entries removed" in said(capsys, "cache", "--clear")
+    assert f"{store}: 8 entries removed" in said(capsys, "cache", "--clear")
     assert not [path for path in store.rglob("*") if path.is_file()]
     assert neighbour.read_text() == "mine"
     assert "0 entries removed, 0.0 MiB" in said(capsys, "cache", "--clear")

@@ -1,5 +1,8 @@
 """The store of rendered images: every bit comes back, and what decides a pixel decides what is found."""
 
+import json
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -171,11 +174,31 @@ def test_another_kernel_of_the_data_base_renders_nothing(own_cache, tmp_path, ca
     run(write_campaign(tmp_path / "more", more), tmp_path / "c")
     assert "images: 45; images from store: 40" in capsys.readouterr().out
     boresight("cache", "--clear", "landmark-database")
+    boresight("cache", "--clear", "landmark-candidates")
     run(write_campaign(tmp_path / "again"), tmp_path / "d")
     assert "images: 40; images from store: 40" in capsys.readouterr().out
     for name in ("landmarks.csv", "facets.csv"):
         first, again = (next(tmp_path.glob(f"{out}/products/*/{name}")).read_bytes() for out in "ad")
         assert first == again
+
+
+def test_other_clusters_read_no_image_and_find_no_corner(own_cache, tmp_path, capsys, monkeypatch):
+    run(write_campaign(tmp_path / "first"), tmp_path / "a", "--trials", 1)
+    boresight("cache", "--clear", "images")
+    capsys.readouterr()
+    monkeypatch.setattr("campaign.products.landmark_candidates.extract_candidates", None)
+    clusters = CAMPAIGN.replace("seed_radius_m: 15", "seed_radius_m: 16")
+    run(write_campaign(tmp_path / "other", clusters), tmp_path / "b", "--trials", 1)
+    said = capsys.readouterr().out
+    count = int(re.search(r"images: 40; candidates from cache: (\d+)", said)[1])
+    heads = [json.loads(next(tmp_path.glob(f"{out}/products/*/database.json")).read_text()) for out in "ab"]
+    assert [head["provenance"]["candidates"] for head in heads] == [count, count]
+    monkeypatch.undo()
+    monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "empty"))
+    run(write_campaign(tmp_path / "fresh", clusters), tmp_path / "c", "--trials", 1)
+    for name in ("landmarks.csv", "facets.csv"):
+        kept, fresh = (next(tmp_path.glob(f"{out}/products/*/{name}")).read_bytes() for out in "bc")
+        assert kept == fresh
 
 
 def test_a_killed_run_leaves_a_sound_store(own_cache, tmp_path):
@@ -204,7 +227,7 @@ def test_cache_lists_images_by_kind_and_clears_them_alone(own_cache, tmp_path):
     assert "landmark-database: 1 entries" in left
     refused = boresight("cache", "--clear", "imagse")
     assert refused.returncode == 2
-    assert "imagse: the cache holds bodies, landmark-database" in refused.stderr
+    assert "imagse: the cache holds bodies, landmark-candidates, landmark-database" in refused.stderr
 
 
 def test_large_images_have_small_chunks(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from estimators.landmark.clustering import (
     Cluster,
     ClusterOptions,
-    cluster_points,
+    cluster_stages,
     grow_clusters,
     refine_clusters,
     seed_clusters,
@@ -62,7 +62,7 @@ def enough(cluster):
 
 def test_planted_clusters_are_recovered():
     points, centres = planted()
-    clusters = cluster_points(points, OPTIONS, enough)
+    clusters = cluster_stages(points, OPTIONS, enough).refined
     assert len(clusters) == len(centres)
     means = np.stack([cluster.mean_m for cluster in clusters])
     gap = np.linalg.norm(means[:, None] - centres[None], axis=2)
@@ -134,7 +134,7 @@ def test_clusters_beyond_nine_sigma_are_left_alone():
 def test_no_two_refined_clusters_lie_within_the_merging_distance():
     rng = np.random.default_rng(8)
     points = rng.uniform(0.0, 60.0, (4000, 3)) * (1.0, 1.0, 0.02)
-    refined = cluster_points(points, OPTIONS, lambda cluster: len(cluster.members) >= 5)
+    refined = cluster_stages(points, OPTIONS, lambda cluster: len(cluster.members) >= 5).refined
     assert len(refined) > 5
     for i, first in enumerate(refined):
         for second in refined[i + 1 :]:
@@ -145,7 +145,7 @@ def test_no_two_refined_clusters_lie_within_the_merging_distance():
 def test_the_result_moves_with_the_cloud():
     points, _ = planted(10, 30, 100)
     shifted = points + np.array([1000.0, -500.0, 250.0])
-    here, there = cluster_points(points, OPTIONS, enough), cluster_points(shifted, OPTIONS, enough)
+    here, there = cluster_stages(points, OPTIONS, enough).refined, cluster_stages(shifted, OPTIONS, enough).refined
     assert [list(c.members) for c in here] == [list(c.members) for c in there]
 
 
@@ -156,7 +156,7 @@ def test_every_option_changes_the_clusters():
     def run(**changes):
         return [
             (tuple(c.members), c.trace_m2)
-            for c in cluster_points(points, ClusterOptions(**changes), lambda c: len(c.members) >= 4)
+            for c in cluster_stages(points, ClusterOptions(**changes), lambda c: len(c.members) >= 4).refined
         ]
 
     changes = {"seed_radius_m": 3.0, "growth_sigma": 2.0, "merge_sigma": 2.0, "sigma_floor_m": 0.5}
@@ -169,10 +169,10 @@ def test_every_option_changes_the_clusters():
 def test_fifty_thousand_points_take_seconds():
     points, centres = planted(400, 60, 26_000, sigma=0.5)
     start = time.perf_counter()
-    clusters = cluster_points(points, OPTIONS, enough)
+    clusters = cluster_stages(points, OPTIONS, enough).refined
     assert time.perf_counter() - start < 15.0
     assert abs(len(clusters) - len(centres)) <= 8
 
 
 def test_an_empty_cloud_has_no_clusters():
-    assert cluster_points(np.empty((0, 3)), OPTIONS, enough) == []
+    assert cluster_stages(np.empty((0, 3)), OPTIONS, enough).refined == []

@@ -1,0 +1,113 @@
+"""Candidate landmarks of a scenario, kept in the cache: other clusters find no corner and render no image again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from campaign.image_store import ImageStore
+from campaign.machine import use_threads
+from campaign.parallel import in_order
+from campaign.products.keys import content_key
+from campaign.world import World, open_world, typical_range_m
+from estimators.landmark.build import METHOD_VERSION, CandidateOptions, extract_candidates
+from scenarios.cache import default_cache
+from scenarios.draw import Stream, draw_lit_view, generator
+from scenarios.geometry import View
+from scenarios.load import LoadedScenario
+from scenarios.spec.distribution import Uniform
+from scenarios.spec.world import LightingSpec, ViewpointSpec
+
+KIND = "landmark-candidates"
+VERSION = 1
+IN_THIS_PROCESS = 0
+_CHUNK_IMAGES = 10
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """Candidate landmarks.
+
+    Parameters
+    ----------
+    by_image
+        (C, 3) points for each image, body frame, m.
+    images_from_store
+        How many of the images were not rendered for it; None where the candidates themselves were kept.
+    """
+
+    by_image: tuple[FloatArray, ...]
+    images_from_store: int | None
+
+
+def candidates_of(scenario: LoadedScenario, options: CandidateOptions, jobs: int, variant: str) -> Candidates:
+    """Return the candidates of ``scenario``, from the cache where they are in it.
+
+    The images are noise free, of the scenario's own body, BRDF and camera (without distortion), from random
+    directions at the scenario's range, with the Sun anywhere within the largest phase angle (Rowell et al. 2015,
+    section 4.1). They are kept as well, so that other corners render nothing again.
+
+    Parameters
+    ----------
+    scenario
+        As the spacecraft believes it to be.
+    options
+        Images and corners; further fields of a derived model have no part in it.
+    jobs
+        Workers; ``IN_THIS_PROCESS`` in a worker, which has its threads already.
+    variant
+        The Mitsuba variant.
+    """
+    options = CandidateOptions.model_validate({name: getattr(options, name) for name in CandidateOptions.model_fields})
+    stored: list[int] = []
+
+    def build(folder: Path) -> None:
+        chunks = [range(i, min(i + _CHUNK_IMAGES, options.images)) for i in range(0, options.images, _CHUNK_IMAGES)]
+        if jobs == IN_THIS_PROCESS:
+            found = [image for chunk in chunks for image in _of_images(scenario, options, chunk, variant)]
+        else:
+            calls = ((scenario, options, chunk, variant, jobs) for chunk in chunks)
+            found = [image for chunk in in_order(jobs, _in_worker, calls) for image in chunk]
+        stored.append(sum(from_store for _, from_store in found))
+        np.save(folder / "points_m.npy", np.concatenate([np.empty((0, 3)), *(points for points, _ in found)]))
+        np.save(folder / "counts.npy", np.array([len(points) for points, _ in found], dtype=np.int64))
+
+    key = content_key(scenario, KIND, options, [VERSION, METHOD_VERSION], variant)
+    folder = default_cache().folder(KIND, key, build)
+    points_m, counts = (np.load(folder / name, allow_pickle=False) for name in ("points_m.npy", "counts.npy"))
+    return Candidates(tuple(np.split(points_m, np.cumsum(counts)[:-1])), stored[0] if stored else None)
+
+
+def _in_worker(
+    scenario: LoadedScenario, options: CandidateOptions, images: Sequence[int], variant: str, jobs: int
+) -> list[tuple[FloatArray, bool]]:
+    use_threads(jobs)
+    return _of_images(scenario, options, images, variant)
+
+
+def _of_images(
+    scenario: LoadedScenario, options: CandidateOptions, images: Sequence[int], variant: str
+) -> list[tuple[FloatArray, bool]]:
+    """Find the candidates of some images, and whether each image came from the store."""
+    world = open_world(scenario, variant)
+    viewpoint = ViewpointSpec(range_m=typical_range_m(scenario))
+    lighting = LightingSpec(phase_deg=Uniform(uniform=(0.0, options.phase_deg_max)))
+    store = ImageStore.open(scenario, variant, Stream.DATABASE, viewpoint, lighting)
+    found = []
+    for image in images:
+        rng = generator(options.seed, Stream.DATABASE, image)
+        view = draw_lit_view(viewpoint, lighting, world.camera.pinhole, rng)
+        pixels, stored = store.image(options.seed, image, view, world.renderer.render)
+        found.append((_of_image(world, view, pixels, options), stored))
+    store.flush()
+    return found
+
+
+def _of_image(world: World, view: View, image: NDArray[np.float32], options: CandidateOptions) -> FloatArray:
+    return extract_candidates(image, lambda uv: world.renderer.surface(view, uv).points_body_m, options)
