@@ -19,6 +19,7 @@ _OWN: Mapping[str, str] = MappingProxyType(
         "landmark-harris": "estimators.landmark.recognizer:LandmarkRecognizer",
         "landmark-altimeter": "estimators.altimeter:AltimeterEstimator",
         "landmark-ransac": "estimators.landmark.robust.estimator:ConsensusRecognizer",
+        "photometric": "estimators.dense.photometric:PhotometricEstimator",
         "prior": "estimators.prior:PriorEstimator",
     }
 )

@@ -1,0 +1,177 @@
+"""Six parameters of the pose, fitted to the image by Gauss and Newton's method on renderings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from estimators.dense.options import LevelOptions, PhotometricOptions
+from estimators.dense.pyramid import band, reduced_camera, reduced_image
+from estimators.landmark.centroid import MeshView
+from scenarios.geometry import Pose
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+_ROBUST_SIGMA = 1.4826
+_REWEIGHTINGS = 3
+_DARK = 1e-3
+_MARGIN_PX = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A pose with its information.
+
+    Parameters
+    ----------
+    T_cam_body
+        The pose.
+    information
+        (6, 6) of [rotation_rad, translation_m] in camera axes, prior included.
+    correlation
+        Of the two images over the pixels that were compared.
+    steps
+        Steps taken in all.
+    """
+
+    T_cam_body: Pose
+    information: FloatArray
+    correlation: float
+    steps: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PriorTerm:
+    """The Gaussian prior: its mean, and the inverse (6, 6) of its covariance."""
+
+    mean: Pose
+    information: FloatArray
+
+    def error(self, pose: Pose) -> FloatArray:
+        """Difference of a pose from the mean, (6,) [rotation_rad, translation_m]."""
+        turn = Rotation.from_matrix(pose.rotation @ self.mean.rotation.T).as_rotvec()
+        return np.concatenate([turn, pose.translation_m - self.mean.translation_m])
+
+
+def fit_level(
+    observed: Image, start: Pose, view: MeshView, prior: PriorTerm, size_m: float, level: LevelOptions,
+    options: PhotometricOptions,
+) -> Fit:  # fmt: skip
+    """Fit the pose at one level of the pyramid.
+
+    The observed image is taken as gain x rendering; the gain is a seventh parameter, so that the unit of the image has
+    no part. Derivatives are central differences of renderings, twelve for a step: they hold for silhouettes, cast
+    shadows and facets alike, where the derivative of the shading alone is blind. Residuals are weighted after Huber
+    with a robust sigma. As they come from the shape's errors and not from noise, ``independent_px`` neighbouring ones
+    count as one.
+
+    Parameters
+    ----------
+    observed
+        (H, W) signal, background 0.
+    start, view, prior
+        Where to start; how the shape is seen; what is known beforehand.
+    size_m
+        Radius of the body: how far a turn moves its surface.
+    level, options
+        The level, and the rest.
+    """
+    camera = reduced_camera(view.camera, level.reduction)
+    reduced = MeshView(camera, view.renderer, view.sun_dir_cam)
+    target = band(reduced_image(observed, level.reduction), level)
+    differences = _differences(start, camera.pixel_angle_rad, size_m, options.difference_px)
+
+    def render(pose: Pose) -> Image:
+        return band(reduced.render(pose), level)
+
+    pose, fit = start, None
+    for count in range(1, level.iterations + 1):
+        rendered = render(pose)
+        jacobian = _central_differences(render, pose, differences)
+        compared = _compared(target, rendered)
+        normal, vector, correlation = _normal_equations(target, rendered, jacobian, compared, options)
+        normal += prior.information
+        vector -= prior.information @ prior.error(pose)
+        fit = Fit(pose, normal, correlation, count)
+        step = _solve(normal, vector)
+        pose = pose.perturbed(step[:3], step[3:])
+        if np.abs(step / differences).max() * options.difference_px < options.tolerance_px:
+            break
+    if fit is None:
+        raise ValueError("a level has at least one iteration")
+    return Fit(pose, fit.information, fit.correlation, fit.steps)
+
+
+def _differences(pose: Pose, pixel_rad: float, size_m: float, motion_px: float) -> FloatArray:
+    """Return steps (6,) of the parameters that each move the body's edge in the image by about ``motion_px``."""
+    range_m = float(np.linalg.norm(pose.translation_m))
+    across_m = motion_px * pixel_rad * range_m
+    turn_rad = across_m / size_m
+    return np.array([turn_rad, turn_rad, turn_rad, across_m, across_m, across_m * range_m / size_m])
+
+
+def _central_differences(render: Callable[[Pose], Image], pose: Pose, differences: FloatArray) -> list[Image]:
+    columns = []
+    for index, difference in enumerate(differences):
+        step = np.zeros(6)
+        step[index] = difference
+        ahead, behind = render(pose.perturbed(step[:3], step[3:])), render(pose.perturbed(-step[:3], -step[3:]))
+        columns.append((ahead - behind) / np.float32(2.0 * difference))
+    return columns
+
+
+def _compared(target: Image, rendered: Image) -> NDArray[np.bool_]:
+    """Pixels on either body or next to it; (H, W)."""
+    dark = _DARK * max(float(np.abs(target).max()), 1e-30), _DARK * max(float(np.abs(rendered).max()), 1e-30)
+    lit = (np.abs(target) > dark[0]) | (np.abs(rendered) > dark[1])
+    grown = cv2.dilate(lit.astype(np.uint8), np.ones((_MARGIN_PX, _MARGIN_PX), dtype=np.uint8))
+    return np.asarray(grown > 0)
+
+
+def _normal_equations(
+    target: Image, rendered: Image, jacobian: list[Image], compared: NDArray[np.bool_], options: PhotometricOptions
+) -> tuple[FloatArray, FloatArray, float]:
+    """Information (6, 6) and gradient (6,) of the pose with the gain eliminated, and the images' correlation."""
+    o, i = target[compared].astype(np.float64), rendered[compared].astype(np.float64)
+    gain, weight = _gain(o, i, options.huber_sigma)
+    residual = o - gain * i
+    variance = float((weight * residual) @ residual / weight.sum()) * options.independent_px
+    columns = np.stack([gain * column[compared].astype(np.float64) for column in jacobian] + [i], axis=1)
+    weighted = columns * (weight / max(variance, 1e-300))[:, None]
+    full, right = weighted.T @ columns, weighted.T @ residual
+    # The Schur complement takes the gain out.
+    normal = full[:6, :6] - np.outer(full[:6, 6], full[6, :6]) / full[6, 6]
+    vector = right[:6] - full[:6, 6] * right[6] / full[6, 6]
+    return normal, vector, float(np.corrcoef(o, i)[0, 1])
+
+
+def _gain(o: FloatArray, i: FloatArray, huber_sigma: float) -> tuple[float, FloatArray]:
+    """Factor between two images, and the robust weight of each pixel."""
+    weight = np.ones_like(o)
+    gain = float(i @ o / (i @ i))
+    for _ in range(_REWEIGHTINGS):
+        residual = np.abs(o - gain * i)
+        sigma = _ROBUST_SIGMA * float(np.median(residual))
+        weight = 1.0 / np.maximum(1.0, residual / max(huber_sigma * sigma, 1e-300))
+        gain = float((weight * i) @ o / ((weight * i) @ i))
+    return gain, weight
+
+
+def inverse(normal: FloatArray) -> FloatArray:
+    """Invert an information matrix, scaled first."""
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    covariance: FloatArray = np.linalg.inv(normal * np.outer(scale, scale)).astype(np.float64) * np.outer(scale, scale)
+    return covariance
+
+
+def _solve(normal: FloatArray, vector: FloatArray) -> FloatArray:
+    """Solve scaled: square radians and square metres are orders of magnitude apart."""
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    solution: FloatArray = scale * np.linalg.solve(normal * np.outer(scale, scale), scale * vector)
+    return solution
