@@ -25,7 +25,9 @@ from scenarios.observation import Frame, Observation
 # What a table entry needs to be built quickly; whoever is not here is built with its defaults.
 QUICK = {
     "landmark-harris": {"database": DATABASE},
+    "centroid": {"database": DATABASE},
     "landmark-ransac": {"database": DATABASE},
+    "photometric": {"samples_per_pixel": 1, "levels": [{"reduction": 4, "iterations": 3}]},
     "landmark-altimeter": {"options": {"database": DATABASE}},
 }
 # The control row answers whatever the image shows.
@@ -62,6 +64,7 @@ class DefaultDatabase:
     def __init__(self, shelf: Shelf) -> None:
         self.camera = shelf.camera
         self.mesh_renderer = shelf.mesh_renderer
+        self.shape = shelf.shape
         self._shelf = shelf
 
     def product(self, kind: str, options: object) -> object:

@@ -1,4 +1,4 @@
-"""Photometric alignment with real renderings of the embedded body; derivatives against finite differences of a formula."""
+"""Photometric alignment with real renderings of the embedded body."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def errors(pose: Pose) -> tuple[float, float]:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_true_shape_gives_the_true_pose(renderer, image, seed):
-    """The same renderer made the image: what is left is far below the prior's 40 m and 1 deg and below a pixel (5 m)."""
+    """The same renderer made the image: what is left is below a pixel (5 m), the prior's error 40 m."""
     found = estimate(renderer, frame(image, seed))
     assert found.status == "ok"
     shift_m, turn_deg = errors(found.poses[0])
