@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import cv2
+from threadpoolctl import threadpool_limits
 
 from renderers.mitsuba3 import limit_threads
 
@@ -31,10 +32,15 @@ def memory_gib() -> float:
 
 @lru_cache(maxsize=1)
 def use_threads(jobs: int) -> None:
-    """Give this worker cores / jobs threads: two workers with two threads each on two cores are far slower."""
+    """Give this worker cores / jobs threads: two workers with two threads each on two cores are far slower.
+
+    Matrices get one thread. They are small here, and the threads of OpenBLAS wait for each other at full load: on a
+    busy machine that made recognition ten times slower.
+    """
     threads = max(1, cores() // max(1, jobs))
     limit_threads(threads)
     cv2.setNumThreads(threads)
+    threadpool_limits(limits=1, user_api="blas")
 
 
 def processor() -> str:
