@@ -20,6 +20,7 @@ _OWN: Mapping[str, str] = MappingProxyType(
         "landmark-altimeter": "estimators.altimeter:AltimeterEstimator",
         "landmark-ransac": "estimators.landmark.robust.estimator:ConsensusRecognizer",
         "photometric": "estimators.dense.photometric:PhotometricEstimator",
+        "lmaps": "estimators.maplets.recognizer:MapletNavigator",
         "prior": "estimators.prior:PriorEstimator",
     }
 )

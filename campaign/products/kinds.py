@@ -7,7 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
-from campaign.products import landmark_database
+from campaign.products import landmark_database, maplets
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
@@ -47,7 +47,7 @@ class ProductKind(Protocol):
         ...
 
 
-_KINDS: Mapping[str, ProductKind] = MappingProxyType({landmark_database.KIND: landmark_database})
+_KINDS: Mapping[str, ProductKind] = MappingProxyType({landmark_database.KIND: landmark_database, maplets.KIND: maplets})
 
 
 def product_kind(name: str) -> ProductKind:

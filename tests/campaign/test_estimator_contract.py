@@ -68,7 +68,7 @@ class DefaultDatabase:
         self._shelf = shelf
 
     def product(self, kind: str, options: object) -> object:
-        return self._shelf.product(kind, DATABASE)
+        return self._shelf.product(kind, DATABASE if kind == "landmark-database" else options)
 
 
 def answer(estimator: Estimator, observation: Observation, seed: int = 1) -> Estimate:

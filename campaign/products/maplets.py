@@ -1,0 +1,54 @@
+"""The maplets of a scenario: cut out of the shape that the spacecraft carries."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from estimators.maplets.build import METHOD_VERSION, MapletOptions, build_maplets
+from estimators.maplets.database import MapletDatabase
+from scenarios.bodies import load_body
+from scenarios.load import LoadedScenario
+from scenarios.spec.base import SpecModel
+
+KIND = "maplets"
+
+
+def parse(options: Mapping[str, object]) -> MapletOptions:
+    """Validate the options of a data base."""
+    return MapletOptions.model_validate(options)
+
+
+def versions() -> list[int]:
+    """List the versions of all code that a data base depends on, beside the renderer's."""
+    return [METHOD_VERSION]
+
+
+def announcement(options: SpecModel) -> str:
+    """Say what takes time in a build."""
+    side = _checked(options).side
+    return f"{side} x {side} heights each"
+
+
+def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> None:
+    """Cut maplets out of the scenario's shape, as the spacecraft knows it, and store them in ``folder``."""
+    del jobs, variant
+    mesh = load_body(scenario.spec.body, scenario.search_dirs).mesh
+    build_maplets(mesh, _checked(options)).save(folder)
+
+
+def load(folder: Path) -> MapletDatabase:
+    """Read a stored data base."""
+    return MapletDatabase.load(folder)
+
+
+def about(folder: Path) -> dict[str, object]:
+    """Describe a stored data base for the manifest."""
+    database = load(folder)
+    return {"n_landmarks": len(database), "nodes": database.side**2, "spacing_m": database.spacing_m}
+
+
+def _checked(options: SpecModel) -> MapletOptions:
+    if not isinstance(options, MapletOptions):
+        raise TypeError(f"{KIND}: options are a {type(options).__name__}, not MapletOptions")
+    return options

@@ -1,0 +1,1 @@
+"""Navigation by maplets: height and albedo patches after Gaskell et al. (2008), rendered and correlated."""

@@ -1,0 +1,163 @@
+"""A data base of maplets from a shape: where they lie, and what is cut out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from estimators.maplets.database import MapletDatabase
+from estimators.maplets.heights import Plane, Surface, sample_heights
+from scenarios.errors import BoresightError
+from scenarios.geometry import TriangleMesh
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+
+METHOD = "shape-maplets"
+METHOD_VERSION = 1
+
+_LEAST_GAIN = 0.003
+
+
+class MapletOptions(SpecModel):
+    """How maplets are cut from the onboard shape."""
+
+    spacing_m: float = Field(2.4, gt=0, description="Between neighbouring heights")
+    side: int = Field(25, ge=5, le=999, description="Heights along each side of a maplet, odd")
+    separation: float = Field(0.6, gt=0, le=1, description="Least distance of two centres, over a maplet's width")
+
+    @model_validator(mode="after")
+    def _odd(self) -> Self:
+        if self.side % 2 == 0:
+            raise ValueError("side must be odd, so that a height lies in the middle")
+        return self
+
+    @property
+    def width_m(self) -> float:
+        """Width of a maplet."""
+        return (self.side - 1) * self.spacing_m
+
+
+def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
+    """Cut maplets out of a shape so that they cover it.
+
+    Candidates lie everywhere, half as far apart as asked for. They are taken in the order of their relief, unless
+    one that was taken is too near: Poisson-disc sampling in which contrast goes first.
+
+    Raises
+    ------
+    BoresightError
+        If the shape is smaller than a maplet.
+    """
+    surface = Surface(mesh)
+    separation_m = options.separation * options.width_m
+    places = spread_points(surface.centroids_m, 0.5 * separation_m)
+    candidates = _cut(surface, places, options)
+    strength = [relief(heights, options.spacing_m) for heights in candidates.heights_m]
+    order = sorted(range(len(candidates)), key=lambda i: -strength[i])
+    taken = _thinned(candidates.centres_m, order, separation_m)
+    taken += _filling(candidates, taken, surface)
+    chosen = candidates.subset(np.array(taken))
+    return replace(chosen, provenance=_provenance(options, mesh, len(candidates)))
+
+
+def spread_points(points_m: FloatArray, radius_m: float) -> list[int]:
+    """Choose points, each the farthest from those before it, until none is farther than ``radius_m`` from one.
+
+    The first is the one farthest from the origin. Gonzalez (1985).
+    """
+    chosen = [int(np.argmax(np.einsum("ni,ni->n", points_m, points_m)))]
+    distance = np.linalg.norm(points_m - points_m[chosen[0]], axis=1)
+    while distance.max() > radius_m:
+        chosen.append(int(np.argmax(distance)))
+        np.minimum(distance, np.linalg.norm(points_m - points_m[chosen[-1]], axis=1), out=distance)
+    return chosen
+
+
+def relief(heights_m: FloatArray, spacing_m: float) -> float:
+    """RMS slope of a maplet without its curvature: what gives a picture of it contrast.
+
+    The slopes along both axes, less the plane through each of them.
+    """
+    dy, dx = (np.asarray(slope, dtype=np.float64) for slope in np.gradient(heights_m, spacing_m))
+    known = np.isfinite(dx) & np.isfinite(dy)
+    if known.sum() < 4:
+        return 0.0
+    row, column = np.nonzero(known)
+    design = np.stack([np.ones(len(row)), row, column], axis=1)
+    slopes = np.stack([dx[known], dy[known]], axis=1)
+    rest = slopes - design @ np.linalg.lstsq(design, slopes, rcond=None)[0]
+    return float(np.sqrt((rest**2).sum(axis=1).mean()))
+
+
+def _cut(surface: Surface, places: list[int], options: MapletOptions) -> MapletDatabase:
+    """Cut a maplet at each facet that the surface is seen from above at."""
+    planes = [_plane(surface, surface.centroids_m[place], options) for place in places]
+    sampled = [(plane, *sample_heights(surface, plane)) for plane in planes]
+    middle = options.side // 2
+    usable = [(plane, heights, albedo) for plane, heights, albedo in sampled if np.isfinite(heights[middle, middle])]
+    if not usable:
+        raise BoresightError(f"the shape has no place for a maplet of {options.width_m:g} m: choose a smaller side")
+    albedo = [values for _, _, values in usable if values is not None]
+    return MapletDatabase(
+        np.stack([plane.centre_m for plane, _, _ in usable]),
+        np.stack([plane.axes for plane, _, _ in usable]),
+        np.stack([heights for _, heights, _ in usable]),
+        options.spacing_m,
+        np.stack(albedo) if albedo else None,
+    )
+
+
+def _plane(surface: Surface, centre_m: FloatArray, options: MapletOptions) -> Plane:
+    normal = surface.mean_normal(centre_m, 0.5 * options.width_m)
+    helper = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    first = np.cross(helper, normal)
+    first /= np.linalg.norm(first)
+    return Plane(centre_m, np.stack([first, np.cross(normal, first), normal]), options.spacing_m, options.side)
+
+
+def _provenance(options: MapletOptions, mesh: TriangleMesh, candidates: int) -> dict[str, object]:
+    return {
+        "method": METHOD,
+        "method_version": METHOD_VERSION,
+        "options": options.model_dump(mode="json"),
+        "shape_facets": len(mesh.faces),
+        "candidates": candidates,
+    }
+
+
+def _thinned(centres_m: FloatArray, order: list[int], separation_m: float) -> list[int]:
+    taken: list[int] = []
+    for index in order:
+        if all(np.linalg.norm(centres_m[index] - centres_m[other]) >= separation_m for other in taken):
+            taken.append(index)
+    return taken
+
+
+def _filling(candidates: MapletDatabase, taken: list[int], surface: Surface) -> list[int]:
+    """Choose further candidates, each the one that shows most of what none shows yet, until nothing is to be gained."""
+    shown = [_shown(candidates, index, surface) for index in range(len(candidates))]
+    bare = np.ones(len(surface.centroids_m), dtype=bool)
+    for index in taken:
+        bare[shown[index]] = False
+    rest = [index for index in range(len(candidates)) if index not in set(taken)]
+    added: list[int] = []
+    while rest:
+        gains = [int(np.count_nonzero(bare[shown[index]])) for index in rest]
+        best = rest.pop(int(np.argmax(gains)))
+        if max(gains) < _LEAST_GAIN * len(shown[best]):
+            break
+        bare[shown[best]] = False
+        added.append(best)
+    return added
+
+
+def _shown(database: MapletDatabase, index: int, surface: Surface) -> NDArray[np.int64]:
+    """Facets whose middles lie on a maplet."""
+    reach_m = np.sqrt(3.0) * database.half_m + database.spacing_m
+    near = np.asarray(surface.tree.query_ball_point(database.centres_m[index], reach_m), dtype=np.int64)
+    return near[database.contains(index, surface.centroids_m[near])]

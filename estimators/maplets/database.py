@@ -1,0 +1,215 @@
+"""A data base of maplets: patches of heights and albedo on local planes, and how it is stored."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from scenarios.errors import BoresightError
+from scenarios.geometry import TriangleMesh
+
+FloatArray = NDArray[np.float64]
+
+FORMAT = "boresight-maplets"
+FORMAT_VERSION = 1
+FILE = "maplets.npz"
+
+_HEIGHT_STEP_M = 0.01
+_NOTHING = np.iinfo(np.int16).min
+_ALBEDO_STEPS = np.iinfo(np.uint16).max
+_OVERLAP = 3.0
+_SAME_SURFACE = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class MapletDatabase:
+    """N maplets of S x S nodes each.
+
+    Parameters
+    ----------
+    centres_m
+        (N, 3) middles of the reference planes, body frame: on or near the surface.
+    axes
+        (N, 3, 3) rows: the unit vectors along columns and rows and the upward normal, right-handed, body frame.
+    heights_m
+        (N, S, S) heights above the planes; NaN where the surface is not seen from above.
+    spacing_m
+        Between neighbouring nodes.
+    albedo
+        (N, S, S) factor on the reflectance, or None for 1 everywhere.
+    provenance
+        How it was made: values that JSON can hold.
+
+    Raises
+    ------
+    BoresightError
+        If shapes disagree, S is even, the middle of a maplet has no height or axes are not right-handed and
+        orthonormal.
+    """
+
+    centres_m: FloatArray
+    axes: FloatArray
+    heights_m: FloatArray
+    spacing_m: float
+    albedo: FloatArray | None = None
+    provenance: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n, side = len(self.centres_m), self.heights_m.shape[-1]
+        shapes = (self.centres_m.shape, self.axes.shape, self.heights_m.shape)
+        if shapes != ((n, 3), (n, 3, 3), (n, side, side)) or n == 0 or side < 3 or side % 2 == 0:
+            raise BoresightError(f"maplets need (N, 3) centres, (N, 3, 3) axes and (N, S, S) heights, not {shapes}")
+        if self.albedo is not None and self.albedo.shape != self.heights_m.shape:
+            raise BoresightError(f"maplets with heights {self.heights_m.shape} cannot have albedo {self.albedo.shape}")
+        rotation_error = np.abs(self.axes @ np.swapaxes(self.axes, 1, 2) - np.eye(3)).max()
+        if not (rotation_error < 1e-6 and (np.linalg.det(self.axes) > 0.0).all()):
+            raise BoresightError("the axes of a maplet are not right-handed and orthonormal")
+        if not (np.isfinite(self.centres_m).all() and np.isfinite(self.heights_m[:, side // 2, side // 2]).all()):
+            raise BoresightError("a maplet has no surface at its centre")
+
+    def __len__(self) -> int:
+        return len(self.centres_m)
+
+    @property
+    def side(self) -> int:
+        """S."""
+        return int(self.heights_m.shape[-1])
+
+    @property
+    def half_m(self) -> float:
+        """From the centre of a maplet to its edge."""
+        return 0.5 * (self.side - 1) * self.spacing_m
+
+    @property
+    def anchors_m(self) -> FloatArray:
+        """(N, 3) surface points at the middle of each maplet, body frame."""
+        middle = self.heights_m[:, self.side // 2, self.side // 2]
+        return self.centres_m + middle[:, None] * self.axes[:, 2]
+
+    @property
+    def nodes_m(self) -> FloatArray:
+        """(N, S, S, 3) all nodes in the body frame; NaN where there is no height."""
+        steps = (np.arange(self.side) - self.side // 2) * self.spacing_m
+        x, y = np.meshgrid(steps, steps)
+        local = np.stack([np.broadcast_to(x, self.heights_m.shape), np.broadcast_to(y, self.heights_m.shape)], axis=-1)
+        local = np.concatenate([local, self.heights_m[..., None]], axis=-1)
+        nodes: FloatArray = np.einsum("nrck,nkj->nrcj", local, self.axes) + self.centres_m[:, None, None, :]
+        return nodes
+
+    def subset(self, indices: NDArray[np.intp]) -> MapletDatabase:
+        """Keep some maplets, in the order of ``indices``."""
+        albedo = None if self.albedo is None else self.albedo[indices]
+        return replace(
+            self,
+            centres_m=self.centres_m[indices],
+            axes=self.axes[indices],
+            heights_m=self.heights_m[indices],
+            albedo=albedo,
+        )
+
+    def contains(self, index: int, points_m: FloatArray) -> NDArray[np.bool_]:
+        """Tell whether points of the surface (P, 3) lie on one maplet: above its grid, off its rim, at its height."""
+        local = (points_m - self.centres_m[index]) @ self.axes[index].T
+        inside = np.abs(local[:, :2]).max(axis=1, initial=0.0) <= self.half_m - self.spacing_m
+        grid = np.round(local[:, :2] / self.spacing_m).astype(np.int64) + self.side // 2
+        column, row = np.where(inside[:, None], grid, 0).T
+        off_m = np.abs(self.heights_m[index, row, column] - local[:, 2])
+        found: NDArray[np.bool_] = inside & (off_m <= _SAME_SURFACE * self.spacing_m)
+        return found
+
+    def mesh(self) -> TriangleMesh:
+        """Span one mesh over all maplets, which overlap by one or two steps of the grid.
+
+        Where several maplets show the same surface, the one counts whose centre is nearest: surfaces of slightly
+        different heights would throw shadows on each other.
+        """
+        nodes = self.nodes_m
+        kept = self._own_nodes(nodes)
+        quads = kept[:, :-1, :-1] & kept[:, :-1, 1:] & kept[:, 1:, :-1] & kept[:, 1:, 1:]
+        number = np.arange(kept.size).reshape(kept.shape)
+        near, far = slice(None, -1), slice(1, None)
+        a, b, c, d = (number[:, row, column][quads] for row in (near, far) for column in (near, far))
+        faces = np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
+        used, faces = np.unique(faces, return_inverse=True)
+        albedo = None if self.albedo is None else self.albedo.reshape(-1)[used]
+        return TriangleMesh(nodes.reshape(-1, 3)[used], faces.reshape(-1, 3).astype(np.int32), albedo)
+
+    def _own_nodes(self, nodes_m: FloatArray) -> NDArray[np.bool_]:
+        """Nodes (N, S, S) that no maplet with a nearer centre shows, and those within the overlap beside them."""
+        kept = np.isfinite(self.heights_m)
+        reach_m = 2.0 * np.sqrt(3.0) * self.half_m
+        pairs = cKDTree(self.centres_m).query_pairs(reach_m, output_type="ndarray")
+        for mine, other in np.concatenate([pairs, pairs[:, ::-1]]):
+            row, column = np.nonzero(kept[mine])
+            points = nodes_m[mine, row, column]
+            own, others = (np.linalg.norm(points - self.centres_m[i], axis=1) for i in (mine, other))
+            nearer = np.flatnonzero(others + _OVERLAP * self.spacing_m < own)
+            lost = nearer[self.contains(int(other), points[nearer])]
+            kept[mine, row[lost], column[lost]] = False
+        return kept
+
+    def save(self, folder: Path) -> None:
+        """Write ``maplets.npz`` into ``folder``, which is made if absent.
+
+        Heights are whole centimetres in 16 bits, attitudes quaternions (w, x, y, z), albedo 16 bits of its greatest
+        value.
+        """
+        folder.mkdir(parents=True, exist_ok=True)
+        steps = np.round(self.heights_m / _HEIGHT_STEP_M)
+        if np.nanmax(np.abs(steps)) >= -int(_NOTHING):
+            raise BoresightError(f"heights beyond {-int(_NOTHING) * _HEIGHT_STEP_M:g} m do not fit the format")
+        arrays: dict[str, NDArray[np.generic]] = {
+            "centres_m": self.centres_m,
+            "quat_wxyz": Rotation.from_matrix(self.axes).as_quat(canonical=True, scalar_first=True),
+            "heights": np.where(np.isfinite(steps), steps, _NOTHING).astype(np.int16),
+        }
+        head = {
+            "format": FORMAT,
+            "version": FORMAT_VERSION,
+            "spacing_m": self.spacing_m,
+            "height_step_m": _HEIGHT_STEP_M,
+            "provenance": dict(self.provenance),
+        }
+        if self.albedo is not None:
+            head["albedo_max"] = greatest = float(np.nanmax(self.albedo))
+            arrays["albedo"] = np.round(np.nan_to_num(self.albedo) / greatest * _ALBEDO_STEPS).astype(np.uint16)
+        arrays["head"] = np.frombuffer(json.dumps(head).encode(), dtype=np.uint8)
+        np.savez_compressed(folder / FILE, **arrays)  # type: ignore[arg-type]
+
+    @classmethod
+    def load(cls, folder: Path) -> MapletDatabase:
+        """Read what ``save`` wrote.
+
+        Raises
+        ------
+        BoresightError
+            If the file is missing or its content is wrong; the message names it.
+        """
+        path = folder / FILE
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+            head = json.loads(bytes(arrays["head"]).decode())
+            _check_format(head)
+            stored = arrays["heights"]
+            heights_m = np.where(stored == _NOTHING, np.nan, stored * float(head["height_step_m"]))
+            albedo = arrays["albedo"] * (head["albedo_max"] / _ALBEDO_STEPS) if "albedo" in arrays else None
+            axes = Rotation.from_quat(arrays["quat_wxyz"], scalar_first=True).as_matrix()
+            return cls(arrays["centres_m"], axes, heights_m, float(head["spacing_m"]), albedo, head["provenance"])
+        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, BoresightError) as error:
+            raise BoresightError(
+                f"{path}: cannot be read as a data base of maplets: {error}; build it again"
+            ) from error
+
+
+def _check_format(head: Mapping[str, object]) -> None:
+    if (head.get("format"), head.get("version")) != (FORMAT, FORMAT_VERSION):
+        raise BoresightError(f"is not format {FORMAT!r} version {FORMAT_VERSION}")

@@ -1,0 +1,211 @@
+"""All visible maplets of one rendering, found in the observed image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from estimators.contract import ImageRenderer
+from estimators.landmark.centroid import MeshView
+from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
+from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
+from estimators.landmark.signal import KNOWN_SKY, extract_signal
+from estimators.maplets.correlation import Displacement, correlate_window
+from estimators.maplets.database import MapletDatabase
+from estimators.maplets.refinement import make_pair, refine_window
+from estimators.maplets.visibility import Windows, body_mask, visible_windows
+from scenarios.geometry import Camera, Pose
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+_LEAST_PIXELS = 60
+_CAPTURE_PX = 1.5
+_PEAK_PX = 1.0  # room for a parabola at the end of the search
+
+
+class MatchingOptions(SpecModel):
+    """How maplets are looked for."""
+
+    window_px: tuple[int, int] = Field((8, 32), description="Least and largest half width of a window")
+    margin_px: int = Field(2, ge=0, le=100, description="Pixels along the outline of the body that do not count")
+    search_sigma: float = Field(3.0, gt=0, le=10, description="Reach of the search in standard deviations")
+    search_px: int = Field(40, ge=2, le=500, description="Largest reach of the search")
+    correlation_min: float = Field(0.4, ge=0, lt=1, description="Least correlation of a maplet that is found")
+    blur_px: float = Field(0.7, gt=0, le=10, description="Smoothing of both images before the refinement")
+    dark: float = Field(0.12, ge=0, lt=1, description="Pixels below this share of the bright level do not count")
+    noise_px2: float = Field(9.0, gt=0, description="Area over which differences of the pictures hold together")
+    height_sigma_m: float = Field(0.5, ge=0, description="Standard deviation of the onboard heights")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not 2 <= self.window_px[0] <= self.window_px[1]:
+            raise ValueError("window_px must be two ascending numbers of 2 or more")
+        return self
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapletScene:
+    """A data base with the renderer of the mesh over all its maplets, and that mesh's vertices (V, 3)."""
+
+    database: MapletDatabase
+    renderer: ImageRenderer
+    vertices_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One rendering of the data base.
+
+    Parameters
+    ----------
+    database, camera, T_cam_body
+        What was rendered, how and from where.
+    signal
+        (H, W), bright level 1.
+    on_body
+        (H, W) pixels well within the outline.
+    windows
+        Visible maplets.
+    """
+
+    database: MapletDatabase
+    camera: Camera
+    T_cam_body: Pose
+    signal: Image
+    on_body: NDArray[np.bool_]
+    windows: Windows
+
+    @property
+    def anchors_m(self) -> FloatArray:
+        """(M, 3) anchors of the visible maplets, body frame."""
+        return self.database.anchors_m[self.windows.maplet]
+
+    @property
+    def point_jacobian(self) -> FloatArray:
+        """(M, 2, 3) derivatives of the anchors' pixels by their positions in the body frame."""
+        jacobian = self.camera.jacobian(self.T_cam_body.transform(self.anchors_m))
+        return np.asarray(jacobian @ self.T_cam_body.rotation, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Maplets that were found.
+
+    Parameters
+    ----------
+    maplet
+        (M,) rows of the data base.
+    uv_px
+        (M, 2) where their anchors are in the observed image.
+    covariances_px2
+        (M, 2, 2) of those positions, the uncertainty of the onboard heights included.
+    correlation
+        (M,) of the pictures.
+    redundancy
+        Sum of the windows' pixels over the number of different ones.
+    height_sigma_m
+        Standard deviation of the onboard heights.
+    """
+
+    maplet: NDArray[np.int64]
+    uv_px: FloatArray
+    covariances_px2: FloatArray
+    correlation: FloatArray
+    redundancy: float
+    height_sigma_m: float
+
+    def __len__(self) -> int:
+        return len(self.maplet)
+
+
+def take_picture(
+    scene: MapletScene, camera: Camera, T_cam_body: Pose, sun_dir_cam: FloatArray, options: MatchingOptions
+) -> Picture:
+    """Render the data base and find what of it can be seen."""
+    rendered = MeshView(camera, scene.renderer, sun_dir_cam).render(T_cam_body)
+    database, vertices_m = scene.database, scene.vertices_m
+    return Picture(
+        database,
+        camera,
+        T_cam_body,
+        extract_signal(rendered, KNOWN_SKY).image,
+        body_mask(vertices_m, camera, T_cam_body, database.spacing_m, options.margin_px),
+        visible_windows(database, camera, T_cam_body, vertices_m, options.window_px),
+    )
+
+
+def capture(observed: Image, seen: Picture, uncertainty: FloatArray, options: MatchingOptions) -> Found:
+    """Find maplets anywhere within the uncertainty (6, 6) of the pose, by correlation, to some tenths of a pixel."""
+    reach = _reach_px(seen, uncertainty, options)
+    usable = seen.on_body.astype(np.float32)
+
+    def search(index: int, window: tuple[slice, slice]) -> Displacement | None:
+        corner = (window[1].start, window[0].start)
+        across, down = (int(r) for r in reach[index])
+        template, mask = (np.ascontiguousarray(image[window]) for image in (seen.signal, usable))
+        return correlate_window(observed, template, mask, corner, (across, down), options.noise_px2)
+
+    return _collect(seen, seen.on_body, search, options)
+
+
+def refine(observed: Image, seen: Picture, options: MatchingOptions) -> Found:
+    """Find maplets that are already within a pixel of their place, as exactly as the pictures allow."""
+    pair = make_pair(observed, seen.signal, seen.on_body, options.blur_px, options.dark)
+
+    def solve(index: int, window: tuple[slice, slice]) -> Displacement | None:
+        del index
+        found = refine_window(pair, window, options.noise_px2)
+        return found if found is not None and np.abs(found.shift_px).max() <= _CAPTURE_PX else None
+
+    return _collect(seen, pair.usable, solve, options)
+
+
+def _reach_px(seen: Picture, uncertainty: FloatArray, options: MatchingOptions) -> NDArray[np.int64]:
+    """(M, 2) reach of the search for each window, from the uncertainty of the pose."""
+    n = len(seen.windows)
+    if n < MIN_LANDMARKS:
+        return np.ones((n, 2), dtype=np.int64)
+    flat = np.tile(np.eye(2), (n, 1, 1))
+    jacobian = minimal_jacobian(PoseProblem(seen.anchors_m, seen.windows.uv_px, flat, seen.camera), seen.T_cam_body)
+    variance = np.einsum("nip,pq,niq->ni", jacobian, uncertainty, jacobian)
+    reach = np.ceil(options.search_sigma * np.sqrt(variance)) + _PEAK_PX
+    return np.asarray(np.minimum(reach, options.search_px), dtype=np.int64)
+
+
+def _collect(
+    seen: Picture,
+    usable: NDArray[np.bool_],
+    locate: Callable[[int, tuple[slice, slice]], Displacement | None],
+    options: MatchingOptions,
+) -> Found:
+    """Locate every window with enough usable pixels and keep those that are found."""
+    cover = np.zeros(usable.shape, dtype=np.int32)
+    kept: list[tuple[int, Displacement]] = []
+    for index in range(len(seen.windows)):
+        window = seen.windows.slices(index)
+        if np.count_nonzero(usable[window]) < _LEAST_PIXELS:
+            continue
+        found = locate(index, window)
+        if found is not None and found.correlation >= options.correlation_min:
+            kept.append((index, found))
+            cover[window] += usable[window]
+    rows = np.array([index for index, _ in kept], dtype=np.int64)
+    by_height = options.height_sigma_m * np.einsum(
+        "nij,nj->ni", seen.point_jacobian[rows], seen.database.axes[seen.windows.maplet[rows], 2]
+    )
+    matched = np.array([found.covariance_px2 for _, found in kept]).reshape(-1, 2, 2)
+    return Found(
+        seen.windows.maplet[rows],
+        seen.windows.uv_px[rows] + np.array([found.shift_px for _, found in kept]).reshape(-1, 2),
+        matched + by_height[:, :, None] * by_height[:, None, :],
+        np.array([found.correlation for _, found in kept]),
+        float(cover.sum() / max(1, np.count_nonzero(cover))),
+        options.height_sigma_m,
+    )

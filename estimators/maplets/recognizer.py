@@ -1,0 +1,203 @@
+"""Navigation by maplets as an estimator: from the prior through rendering and correlation to the pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from estimators.contract import Assets, Estimate, Stage
+from estimators.landmark.alignment import correlation_pair
+from estimators.landmark.centroid import AlignmentOptions, MeshView, align_translation
+from estimators.landmark.matching import inverse_2x2
+from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
+from estimators.landmark.signal import extract_signal
+from estimators.landmark.stopwatch import Stopwatch
+from estimators.maplets.build import MapletOptions
+from estimators.maplets.database import MapletDatabase
+from estimators.maplets.matching import MapletScene, MatchingOptions, capture, refine, take_picture
+from estimators.maplets.report import Fit, Recognition, maplet_table
+from estimators.maplets.solve import Prior, solve_map
+from estimators.options import parse_options
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Pose
+from scenarios.observation import Frame, Observation
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+PRODUCT = "maplets"
+_ACROSS = slice(3, 5)
+
+
+class MapletsOptions(SpecModel):
+    """Options of the estimator."""
+
+    maplets: MapletOptions = MapletOptions()
+    samples_per_pixel: int = Field(4, ge=1, le=64, description="Samples of a rendered pixel, a square number")
+    alignment: AlignmentOptions = AlignmentOptions(tolerance_px=1.0)
+    alignment_sigma_px: float = Field(3.0, gt=0, description="Standard deviation of the aligned position, each axis")
+    matching: MatchingOptions = MatchingOptions()
+    tolerance_px: float = Field(0.05, gt=0, description="Done when no maplet moves by more between two renderings")
+    max_rounds: int = Field(4, ge=1, le=100, description="Renderings for the refinement, after that for the capture")
+
+
+def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: MapletsOptions) -> Recognition:
+    """Run all stages on one image.
+
+    Raises
+    ------
+    BoresightError
+        If the image is not of the camera's size.
+    """
+    clock = Stopwatch()
+    stages: list[Stage] = []
+
+    def failed(why: str) -> Recognition:
+        return Recognition(tuple(stages), (), clock.seconds, why)
+
+    expected = (camera.height_px, camera.width_px)
+    if frame.image.shape != expected:
+        raise BoresightError(f"the image has shape {frame.image.shape}, but the camera's is {expected}")
+    if not np.isfinite(frame.image).all():
+        return failed("the image holds NaN or infinite pixels")
+    with clock("centroid"):
+        observed = extract_signal(frame.image)
+    if observed.empty:
+        return failed("the image is black: nothing above its background")
+    view = MeshView(camera, scene.renderer, frame.sun_dir_cam)
+    aligned = align_translation(
+        observed.image, frame.prior_T_cam_body, view, correlation_pair, options.alignment, clock
+    )
+    if aligned.failure:
+        return failed(aligned.failure)
+    stages.append(Stage("alignment", aligned.T_cam_body))
+    return _rounds(observed.image, frame, aligned.T_cam_body, _Bench(camera, scene, options, clock), stages)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bench:
+    """What all rounds share."""
+
+    camera: Camera
+    scene: MapletScene
+    options: MapletsOptions
+    clock: Stopwatch
+
+    def fit(self, observed: Image, frame: Frame, pose: Pose, uncertainty: FloatArray | None) -> Fit | str:
+        """Render, correlate and solve once; without an ``uncertainty`` the maplets are refined where they are."""
+        matching = self.options.matching
+        with self.clock("mesh_rendering"):
+            seen = take_picture(self.scene, self.camera, pose, frame.sun_dir_cam, matching)
+        with self.clock("correlation"):
+            if uncertainty is None:
+                found = refine(observed, seen, matching)
+            else:
+                found = capture(observed, seen, uncertainty, matching)
+        if len(found) < MIN_LANDMARKS:
+            return f"{len(found)} of {len(seen.windows)} maplets found, {MIN_LANDMARKS} needed"
+        with self.clock("recognition"):
+            anchors_m = self.scene.database.anchors_m[found.maplet]
+            problem = PoseProblem(anchors_m, found.uv_px, inverse_2x2(found.covariances_px2), self.camera)
+            prior = Prior(frame.prior_T_cam_body, frame.prior_covariance)
+            return Fit(found, solve_map(problem, prior, pose, found.redundancy))
+
+    def motion_px(self, before: Pose, after: Pose) -> float:
+        """Return the largest motion of a maplet in the image between two poses."""
+        anchors_m = self.scene.database.anchors_m
+        motion = self.camera.project(after.transform(anchors_m)) - self.camera.project(before.transform(anchors_m))
+        return float(np.nanmax(np.linalg.norm(motion, axis=1)))
+
+
+def _rounds(observed: Image, frame: Frame, start: Pose, bench: _Bench, stages: list[Stage]) -> Recognition:
+    """Capture, then refine until the pose holds still."""
+    uncertainty = np.array(frame.prior_covariance)
+    range_m = float(np.linalg.norm(start.translation_m))
+    aligned_m2 = (bench.options.alignment_sigma_px * bench.camera.pixel_angle_rad * range_m) ** 2
+    uncertainty[_ACROSS, _ACROSS] = np.diag(np.minimum(np.diag(uncertainty)[_ACROSS], aligned_m2))
+    fits: list[Fit] = []
+    pose = start
+    for _ in range(1 + bench.options.max_rounds):
+        fit = bench.fit(observed, frame, pose, None if fits else uncertainty)
+        if isinstance(fit, str):
+            return Recognition(tuple(stages), tuple(fits), bench.clock.seconds, fit)
+        before, pose = pose, fit.posterior.T_cam_body
+        fits.append(fit)
+        if len(fits) == 1:
+            stages.append(Stage("correlation", pose))
+        elif bench.motion_px(before, pose) < bench.options.tolerance_px:
+            break
+    stages.append(Stage("recognition", pose))
+    return Recognition(tuple(stages), tuple(fits), bench.clock.seconds)
+
+
+class MapletNavigator:
+    """Maplets of the onboard shape, rendered at the predicted pose and Sun and correlated; each frame on its own."""
+
+    name: ClassVar[str] = "lmaps"
+    version: ClassVar[int] = 1
+
+    def __init__(self, scene: MapletScene, options: MapletsOptions) -> None:
+        self._scene = scene
+        self._options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
+        """Build from a campaign's options and its maplets."""
+        parsed = parse_options(MapletsOptions, options, cls.name)
+        database = assets.product(PRODUCT, parsed.maplets.model_dump(mode="json"))
+        if not isinstance(database, MapletDatabase):
+            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
+        mesh = database.mesh()
+        renderer = assets.mesh_renderer(mesh, parsed.samples_per_pixel)
+        return cls(MapletScene(database, renderer, mesh.vertices_m), parsed)
+
+    def recognise(self, frame: Frame, camera: Camera) -> Recognition:
+        """Run on one frame and keep all intermediate results."""
+        return recognise(frame, camera, self._scene, self._options)
+
+    def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
+        """Estimate the pose of each frame on its own; the first frame that fails fails the whole.
+
+        Stages, diagnostics and timings are those of the last frame; nothing is drawn at random.
+        """
+        del rng
+        if not observation.frames:
+            return Estimate("failed", "the observation holds no image")
+        results: list[Recognition] = []
+        for frame in observation.frames:
+            results.append(self.recognise(frame, observation.camera))
+            if results[-1].failure:
+                break
+        last = results[-1]
+        ok = not last.failure
+        final = [result.fits[-1].posterior for result in results] if ok else []
+        return Estimate(
+            status="ok" if ok else "failed",
+            reason=last.failure,
+            poses=tuple(posterior.T_cam_body for posterior in final),
+            covariances=tuple(posterior.covariance for posterior in final),
+            bounds=tuple(posterior.bound for posterior in final),
+            stages=last.stages,
+            details={"landmarks": maplet_table(results, self._scene.database, observation.camera)} if ok else {},
+            diagnostics=_diagnostics(last),
+            timings_s=last.timings_s,
+        )
+
+
+def _diagnostics(result: Recognition) -> dict[str, float | int | str]:
+    if not result.fits:
+        return {}
+    last = result.fits[-1]
+    return {
+        "n_landmarks": len(last.found),
+        "rounds": len(result.fits),
+        "correlation": float(np.median(last.found.correlation)),
+        "redundancy": last.found.redundancy,
+        "scale2": last.posterior.scale2,
+    }

@@ -1,0 +1,131 @@
+"""The pose of greatest posterior probability from displaced maplets, robust against wrong ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.special import exp1
+
+from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
+from estimators.landmark.pose.problem import PoseProblem
+from scenarios.geometry import Pose
+
+FloatArray = NDArray[np.float64]
+
+_MAX_STEPS = 50
+_STEP_TOLERANCE = 1e-8
+_NU = 4.0
+# Mean of weight times square, a component, where the squares are chi-square of two: 3 (1 - 2 e^2 E1(2)).
+_GAUSSIAN_MEAN = 3.0 * (1.0 - 2.0 * float(np.exp(2.0) * exp1(2.0)))
+_UNKNOWN_POINTS = 3.0  # two components each: the six unknowns
+_LEAST_SCALE2 = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """A pose with the covariance (6, 6) of its error, [rotation_rad, translation_m] in camera axes."""
+
+    T_cam_body: Pose
+    covariance: FloatArray
+
+    def offset(self, T_cam_body: Pose) -> FloatArray:
+        """Small motion (6,) that takes the prior's pose to another: the argument of ``Pose.perturbed``."""
+        turn = Rotation.from_matrix(T_cam_body.rotation @ self.T_cam_body.rotation.T).as_rotvec()
+        return np.concatenate([turn, T_cam_body.translation_m - self.T_cam_body.translation_m])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posterior:
+    """The solution.
+
+    Parameters
+    ----------
+    T_cam_body
+        The pose.
+    covariance
+        (6, 6) of its error, [rotation_rad, translation_m] in camera axes.
+    bound
+        (6, 6) Cramer-Rao bound: the covariance of the best estimator, were the noise Gaussian.
+    d2
+        (N,) weighted squared residuals, by the covariances as they were given.
+    scale2
+        Factor on those covariances that the residuals ask for.
+    """
+
+    T_cam_body: Pose
+    covariance: FloatArray
+    bound: FloatArray
+    d2: FloatArray
+    scale2: float
+
+
+def solve_map(problem: PoseProblem, prior: Prior, start: Pose, redundancy: float) -> Posterior:
+    """Maximise the posterior under a Gaussian prior and Student's t for the observations.
+
+    Iteratively reweighted Gauss-Newton: of nu degrees of freedom, an observation whose weighted square is x counts
+    (nu + 2) / (nu + x) times (Lange, Little and Taylor 1989). The scale of the covariances is estimated with the pose:
+    pictures of a shape that is not quite right differ by more than their noise. The covariance of the result is that
+    of an M-estimator (Huber 1981, section 7.6), with the residuals' own moments of weight and influence.
+
+    Parameters
+    ----------
+    problem
+        Anchors of the maplets and where they are seen.
+    prior, start
+        What is known beforehand, and where to begin.
+    redundancy
+        How many observations tell the same, because their windows overlap: divides their information.
+    """
+    pose, known = start, np.linalg.inv(prior.covariance)
+    for _ in range(_MAX_STEPS):
+        residuals = problem.residuals_px(pose)
+        d2 = np.einsum("ni,nij,nj->n", residuals, problem.information_px2, residuals)
+        scale2 = _scale2(d2)
+        jacobian = minimal_jacobian(problem, pose)
+        share = _weights(d2 / scale2) / (scale2 * redundancy)
+        matrix, vector = _weighted(problem, share).normal_equations(jacobian, residuals)
+        step = np.asarray(np.linalg.solve(matrix + known, vector - known @ prior.offset(pose)), dtype=np.float64)
+        pose = pose.perturbed(step[:3], step[3:])
+        if np.abs(step).max() < _STEP_TOLERANCE:
+            break
+    full, _ = problem.normal_equations(jacobian, residuals)
+    best = full / (scale2 * redundancy)
+    covariance = np.linalg.inv(best / _spread(d2 / scale2) + known)
+    return Posterior(pose, covariance, np.linalg.inv(best + known), d2, scale2)
+
+
+def _weights(x: FloatArray) -> FloatArray:
+    return (_NU + 2.0) / (_NU + x)
+
+
+def _free(x: FloatArray) -> float:
+    """Observations over those that the unknowns leave free."""
+    return len(x) / max(1.0, len(x) - _UNKNOWN_POINTS)
+
+
+def _scale2(d2: FloatArray) -> float:
+    """Scale of the weighted squares (N,): their variance where they are Gaussian, hardly moved by outliers."""
+    scale2 = max(float(np.median(d2)) / 2.0, _LEAST_SCALE2)
+    for _ in range(_MAX_STEPS):
+        mean = float((_weights(d2 / scale2) * d2).mean()) / 2.0
+        previous, scale2 = scale2, max(_free(d2) * mean / _GAUSSIAN_MEAN, _LEAST_SCALE2)
+        if abs(scale2 - previous) < 1e-9 * scale2:
+            break
+    return scale2
+
+
+def _spread(x: FloatArray) -> float:
+    """Variance of the estimator over that of the best one for Gaussian noise: E[psi^2] / E[psi']^2."""
+    weights = _weights(x)
+    influence = _free(x) * float((weights**2 * x).mean()) / 2.0
+    slope = float((weights - (_NU + 2.0) * x / (_NU + x) ** 2).mean())
+    return influence / slope**2
+
+
+def _weighted(problem: PoseProblem, weights: FloatArray) -> PoseProblem:
+    return PoseProblem(
+        problem.points_body_m, problem.uv_px, weights[:, None, None] * problem.information_px2, problem.camera
+    )

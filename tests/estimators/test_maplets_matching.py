@@ -1,0 +1,194 @@
+"""Displacements of windows against shifts that are known, their covariances against scatter, and the pose from them."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import fourier_shift, gaussian_filter
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+from estimators.landmark.pose.problem import PoseProblem
+from estimators.maplets.correlation import correlate_window, shift_covariance
+from estimators.maplets.refinement import make_pair, refine_window
+from estimators.maplets.solve import Prior, solve_map
+from scenarios.geometry import Camera, look_at
+
+SIDE = 64
+WINDOW = (slice(16, 48), slice(14, 50))
+
+
+def picture(seed, smooth=1.5):
+    """A periodic picture, so that a shift by Fourier's theorem is exact."""
+    values = gaussian_filter(np.random.default_rng(seed).normal(size=(SIDE, SIDE)), smooth, mode="wrap")
+    return 0.5 + 0.12 * values / values.std()
+
+
+def shifted(image, du, dv):
+    return np.fft.ifft2(fourier_shift(np.fft.fft2(image), (dv, du))).real
+
+
+def correlated(observed, rendered, noise_px2=1.0):
+    template = np.ascontiguousarray(rendered[WINDOW], dtype=np.float32)
+    corner = (WINDOW[1].start, WINDOW[0].start)
+    usable = np.ones_like(template)
+    return correlate_window(observed.astype(np.float32), template, usable, corner, (6, 5), noise_px2)
+
+
+def refined(observed, rendered, on_body=None, dark=0.0):
+    on_body = np.ones(observed.shape, dtype=bool) if on_body is None else on_body
+    pair = make_pair(observed.astype(np.float32), rendered.astype(np.float32), on_body, 0.7, dark)
+    return refine_window(pair, WINDOW, 1.0)
+
+
+@pytest.mark.parametrize(("du", "dv"), [(3.0, -2.0), (-1.4, 0.6), (0.0, 4.0), (2.5, 2.5)])
+def test_correlation_finds_a_shift(du, dv):
+    image = picture(1)
+    found = correlated(0.3 + 2.0 * shifted(image, du, dv), image)
+    np.testing.assert_allclose(found.shift_px, [du, dv], atol=0.05)
+    assert found.correlation > 0.98
+
+
+def test_a_shift_beyond_the_search_is_not_found():
+    image = picture(2)
+    assert correlated(shifted(image, 6.0, 0.0), image) is None
+
+
+def test_a_template_without_contrast_is_not_found():
+    assert correlated(picture(3), np.full((SIDE, SIDE), 0.7)) is None
+
+
+def test_masked_pixels_of_the_template_do_not_count():
+    image = picture(4)
+    spoilt = image.copy()
+    spoilt[16:30] = np.random.default_rng(1).normal(size=spoilt[16:30].shape)
+    template, usable = (np.ascontiguousarray(a[WINDOW], dtype=np.float32) for a in (spoilt, np.ones((SIDE, SIDE))))
+    usable[:14] = 0.0
+    found = correlate_window(shifted(image, 1.0, 2.0).astype(np.float32), template, usable, (14, 16), (5, 5), 1.0)
+    np.testing.assert_allclose(found.shift_px, [1.0, 2.0], atol=0.05)
+
+
+@pytest.mark.parametrize(("du", "dv"), [(0.31, -0.22), (-0.05, 0.4), (0.0, 0.0)])
+def test_refinement_finds_a_small_shift_under_gain_offset_and_trend(du, dv):
+    image = picture(5, 2.5)
+    trend = 0.002 * np.arange(SIDE)[None, :] - 0.001 * np.arange(SIDE)[:, None]
+    found = refined(0.1 + 1.7 * shifted(image, du, dv) + trend, image)
+    np.testing.assert_allclose(found.shift_px, [du, dv], atol=0.03)
+
+
+def test_refinement_is_not_drawn_by_what_the_rendering_does_not_show():
+    """Rocks with their shadows cover a tenth of the picture: a plain correlation follows them."""
+    image = picture(6, 2.5)
+    rng, observed = np.random.default_rng(2), shifted(image, 0.2, -0.3)
+    for row, column in rng.integers(2, SIDE - 4, (40, 2)):
+        observed[row, column : column + 2] += 0.4
+        observed[row, column + 2 : column + 4] = 0.02
+    plain = np.abs(correlated(observed, image).shift_px - [0.2, -0.3]).max()
+    robust = np.abs(refined(observed, image, dark=0.1).shift_px - [0.2, -0.3]).max()
+    assert robust < 0.04
+    assert robust < plain
+
+
+def test_pixels_off_the_body_do_not_count():
+    image, on_body = picture(7, 2.5), np.zeros((SIDE, SIDE), dtype=bool)
+    observed = shifted(image, 0.25, 0.1)
+    on_body[:, :38] = True
+    observed[:, 40:] = 5.0
+    np.testing.assert_allclose(refined(observed, image, on_body).shift_px, [0.25, 0.1], atol=0.03)
+    assert refined(observed, image, np.zeros_like(on_body)) is None
+
+
+def test_stripes_fix_one_component_only():
+    stripes = 0.5 + 0.2 * np.sin(2.0 * np.pi * np.arange(SIDE) / 8.0)[None, :] * np.ones((SIDE, 1))
+    assert refined(stripes, stripes) is None
+
+
+@pytest.mark.parametrize("method", [correlated, refined], ids=["correlation", "refinement"])
+def test_the_covariance_is_that_of_the_scatter(method):
+    """White noise before the smoothing of the refinement holds together over its kernel, 4 pi sigma^2 = 6.2 px^2."""
+    area = {"correlated": 1.0, "refined": 4.0 * np.pi * 0.7**2}[method.__name__]
+    image, rng = picture(8, 2.0), np.random.default_rng(3)
+    found = [method(shifted(image, 0.1, 0.2) + rng.normal(0.0, 0.03, image.shape), image) for _ in range(300)]
+    scatter = np.cov(np.array([f.shift_px for f in found]).T)
+    expected = area * np.mean([f.covariance_px2 for f in found], axis=0)
+    np.testing.assert_allclose(np.sqrt(np.diag(scatter) / np.diag(expected)), 1.0, atol=0.25)
+
+
+def test_shift_covariance_of_a_known_peak():
+    found = shift_covariance(0.8, np.diag([-0.1, -0.4]), 50.0)
+    np.testing.assert_allclose(found, np.diag([0.36 / (50 * 0.8 * 0.1), 0.36 / (50 * 0.8 * 0.4)]))
+
+
+CAMERA = Camera.from_fov(512, 512, np.radians(18.3))
+TRUE = look_at(np.array([1500.0, 900.0, 970.0]), 0.4)
+PRIOR_COVARIANCE = np.diag([0.02] * 3 + [25.0, 25.0, 3.0]) ** 2
+
+
+def scene(rng, n=40):
+    """Points about the body, seen with errors of known covariances, and a prior that is wrong by its covariance."""
+    points = rng.normal(size=(n, 3))
+    points *= 150.0 / np.linalg.norm(points, axis=1, keepdims=True)
+    roots = rng.normal(0.0, 0.2, (n, 2, 2)) + 0.3 * np.eye(2)
+    covariances = roots @ np.swapaxes(roots, 1, 2) + 0.01 * np.eye(2)
+    noise = np.einsum("nij,nj->ni", np.linalg.cholesky(covariances), rng.normal(size=(n, 2)))
+    problem = PoseProblem(points, CAMERA.project(TRUE.transform(points)) + noise, np.linalg.inv(covariances), CAMERA)
+    error = np.sqrt(np.diag(PRIOR_COVARIANCE)) * rng.normal(size=6)
+    return problem, Prior(TRUE.perturbed(error[:3], error[3:]), PRIOR_COVARIANCE)
+
+
+def test_the_offset_of_a_pose_is_its_perturbation():
+    step = np.array([0.01, -0.02, 0.03, 4.0, -5.0, 6.0])
+    prior = Prior(TRUE, PRIOR_COVARIANCE)
+    np.testing.assert_allclose(prior.offset(TRUE.perturbed(step[:3], step[3:])), step, atol=1e-12)
+
+
+def test_the_solution_maximises_the_posterior():
+    problem, prior = scene(np.random.default_rng(4))
+    found = solve_map(problem, prior, prior.T_cam_body, 1.0)
+    scale = np.sqrt(np.diag(PRIOR_COVARIANCE))
+    white = np.linalg.cholesky(np.swapaxes(problem.information_px2, 1, 2) / found.scale2)
+
+    def residuals(step):
+        pose = prior.T_cam_body.perturbed(step[:3], step[3:])
+        d2 = (np.einsum("nji,nj->ni", white, problem.residuals_px(pose)) ** 2).sum(axis=1)
+        # -2 log of Student's t in two dimensions with 4 degrees of freedom.
+        return np.concatenate([np.sqrt(6.0 * np.log1p(d2 / 4.0)), step / scale])
+
+    best = least_squares(
+        lambda x: residuals(x * scale), np.zeros(6), jac="3-point", x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15
+    )
+    expected = prior.T_cam_body.perturbed(*np.split(best.x * scale, 2))
+    assert found.T_cam_body.angle_to(expected) < 1e-7
+    np.testing.assert_allclose(found.T_cam_body.translation_m, expected.translation_m, atol=1e-3)
+
+
+def test_the_covariance_is_consistent_and_the_bound_below_it():
+    squares, ratios = [], []
+    for seed in range(150):
+        problem, prior = scene(np.random.default_rng(100 + seed))
+        found = solve_map(problem, prior, prior.T_cam_body, 1.0)
+        error = Prior(TRUE, PRIOR_COVARIANCE).offset(found.T_cam_body)
+        squares.append(error @ np.linalg.solve(found.covariance, error))
+        ratios.append(np.trace(found.covariance[3:, 3:]) / np.trace(found.bound[3:, 3:]))
+    low, high = chi2.ppf([0.0005, 0.9995], 6 * len(squares)) / len(squares)
+    assert low < np.mean(squares) < 1.1 * high  # the scale of the noise is estimated, from 40 points
+    # Student's t with 4 degrees of freedom costs 9 % of variance under Gaussian noise, less the fit of 6 unknowns.
+    assert np.median(ratios) == pytest.approx(1.06, abs=0.06)
+
+
+def test_wrong_maplets_hardly_count():
+    problem, prior = scene(np.random.default_rng(5))
+    clean = solve_map(problem, prior, prior.T_cam_body, 1.0)
+    wrong_px = problem.uv_px.copy()
+    wrong_px[:6] += 25.0
+    wrong = PoseProblem(problem.points_body_m, wrong_px, problem.information_px2, CAMERA)
+    found = solve_map(wrong, prior, prior.T_cam_body, 1.0)
+    sigma = np.sqrt(np.diag(clean.covariance))
+    shift = Prior(clean.T_cam_body, clean.covariance).offset(found.T_cam_body)
+    assert np.abs(shift / sigma).max() < 1.5
+    assert found.d2[:6].min() > 20.0 * found.d2[6:].max()
+
+
+def test_redundancy_divides_the_information():
+    problem, prior = scene(np.random.default_rng(6))
+    vague = Prior(prior.T_cam_body, 1e6 * PRIOR_COVARIANCE)
+    once, twice = (solve_map(problem, vague, TRUE, redundancy).covariance for redundancy in (1.0, 2.0))
+    np.testing.assert_allclose(np.diag(twice) / np.diag(once), 2.0, rtol=1e-3)

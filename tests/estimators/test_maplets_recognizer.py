@@ -1,0 +1,220 @@
+"""Maplets from the image to the pose, on images of a body that is finer than the shape on board."""
+
+import numpy as np
+import pytest
+
+from estimators.maplets.build import build_maplets
+from estimators.maplets.database import MapletDatabase
+from estimators.maplets.recognizer import PRODUCT, MapletNavigator, MapletsOptions
+from estimators.maplets.visibility import body_mask, visible_windows
+from renderers.mitsuba3 import MitsubaRenderer
+from scenarios.bodies import load_body
+from scenarios.draw import draw_lit_view
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera
+from scenarios.observation import Frame, Observation
+from scenarios.spec.body import BodySpec, BoulderSpec, DetailSpec, RoughnessSpec
+from scenarios.spec.brdf import LambertSpec
+from scenarios.spec.distribution import Uniform
+from scenarios.spec.world import LightingSpec, ViewpointSpec
+
+CAMERA = Camera.from_fov(256, 256, np.radians(18.3))
+OPTIONS = {"maplets": {"spacing_m": 4.0, "side": 21}}
+TRIALS = 8
+
+
+def spec(facets):
+    return BodySpec(
+        shape="contact-binary",
+        detail=DetailSpec(
+            facets=facets, seed=3, boulders=BoulderSpec(count=700, min_diameter_m=8.0, max_diameter_m=45.0),
+            roughness=RoughnessSpec(rms_m=1.0, max_wavelength_m=60.0),
+        ),
+    )  # fmt: skip
+
+
+class World:
+    """A body, its renderer, and maplets of a shape with a quarter of its facets; lends what the estimator asks for."""
+
+    camera = CAMERA
+    brdf = LambertSpec()
+
+    def __init__(self):
+        self.renderer = MitsubaRenderer(load_body(spec(300_000), ()).mesh, self.brdf)
+        self.onboard = load_body(spec(70_000), ()).mesh
+        self.database = build_maplets(self.onboard, MapletsOptions.model_validate(OPTIONS).maplets)
+        self.asked = []
+
+    def product(self, kind, options):
+        self.asked.append((kind, options))
+        return self.database
+
+    def mesh_renderer(self, mesh, samples_per_pixel=1):
+        return MitsubaRenderer(mesh, self.brdf, samples_per_pixel)
+
+    def frame(self, trial, noise_dn=0.0):
+        rng = np.random.default_rng(trial)
+        lighting = LightingSpec(phase_deg=Uniform(uniform=(0.0, 60.0)))
+        view = draw_lit_view(ViewpointSpec(range_m=2000.0), lighting, CAMERA, rng)
+        axis = rng.normal(size=3)
+        angle = np.radians(rng.uniform(-2.0, 2.0)) / np.linalg.norm(axis)
+        prior = view.T_cam_body.perturbed(angle * axis, rng.uniform((-50.0, -50.0, -5.0), (50.0, 50.0, 5.0)))
+        image = self.renderer.render(view)
+        if noise_dn:
+            image = (8000.0 * image + rng.normal(100.0, noise_dn, image.shape)).astype(np.float32)
+        sun = view.T_cam_body.rotate(view.sun_dir_body)
+        return view, Frame(image, sun, prior, np.diag([0.02] * 3 + [29.0] * 2 + [3.0]) ** 2)
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("BORESIGHT_CACHE", str(tmp_path_factory.mktemp("cache")))
+        return World()
+
+
+@pytest.fixture(scope="module")
+def navigator(world):
+    return MapletNavigator.from_options(OPTIONS, world)
+
+
+def estimate(estimator, *frames):
+    return estimator.estimate(Observation(CAMERA, frames), rng=np.random.default_rng(0))
+
+
+def errors(view, pose):
+    offset = pose.camera_position_m - view.T_cam_body.camera_position_m
+    return np.degrees(pose.angle_to(view.T_cam_body)), np.linalg.norm(offset)
+
+
+@pytest.mark.parametrize("noise_dn", [0.0, 15.0], ids=["clean", "noisy"])
+def test_the_pose_is_found_to_a_tenth_of_a_pixel_turn(world, navigator, noise_dn):
+    """At 2.5 m a pixel and 150 m from the middle to the limb, a tenth of a pixel of parallax is a tenth of a degree."""
+    found = []
+    for trial in range(TRIALS):
+        view, frame = world.frame(trial, noise_dn)
+        result = estimate(navigator, frame)
+        assert result.status == "ok", result.reason
+        found.append(errors(view, result.poses[0]))
+        assert errors(view, result.poses[0])[1] < errors(view, frame.prior_T_cam_body)[1]
+    attitude_deg, position_m = np.median(found, axis=0)
+    assert attitude_deg < 0.15
+    assert position_m < 6.0
+
+
+def test_the_maplets_lie_where_they_are_seen(world, navigator):
+    view, frame = world.frame(2)
+    table = estimate(navigator, frame).details["landmarks"]
+    met = world.renderer.surface(view, np.column_stack([table["u_px"], table["v_px"]])).points_body_m
+    offset = met - np.column_stack([table[name] for name in ("x_m", "y_m", "z_m")])
+    assert np.nanmedian(np.linalg.norm(offset, axis=1)) < 2.0
+    covariance = np.empty((len(offset), 3, 3))
+    names = ("sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
+    for name, (i, j) in zip(names, zip(*np.triu_indices(3), strict=True), strict=True):
+        covariance[:, i, j] = covariance[:, j, i] = table[name]
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+    assert (
+        0.1 < np.nanmedian(np.einsum("ni,ni->n", offset, np.linalg.solve(covariance, offset[..., None])[..., 0])) < 12
+    )
+
+
+def test_an_estimate_holds_what_the_contract_says(world, navigator):
+    _, frame = world.frame(1)
+    result = estimate(navigator, frame, world.frame(4)[1])
+    assert [stage.name for stage in result.stages] == ["alignment", "correlation", "recognition"]
+    assert result.stages[-1].T_cam_body is result.poses[1]
+    assert (len(result.poses), len(result.covariances), len(result.bounds)) == (2, 2, 2)
+    for covariance, bound in zip(result.covariances, result.bounds, strict=True):
+        for matrix in (covariance, bound):
+            np.testing.assert_allclose(matrix, matrix.T, rtol=1e-6, atol=1e-18)
+            assert np.linalg.eigvalsh(matrix).min() > 0.0
+    table = result.details["landmarks"]
+    assert set(np.unique(table["frame"])) == {0, 1}
+    assert (table["frame"] == 1).sum() == result.diagnostics["n_landmarks"]
+    assert set(result.timings_s) == {"centroid", "mesh_rendering", "correlation", "recognition"}
+
+
+def test_the_depth_is_no_worse_than_the_prior_where_the_prior_is_good(world, navigator):
+    """Range by the size of the picture is good to some metres; a prior of 0.1 m must not be spoilt by it."""
+    view, frame = world.frame(3)
+    sure = view.T_cam_body.perturbed(np.zeros(3), np.array([20.0, -10.0, 0.0]))
+    covariance = np.diag([0.02] * 3 + [29.0] * 2 + [0.1]) ** 2
+    result = estimate(navigator, Frame(frame.image, frame.sun_dir_cam, sure, covariance))
+    assert abs(result.poses[0].translation_m[2] - view.T_cam_body.translation_m[2]) < 0.3
+
+
+def test_hidden_and_averted_maplets_have_no_window(world):
+    view, _ = world.frame(5)
+    mesh = world.database.mesh()
+    windows = visible_windows(world.database, CAMERA, view.T_cam_body, mesh.vertices_m, (8, 32))
+    anchors = world.database.anchors_m
+    renderer = MitsubaRenderer(mesh, LambertSpec())
+    beside_px = CAMERA.project(view.T_cam_body.transform(anchors)) + 0.1  # a ray through a vertex may slip by
+    met = renderer.surface(view, beside_px).points_body_m
+    seen = np.linalg.norm(met - anchors, axis=1) < 10.0
+    assert seen[windows.maplet].mean() > 0.95
+    steep = np.einsum("ni,i->n", world.database.axes[:, 2], view.T_cam_body.camera_position_m / 2000.0) < 0.3
+    assert np.isin(np.flatnonzero(seen & ~steep), windows.maplet).mean() > 0.9
+    for index in range(len(windows)):
+        rows, columns = windows.slices(index)
+        u, v = windows.uv_px[index]
+        assert columns.start <= u < columns.stop
+        assert rows.start <= v < rows.stop
+
+
+def test_the_mask_is_the_outline_of_the_body(world):
+    view, _ = world.frame(6)
+    mesh = world.database.mesh()
+    towards_camera = view.T_cam_body.camera_position_m / 2000.0
+    full = MitsubaRenderer(mesh, LambertSpec(), 1).render(type(view)(CAMERA, view.T_cam_body, towards_camera)) > 0.0
+    outline = body_mask(mesh.vertices_m, CAMERA, view.T_cam_body, world.database.spacing_m, 0)
+    assert (outline != full).sum() < 0.05 * full.sum()
+    inner = body_mask(mesh.vertices_m, CAMERA, view.T_cam_body, world.database.spacing_m, 3)
+    assert (inner & ~full).sum() < 0.01 * full.sum()
+    assert (full & ~inner).sum() > (full & ~outline).sum() + 300
+
+
+def test_the_data_base_is_asked_for_by_its_options(world):
+    world.asked.clear()
+    MapletNavigator.from_options(OPTIONS, world)
+    ((kind, options),) = world.asked
+    assert kind == PRODUCT
+    assert options == {"spacing_m": 4.0, "side": 21, "separation": 0.6}
+
+
+def test_a_stored_data_base_gives_the_same_pose(world, navigator, tmp_path):
+    world.database.save(tmp_path)
+
+    class Stored(World):
+        def __init__(self):
+            self.database = MapletDatabase.load(tmp_path)
+            self.asked = []
+
+    _, frame = world.frame(1)
+    first, second = (estimate(e, frame).poses[0] for e in (navigator, MapletNavigator.from_options(OPTIONS, Stored())))
+    assert np.degrees(first.angle_to(second)) < 0.03
+
+
+def test_an_image_without_the_body_fails_with_a_reason(world, navigator):
+    _, frame = world.frame(1)
+    noise = np.random.default_rng(1).normal(100.0, 5.0, frame.image.shape).astype(np.float32)
+    noise[40:60, 180:200] += 500.0
+    result = estimate(navigator, Frame(noise, frame.sun_dir_cam, frame.prior_T_cam_body, frame.prior_covariance))
+    assert result.status == "failed"
+    assert "maplets found" in result.reason
+
+
+def test_wrong_input_is_refused(world, navigator):
+    _, frame = world.frame(1)
+    with pytest.raises(BoresightError, match="the image has shape"):
+        estimate(navigator, Frame(frame.image[:100], frame.sun_dir_cam, frame.prior_T_cam_body, frame.prior_covariance))
+    spoilt = frame.image.copy()
+    spoilt[3, 3] = np.nan
+    result = estimate(navigator, Frame(spoilt, frame.sun_dir_cam, frame.prior_T_cam_body, frame.prior_covariance))
+    assert "NaN" in result.reason
+    assert "no image" in estimate(navigator).reason
+    with pytest.raises(BoresightError, match=r"estimator lmaps: matching: .*window_px must be two ascending"):
+        MapletNavigator.from_options({"matching": {"window_px": [30, 8]}}, world)
+    world_of_dict = type("Wrong", (), {"camera": CAMERA, "product": lambda self, kind, options: {}})()
+    with pytest.raises(BoresightError, match="is a dict"):
+        MapletNavigator.from_options({}, world_of_dict)
