@@ -55,7 +55,7 @@ FILES = {
     "unknown scenario": (CAMPAIGN.replace("[scene]", "[scne]"), SCENE, (), ["scne: no such scenario"]),
     "unknown estimator": (
         CAMPAIGN.replace("landmark-harris", "landmark-surf"), SCENE, (),
-        ["estimator 'landmark-surf' is unknown; there are: landmark-altimeter, ", "landmark-harris, "],
+        ["estimator 'landmark-surf' is unknown; there are: ", "landmark-harris, "],
     ),
     "no altimeter aboard": (
         CAMPAIGN.replace("  - prior", "  - landmark-altimeter"), SCENE, (),
