@@ -17,6 +17,7 @@ from reports.detection import (
     Detection,
     area,
     detections,
+    large_sample_area,
     measured_area,
     operating_point,
     outlier_records,
@@ -128,3 +129,15 @@ def test_the_report_shows_table_and_figure(run):
     table = pd.read_csv(files.folder / "table.csv")
     assert {AUC, TRUE_POSITIVES, THRESHOLD, BAD} <= set(table["statistic"])
     assert any(path.name.startswith("outliers_") for path in files.figures)
+
+
+def test_the_interval_of_many_trials_is_that_of_their_bootstrap():
+    """The variance of ranks against resampling, on normal scores whose area is known: Phi(1 / sqrt 2)."""
+    rng = np.random.default_rng(4)
+    bad = rng.random(2000) < 0.2
+    score = rng.normal(size=2000) + bad
+    low, high = large_sample_area(score, bad)
+    resampled = measured_area(Detection("s", "e", "n", "d", score, bad, np.arange(2000)))
+    assert low == pytest.approx(resampled.low, abs=0.004)
+    assert high == pytest.approx(resampled.high, abs=0.004)
+    assert low < norm.cdf(np.sqrt(0.5)) < high
