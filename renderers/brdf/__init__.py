@@ -4,7 +4,7 @@ from renderers.brdf.arrays import NUMPY, ArrayMath
 from renderers.brdf.evaluate import brdf_value
 from renderers.brdf.hapke import HapkeParameters, hapke
 from renderers.brdf.lambert import lambert
-from renderers.brdf.lommel_seeliger import lommel_seeliger
+from renderers.brdf.lommel_seeliger import LommelSeeligerParameters, lommel_seeliger
 from renderers.brdf.mcewen import McEwenParameters, mcewen
 from renderers.brdf.models import MODELS, ReflectanceModel
 from renderers.brdf.oren_nayar import OrenNayarParameters, oren_nayar
@@ -14,6 +14,7 @@ __all__ = [
     "NUMPY",
     "ArrayMath",
     "HapkeParameters",
+    "LommelSeeligerParameters",
     "McEwenParameters",
     "OrenNayarParameters",
     "ReflectanceModel",

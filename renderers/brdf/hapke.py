@@ -13,6 +13,7 @@ from math import pi
 from typing import Any, Literal
 
 from renderers.brdf.arrays import Array, ArrayMath, azimuth_haversine, grazing_safe, sine
+from renderers.brdf.phase import henyey_greenstein
 
 _TINY = 1e-12
 
@@ -72,17 +73,9 @@ def hapke(p: HapkeParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: 
     half = azimuth_haversine(cos_i, cos_e, phase_rad, xp)
     cos_a, cos_b = xp.maximum(cos_i, cos_e), xp.minimum(cos_i, cos_e)
     mu_a, mu_b, shadowing = _rough_surface(p.theta_bar_rad, cos_a, cos_b, half, xp)
-    single = (1.0 + opposition_surge(p, phase_rad, xp)) * phase_function(p, xp.cos(phase_rad), xp)
+    single = (1.0 + opposition_surge(p, phase_rad, xp)) * henyey_greenstein(p.b, p.c, xp.cos(phase_rad), xp)
     multiple = h_function(p, mu_a, xp) * h_function(p, mu_b, xp) - 1.0
     return p.w / (4.0 * pi) / (mu_a + mu_b) * (single + multiple) * shadowing
-
-
-def phase_function(p: HapkeParameters, cos_g: Array, xp: ArrayMath) -> Array:
-    """Two-lobe Henyey-Greenstein function of the phase angle; its mean over the sphere is 1."""
-    one, square = 1.0 - p.b * p.b, 1.0 + p.b * p.b
-    back = xp.maximum(square - 2.0 * p.b * cos_g, _TINY)
-    forth = xp.maximum(square + 2.0 * p.b * cos_g, _TINY)
-    return 0.5 * one * ((1.0 + p.c) / (back * xp.sqrt(back)) + (1.0 - p.c) / (forth * xp.sqrt(forth)))
 
 
 def opposition_surge(p: HapkeParameters, phase_rad: Array, xp: ArrayMath) -> Array:

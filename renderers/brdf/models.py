@@ -9,7 +9,7 @@ from typing import Any, get_args
 from renderers.brdf.arrays import Array, ArrayMath
 from renderers.brdf.hapke import HapkeParameters, hapke
 from renderers.brdf.lambert import lambert
-from renderers.brdf.lommel_seeliger import lommel_seeliger
+from renderers.brdf.lommel_seeliger import LommelSeeligerParameters, lommel_seeliger
 from renderers.brdf.mcewen import McEwenParameters, mcewen
 from renderers.brdf.oren_nayar import OrenNayarParameters, oren_nayar
 from scenarios.spec.base import SpecModel
@@ -52,8 +52,8 @@ def _hapke(values: Values, cos_i: Array, cos_e: Array, phase_rad: Array, xp: Arr
     return hapke(HapkeParameters.from_values(values), cos_i, cos_e, phase_rad, xp)
 
 
-def _lommel_seeliger(values: Values, cos_i: Array, cos_e: Array, _g: Array, xp: ArrayMath) -> Array:
-    return lommel_seeliger(values["w"], cos_i, cos_e, xp)
+def _lommel_seeliger(values: Values, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
+    return lommel_seeliger(LommelSeeligerParameters.from_values(values), cos_i, cos_e, phase_rad, xp)
 
 
 def _mcewen(values: Values, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:

@@ -28,7 +28,11 @@ class OrenNayarSpec(SpecModel):
 
 
 class HapkeSpec(SpecModel):
-    """Hapke's bidirectional reflectance with opposition surge and macroscopic roughness."""
+    """Hapke's bidirectional reflectance with opposition surge and macroscopic roughness.
+
+    The defaults are Itokawa's by Kitazato et al. (2008, Icarus 194, 137), from the near-infrared spectrometer of
+    Hayabusa: w = 0.42, asymmetry -0.35 (that is b = 0.35, all backward), B0 = 0.87, h = 0.01, theta_bar = 26 deg.
+    """
 
     kind: Literal["hapke"]
     w: float = Field(0.42, gt=0, lt=1, description="Single scattering albedo")
@@ -41,12 +45,12 @@ class HapkeSpec(SpecModel):
 
 
 class LommelSeeligerSpec(SpecModel):
-    """Lommel and Seeliger: single scattering, I/F = w/4 mu0 / (mu0 + mu)."""
+    """Lommel and Seeliger: single scattering, I/F = w/4 P(g) mu0 / (mu0 + mu)."""
 
     kind: Literal["lommel-seeliger"]
-    w: float = Field(
-        0.42, gt=0, le=1, description="Single scattering albedo of isotropic particles; I/F at the zenith is w/8"
-    )
+    w: float = Field(0.42, gt=0, le=1, description="Single scattering albedo; I/F at the zenith is w/8 P(0)")
+    b: float = Field(0.0, gt=-1, lt=1, description="Asymmetry of the Henyey-Greenstein lobes of P; 0 is isotropic")
+    c: float = Field(1.0, ge=-1, le=1, description="Weight of the lobes: 1 all backward, -1 all forward")
 
 
 class McEwenSpec(SpecModel):

@@ -26,6 +26,7 @@ OTHERS: list[BrdfSpec] = [
     HapkeSpec(kind="hapke", theta_bar_deg=0.0, w=0.9, b=-0.4, c=0.3),
     HapkeSpec(kind="hapke", theta_bar_deg=55.0, H_function="1981"),
     LommelSeeligerSpec(kind="lommel-seeliger", w=1.0),
+    LommelSeeligerSpec(kind="lommel-seeliger", w=1.0, b=0.6, c=0.4),
     McEwenSpec(kind="mcewen", albedo=0.59),
     McEwenSpec(kind="mcewen", albedo=0.2, L1_per_deg=0.0, L2_per_deg2=0.0, L3_per_deg3=0.0),
     McEwenSpec(kind="mcewen", albedo=1.0, L1_per_deg=-1000.0),
@@ -52,6 +53,8 @@ class Hand:
 _PLAIN_HAPKE = HapkeSpec(kind="hapke", w=0.75, b=0.0, c=0.0, B0=0.0, theta_bar_deg=0.0, H_function="1981")
 _FLAT_OREN_NAYAR = OrenNayarSpec(kind="oren-nayar", albedo=0.4, sigma_deg=0.0)
 _SEELIGER = LommelSeeligerSpec(kind="lommel-seeliger", w=0.8)
+# P(0) = 0.84 / 0.6^3 = 35/9, P(60 deg) = 0.84 / 0.76^1.5.
+_BACKWARD = LommelSeeligerSpec(kind="lommel-seeliger", w=0.8, b=0.4)
 _MOON = McEwenSpec(kind="mcewen", albedo=0.3)
 HAND = [
     Hand(LambertSpec(albedo=0.4), 0, 0, 0, 0.4),
@@ -65,6 +68,8 @@ HAND = [
     Hand(_SEELIGER, 60, 0, 60, 0.2 / 3),
     Hand(_SEELIGER, 0, 60, 60, 0.4 / 3),
     Hand(_SEELIGER, 60, 60, 120, 0.1),
+    Hand(_BACKWARD, 0, 0, 0, 0.1 * 35 / 9),
+    Hand(_BACKWARD, 60, 0, 60, 0.2 / 3 * 0.84 / 0.76**1.5),
     Hand(_MOON, 0, 0, 0, 0.3),
     Hand(_MOON, 60, 0, 60, 0.3 * (0.41584 * 2 / 3 + 0.58416 / 2)),
     Hand(_MOON, 0, 60, 60, 0.3 * (0.41584 * 4 / 3 + 0.58416)),
@@ -72,7 +77,7 @@ HAND = [
     Hand(_MOON, 60, 60, 120, 0.15),
 ]
 
-# Geometric albedo of a sphere: 2/3 A, w/8, A. Of Hapke's above it is w/4 int_0^1 H(x)^2 x dx, with gamma = 1/2
+# Geometric albedo of a sphere: 2/3 A, w/8 P(0), A. Of Hapke's above it is w/4 int_0^1 H(x)^2 x dx, with gamma = 1/2
 # w/4 int (1 + 2x)^2/(1 + x)^2 x dx; by x = y - 1 this is w/4 int_1^2 (2y - 1)^2 (y - 1)/y^2 dy
 # = w/4 [2 y^2 - 8 y + 5 ln y + 1/y] = w/4 (6 - 8 + 5 ln 2 - 1/2).
 GEOMETRIC = [
@@ -80,6 +85,7 @@ GEOMETRIC = [
     (_FLAT_OREN_NAYAR, 0.8 / 3),
     (_PLAIN_HAPKE, 0.75 / 4 * (5 * math.log(2) - 2.5)),
     (_SEELIGER, 0.1),
+    (_BACKWARD, 0.1 * 35 / 9),
     (_MOON, 0.3),
 ]
 SEELIGER_BOND = 2 / 3 * (1 - math.log(2))  # A_B / w = p q / w = 1/8 x 16/3 (1 - ln 2)
@@ -160,13 +166,36 @@ def test_geometric_albedo_of_a_sphere(spec, expected):
     assert albedo == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize(("spec", "expected"), BOND, ids=repr)
-def test_spherical_albedo(spec, expected):
+def spherical_albedo(spec: BrdfSpec) -> float:
     """Light from all over the sphere's disc: A_B = 2 int_0^1 (share reflected) mu0 dmu0."""
     nodes, weights = np.polynomial.legendre.leggauss(40)
     mu0 = 0.5 * (nodes + 1.0)
     shares = np.array([from_incidence(spec, float(mu)) for mu in mu0])
-    assert float((shares * mu0 * weights).sum()) == pytest.approx(expected, rel=2e-3)
+    return float((shares * mu0 * weights).sum())
+
+
+@pytest.mark.parametrize(("spec", "expected"), BOND, ids=repr)
+def test_spherical_albedo(spec, expected):
+    assert spherical_albedo(spec) == pytest.approx(expected, rel=2e-3)
+
+
+def test_spherical_albedo_follows_from_the_phase_curve_of_a_seeliger_sphere():
+    """A_B = 2 int w/8 P(g) (1 - sin(g/2) tan(g/2) ln cot(g/4)) sin(g) dg: the disc of the sphere in closed form."""
+
+    def light(g: float) -> float:
+        lobe = 0.84 / (1.16 - 0.8 * math.cos(g)) ** 1.5
+        disc = 1.0 - math.sin(g / 2) * math.tan(g / 2) * math.log(1.0 / math.tan(g / 4))
+        return 2.0 * 0.1 * lobe * disc * math.sin(g)
+
+    assert spherical_albedo(_BACKWARD) == pytest.approx(quad(light, 1e-9, math.pi - 1e-9)[0], rel=2e-3)
+
+
+def test_mcewen_is_isis():
+    """LunarLambertMcEwen of ISIS, by McEwen himself, as its unit test prints it: R(30, 0, 30) / R(i, e, g)."""
+    reference = radiance_factor(_MOON, math.radians(30.0), 0.0, math.radians(30.0))
+    for (i, e, g), printed in {(0.0, 0.0, 0.0): 0.903853, (45.0, 30.0, 60.0): 1.14863}.items():
+        value = radiance_factor(_MOON, math.radians(i), math.radians(e), math.radians(g))
+        assert reference / value == pytest.approx(printed, rel=5e-6)
 
 
 def test_mcewen_without_lunar_part_is_lambert_and_at_the_zenith_always():

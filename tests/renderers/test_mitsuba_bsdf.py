@@ -17,6 +17,7 @@ PLUGINS = [
         OrenNayarSpec(kind="oren-nayar", albedo=0.8, sigma_deg=35.0, form="qualitative"),
     ),
     ({"type": "boresight_lommel_seeliger"}, LommelSeeligerSpec(kind="lommel-seeliger")),
+    ({"type": "boresight_lommel_seeliger", "b": 0.5}, LommelSeeligerSpec(kind="lommel-seeliger", b=0.5)),
     ({"type": "boresight_mcewen", "albedo": 0.5}, McEwenSpec(kind="mcewen", albedo=0.5)),
     ({"type": "boresight_hapke"}, HapkeSpec(kind="hapke")),
     (
