@@ -53,9 +53,11 @@ def squared_distances(offsets_px: FloatArray, covariances_px2: FloatArray) -> Fl
 
 def weighted_distances(uv_px: FloatArray, covariances_px2: FloatArray, corners_px: FloatArray) -> FloatArray:
     """d2 (N, M) of each of N projected landmarks to each of M corners."""
-    offset = corners_px[None, :, :] - uv_px[:, None, :]
     weight = inverse_2x2(covariances_px2)
-    d2: FloatArray = np.einsum("nmi,nij,nmj->nm", offset, weight, offset)  # eq. (14)
+    du = corners_px[None, :, 0] - uv_px[:, None, 0]
+    dv = corners_px[None, :, 1] - uv_px[:, None, 1]
+    a, b, c = (weight[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 1)))
+    d2: FloatArray = a * du * du + 2.0 * b * du * dv + c * dv * dv  # eq. (14)
     return d2
 
 

@@ -60,9 +60,7 @@ def _facing(mesh: TriangleMesh, camera_position_body_m: FloatArray) -> BoolArray
     return facing
 
 
-def _near_pairs(
-    corners: FloatArray, origin: FloatArray, rays: FloatArray
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _near_pairs(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Pairs of a facet and a ray whose line enters the facet's bounding sphere, as rows of both."""
     middle = corners.mean(axis=1)
     offset = middle - origin
