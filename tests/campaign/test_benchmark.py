@@ -15,10 +15,16 @@ from scenarios.cache import default_cache
 @pytest.fixture(scope="module")
 def times(cache, tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench")
+    before = kept_images()
     file = write_campaign(folder)
     done = boresight("bench", file, "--blocks", 2, "--json", folder / "times.json", cwd=folder)
     assert done.returncode == 0, done.stderr
+    assert kept_images() == before, "other trials' images are not to make room for a benchmark's"
     return file, folder / "times.json", done.stdout
+
+
+def kept_images():
+    return {entry.path for entry in default_cache().entries() if entry.kind == "images"}
 
 
 def test_every_stage_is_timed(times):
@@ -40,7 +46,6 @@ def test_every_stage_is_timed(times):
 def test_nothing_is_left_behind(times):
     _, stored, _ = times
     assert sorted(path.name for path in stored.parent.iterdir()) == ["scene.yaml", "times.json", "tiny.yaml"]
-    assert "images" not in {entry.kind for entry in default_cache().entries()}
 
 
 def test_ratios_are_set_beside_those_of_before(times, tmp_path, capsys):

@@ -95,7 +95,7 @@ def test_a_campaign_runs_elsewhere_with_the_same_rows(environment, tiny_run, tmp
     cache = str(tmp_path / "cache")
     command = [environment / "bin" / "boresight", "run", file, "--jobs", "2", "--out", "run"]
     text = checked(*command, cwd=tmp_path, BORESIGHT_CACHE=cache)
-    assert "building the landmark data base" in text
+    assert "building the landmark database" in text
     assert (tmp_path / "run" / "report" / "report.html").is_file()
     assert_same_results(tiny_run.folder, tmp_path / "run")
     manifest = (tmp_path / "run" / "manifest.json").read_text()
