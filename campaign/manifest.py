@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,7 @@ def make_manifest(
         "estimators": list(campaign.labels),
         "scenarios": {s.spec.name: json.loads(canonical_json(s.spec)) for s in campaign.scenarios},
         "credits": sorted({s.spec.images.credit for s in campaign.scenarios if s.spec.images and s.spec.images.credit}),
+        "grid": _grid(campaign),
         "created": earlier.get("created", now()),
         "command": request.command,
         "commit": _commit(),
@@ -61,6 +63,22 @@ def updated(manifest: Mapping[str, object], **changes: object) -> dict[str, obje
 def now() -> str:
     """Return the time in UTC, to the second."""
     return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _grid(campaign: ResolvedCampaign) -> dict[str, object] | None:
+    """Describe the campaign's grid: axes with their levels, and where each scenario stands in it."""
+    grid = campaign.spec.grid
+    if grid is None:
+        return None
+    axes = [
+        {"name": name, "label": axis.label or name, "levels": list(axis.overrides), "values": axis.values}
+        for name, axis in grid.axes.items()
+    ]
+    return {
+        "design": grid.design,
+        "axes": axes,
+        "scenarios": [{"name": name, **asdict(own)} for name, own in campaign.variations.items()],
+    }
 
 
 def _product(run: Path, product: BuiltProduct) -> dict[str, object]:

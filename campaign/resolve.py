@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,17 @@ from renderers.detector import Detector
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.beliefs import believed_spec
 from scenarios.bodies import body_digest
+from scenarios.designs import Variation, cells
 from scenarios.errors import BoresightError
-from scenarios.load import LoadedScenario, canonical_json, digest, load_campaign, load_scenario, names_in
+from scenarios.load import (
+    LoadedCampaign,
+    LoadedScenario,
+    canonical_json,
+    digest,
+    load_campaign,
+    load_scenario,
+    names_in,
+)
 from scenarios.spec.campaign import CampaignSpec, EstimatorSpec
 from scenarios.spec.scenario import ScenarioSpec
 
@@ -31,6 +40,7 @@ CATALOG = Path(__file__).parent / "catalog"
 class ResolvedCampaign:
     """A campaign with its scenarios read: what the rows depend on, and nothing else.
 
+    ``variations`` tells, by the name of a scenario, where in the campaign's grid it stands.
     Equality and hash are those of the digest, so a worker can keep what it built for a campaign.
     """
 
@@ -38,6 +48,7 @@ class ResolvedCampaign:
     scenarios: tuple[LoadedScenario, ...]
     seed: int
     variant: str = ""
+    variations: Mapping[str, Variation] = field(default_factory=dict)
 
     @cached_property
     def identity(self) -> dict[str, object]:
@@ -109,16 +120,30 @@ def resolve(
     """
     loaded = load_campaign(name_or_path, CATALOG)
     spec = loaded.spec
-    scenarios = tuple(
-        load_scenario(name, overrides, base=loaded.overrides, near=loaded.path.parent) for name in spec.scenarios
-    )
+    found = list(_scenarios(loaded, overrides))
+    scenarios = tuple(scenario for scenario, _ in found)
+    variations = {scenario.spec.name: variation for scenario, variation in found if variation is not None}
     names = [s.spec.name for s in scenarios]
     if len(set(names)) != len(names):
         raise BoresightError(f"{loaded.path}: scenarios: two of them are called the same: {names}")
     for entry in spec.estimators:
         _versions(spec, entry)
         _check_sensors(entry, scenarios)
-    return ResolvedCampaign(spec, scenarios, spec.seed if seed is None else seed, variant)
+    return ResolvedCampaign(spec, scenarios, spec.seed if seed is None else seed, variant, variations)
+
+
+def _scenarios(loaded: LoadedCampaign, overrides: Sequence[str]) -> Iterator[tuple[LoadedScenario, Variation | None]]:
+    """Read the scenarios of a campaign, each in all variations of its grid."""
+    near, grid = loaded.path.parent, loaded.spec.grid
+    for name in loaded.spec.scenarios:
+        if grid is None:
+            yield load_scenario(name, overrides, base=loaded.overrides, near=near), None
+            continue
+        for cell in cells(grid):
+            one = load_scenario(name, overrides, base=loaded.overrides, levels=cell.overrides, near=near)
+            base = one.spec.name
+            own_name = "-".join(filter(None, (base, cell.suffix)))
+            yield replace(one, spec=one.spec.model_copy(update={"name": own_name})), Variation(base, cell.levels)
 
 
 def _versions(campaign: CampaignSpec, entry: EstimatorSpec) -> list[int]:

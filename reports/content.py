@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 
 from reports.comparison import ComparedClaim, ComparedValue, compare, compare_claims
 from reports.derived import derived_records
+from reports.design_figures import design_figures
+from reports.designs import design_grids
 from reports.detection import DEFINITIONS, Detection, area, detections, outlier_records, roc_curve
 from reports.figures import (
     MOST_CURVES,
@@ -94,7 +96,8 @@ class Content:
             timing_grid(self.records),
             failure_grid(self.run),
         )
-        return [*pose_grids(self.records), *(grid for grid in optional if grid is not None)]
+        found = [*pose_grids(self.records), *(grid for grid in optional if grid is not None)]
+        return [*design_grids(self.run), *found]
 
     def table(self) -> pd.DataFrame:
         """Every measured number, beside the published one where there is one."""
@@ -167,8 +170,12 @@ def _scenario_lines(run: RunData) -> Iterator[str]:
 
 
 def draw_figures(content: Content) -> Iterator[NamedFigure]:
-    """Draw every figure that the run's tables allow."""
+    """Draw every figure that the run's tables allow; of a grid of scenarios those of the grid alone."""
     run = content.run
+    if run.manifest.grid is not None:
+        for stem, figure, caption, alt in design_figures(run):
+            yield NamedFigure(_stem(stem), figure, caption, alt)
+        return
     for scenario in dict.fromkeys(scenario for scenario, _ in run.posed_pairs()):
         for _, estimator in (pair for pair in run.posed_pairs() if pair[0] == scenario and pair[1] != CONTROL):
             yield _pose_figure(content, scenario, estimator)

@@ -47,6 +47,37 @@ class Product(BaseModel):
     images: int | None = None
 
 
+class DesignAxis(BaseModel):
+    """An axis of a campaign's grid: the names of its levels, the reference first, and their values if they have any."""
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    label: str
+    levels: tuple[str, ...]
+    values: tuple[float, ...] | None = None
+
+
+class Variation(BaseModel):
+    """Where a scenario stands in a grid: the scenario that it varies, and its level of each axis."""
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    base: str
+    levels: Mapping[str, str]
+
+
+class Design(BaseModel):
+    """A campaign's grid: its axes, and its scenarios in order, the reference first."""
+
+    model_config = ConfigDict(frozen=True)
+
+    design: str
+    axes: tuple[DesignAxis, ...]
+    scenarios: tuple[Variation, ...]
+
+
 class Manifest(BaseModel):
     """What a report needs of ``manifest.json``; further keys are left alone.
 
@@ -71,6 +102,7 @@ class Manifest(BaseModel):
     command: str = ""
     notes: tuple[str, ...] = ()
     products: tuple[Product, ...] = ()
+    grid: Design | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

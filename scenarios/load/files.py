@@ -12,7 +12,7 @@ from typing import Literal, TypeVar
 from pydantic import ValidationError
 
 from scenarios.errors import BoresightError
-from scenarios.load.entry import Entry, describe
+from scenarios.load.entry import Entry, describe, entry_of
 from scenarios.load.explain import explain
 from scenarios.load.find import display, exists, find, name_of, names_in, read
 from scenarios.load.merge import defaults, merge
@@ -62,9 +62,10 @@ def load_scenario(
     overrides: Sequence[str] = (),
     *,
     base: Entry | Mapping[str, object] | None = None,
+    levels: Sequence[Mapping[str, object]] = (),
     near: Path | None = None,
 ) -> LoadedScenario:
-    """Read a scenario: defaults < what it extends < the file < ``base`` < ``overrides``.
+    """Read a scenario: defaults < what it extends < the file < ``base`` < ``levels`` < ``overrides``.
 
     Parameters
     ----------
@@ -74,6 +75,8 @@ def load_scenario(
         Texts ``key.key=value``, as on the command line.
     base
         Overrides that a campaign puts on its scenarios; keys may be dotted.
+    levels
+        Overrides of the levels of a campaign's grid; keys may be dotted.
     near
         Folder that a relative path starts from.
 
@@ -85,6 +88,7 @@ def load_scenario(
     path = find(name_or_path, CATALOG, near)
     file = _read_chain(path, CATALOG, ScenarioSpec)
     layers = [settings(base, (ScenarioSpec,))] if base is not None else []
+    layers += [settings(entry_of(level, "grid"), (ScenarioSpec,)) for level in levels]
     layers += [parse_override(text) for text in overrides]
     root = apply(merge(defaults(ScenarioSpec), file.root, (ScenarioSpec,)), layers, (ScenarioSpec,))
     return LoadedScenario(validated(ScenarioSpec, _without_nulls(root)), path, file.folders)

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field, JsonValue, model_validator
 
 from scenarios.spec.base import SpecModel
+from scenarios.spec.grid import GridSpec
 from scenarios.spec.scenario import NAME_PATTERN
 
 _LABEL = r"^[A-Za-z0-9][A-Za-z0-9._+-]*$"
@@ -68,6 +69,7 @@ class CampaignSpec(SpecModel):
     overrides: Mapping[str, JsonValue] = Field(
         default_factory=dict, alias="set", description="Overrides of every scenario, as sections or as dotted keys"
     )
+    grid: GridSpec | None = Field(None, description="Variations of every scenario, each a scenario of its own")
     estimators: tuple[EstimatorEntry, ...] = Field(min_length=1, description="name, or {name: {option: value}}")
     trials: int = Field(ge=1, le=10_000_000, description="Trials of each scenario")
     seed: int = Field(ge=0, lt=2**64, description="Every random number of the campaign follows from it")

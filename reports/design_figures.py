@@ -1,0 +1,134 @@
+"""The figures of a grid of scenarios: a matrix of two axes, a curve for each of several, main effects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from reports.designs import ATTITUDE, POSITION, DesignData, Outcome, outcomes
+from reports.figures.curves import CurvePanel, Points, draw_curves
+from reports.figures.effects import Effect, draw_effects
+from reports.figures.matrix import Matrix, draw_matrix
+from reports.measures import CONTROL, unit_of
+from reports.run_data import DesignAxis, RunData
+from reports.statistics import Measured
+from reports.tables import measure_label, number, stage_label
+
+Drawn = tuple[str, Figure, str, str]
+"""Stem of the file, the figure, its caption and its description."""
+
+
+def design_figures(run: RunData) -> Iterator[Drawn]:
+    """Draw what a run's grid shows."""
+    design = run.manifest.grid
+    if design is None:
+        return
+    data = DesignData(run, design)
+    draw = {"full": _matrix, "one-at-a-time": _curves, "two-level": _effects}[design.design]
+    for base, names in data.bases().items():
+        for estimator in dict.fromkeys(outcome.estimator for outcome in outcomes(run)):
+            yield from draw(data, base, names, estimator)
+
+
+def _of(data: DesignData, estimator: str) -> list[Outcome]:
+    return [outcome for outcome in outcomes(data.run) if outcome.estimator == estimator]
+
+
+def _matrix(data: DesignData, base: str, names: list[str], estimator: str) -> Iterator[Drawn]:
+    """Heat maps of two axes; grids of more or fewer axes have their tables alone."""
+    if len(data.design.axes) != 2:
+        return
+    down, across = data.design.axes
+    by_levels = {tuple(data.levels(name).values()): name for name in names}
+    title = f"{down.name} against {across.name}, {base}, {estimator}"
+    matrices = []
+    for outcome in _of(data, estimator):
+        values = np.full((len(down.levels), len(across.levels)), np.nan)
+        texts = [["" for _ in across.levels] for _ in down.levels]
+        for i, row in enumerate(down.levels):
+            for j, column in enumerate(across.levels):
+                name = by_levels.get((row, column))
+                median = data.median(name, outcome) if name else Measured(None)
+                values[i, j] = np.nan if median.value is None else median.value
+                texts[i][j] = _cell_text(median, data.ok([name], outcome) if name else "")
+        matrices.append(Matrix(outcome.label, down.levels, across.levels, values, texts))
+    yield (
+        f"matrix_{base}_{estimator}",
+        draw_matrix(matrices, down.label, across.label, title),
+        f"{title}: median error with its 95 % interval, and the trials behind it, of all.",
+        f"Heat maps of {', '.join(matrix.title for matrix in matrices)} over {down.label} and {across.label}.",
+    )
+
+
+def _cell_text(median: Measured, ok: str) -> str:
+    interval = "" if median.low is None else f"\n[{number(median.low)}, {number(median.high)}]"
+    return f"{number(median.value)}{interval}\n{ok}"
+
+
+def _curves(data: DesignData, base: str, names: list[str], estimator: str) -> Iterator[Drawn]:
+    """Median error against each axis that has values, a figure for position and one for attitude."""
+    axes = [axis for axis in data.design.axes if axis.values is not None]
+    if not axes:
+        return
+    for measure in (POSITION, ATTITUDE):
+        group = [Outcome(CONTROL, CONTROL, measure), *(o for o in _of(data, estimator) if o.measure == measure)]
+        group = [o for o in group if len(data.errors(names[0], o))]
+        panels = [CurvePanel(axis.label, _lines(data, names, axis, group)) for axis in axes]
+        title = f"{measure_label(measure)} against each error of knowledge, {base}, {estimator}"
+        yield (
+            f"curves_{measure.split('_')[0]}_{base}_{estimator}",
+            draw_curves(panels, f"median {measure_label(measure)}, {unit_of(measure)}", title),
+            f"{title}: medians with 95 % intervals, the other axes at their first level.",
+            f"Curves of the median {measure_label(measure)} against {', '.join(axis.label for axis in axes)}.",
+        )
+
+
+def _lines(data: DesignData, names: list[str], axis: DesignAxis, group: list[Outcome]) -> dict[str, Points]:
+    """Points of each outcome along an axis: the reference and the scenarios that vary this axis alone."""
+    reference = data.levels(names[0])
+    along = {}
+    for name in names:
+        levels = data.levels(name)
+        if all(levels[other.name] == reference[other.name] for other in data.design.axes if other.name != axis.name):
+            along[levels[axis.name]] = name
+    known = [
+        (value, along[level]) for level, value in zip(axis.levels, axis.values or (), strict=True) if level in along
+    ]
+    lines = {}
+    for outcome in group:
+        medians = [data.median(name, outcome) for _, name in known]
+        low_high = [(m.value if m.low is None else m.low, m.value if m.high is None else m.high) for m in medians]
+        lines[_line_label(outcome)] = Points(
+            np.array([value for value, _ in known]),
+            np.array([m.value for m in medians], dtype=float),
+            np.array(low_high, dtype=float),
+        )
+    return lines
+
+
+def _line_label(outcome: Outcome) -> str:
+    if outcome.estimator == CONTROL:
+        return "prior"
+    return stage_label(outcome.stage) if outcome.stage else outcome.estimator
+
+
+def _effects(data: DesignData, base: str, names: list[str], estimator: str) -> Iterator[Drawn]:
+    """Draw main effects as points with intervals."""
+    panels: dict[str, list[Effect]] = {}
+    for outcome in _of(data, estimator):
+        effects = []
+        for axis, found in zip(data.design.axes, data.effects(names, outcome), strict=True):
+            if found.value is not None and found.low is not None and found.high is not None:
+                label = f"{axis.label}: {axis.levels[0]} to {axis.levels[-1]}"
+                effects.append(Effect(label, found.value, found.low, found.high))
+        panels[outcome.label.split(",")[0]] = effects
+    title = f"Main effects, {base}, {estimator}"
+    yield (
+        f"effects_{base}_{estimator}",
+        draw_effects(panels, title),
+        f"{title}: the factor by which the error changes from the first to the last level of each axis, with its"
+        " 95 % interval; 1 is no effect.",
+        f"Points with intervals for {', '.join(panels)}.",
+    )

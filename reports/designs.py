@@ -1,0 +1,234 @@
+"""What a grid of scenarios shows: errors by level, and changes between levels trial by trial.
+
+A change is the ratio of geometric means over the same trials, whose views and priors are the same in every scenario:
+``exp(mean_t(ln e_t - ln e'_t))``. It is paired, one bad trial does not decide it, and the effects of several axes
+multiply.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from reports.main_effects import main_effects
+from reports.measures import CONTROL, errors_by_stage, final_stage, unit_of
+from reports.run_data import Design, RunData
+from reports.statistics import MEAN, MEDIAN, Measured, measure
+from reports.tables import NO_VALUE, Grid, measure_label, number, stage_label
+
+POSITION, ATTITUDE = "position_error_m", "attitude_error_deg"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What is compared between scenarios: an error of an estimator after one of its stages, '' for the final one."""
+
+    estimator: str
+    stage: str
+    measure: str
+
+    @property
+    def label(self) -> str:
+        """In words, with the unit."""
+        after = f" {stage_label(self.stage)}" if self.stage else ""
+        return f"{measure_label(self.measure)}{after}, {unit_of(self.measure)}"
+
+
+def outcomes(run: RunData) -> list[Outcome]:
+    """List the outcomes of a run: position after centroiding, where there is such a stage, final position, attitude."""
+    found = []
+    for estimator in dict.fromkeys(name for _, name in run.pairs() if name != CONTROL):
+        scenario = next(where for where, name in run.pairs() if name == estimator)
+        stages = errors_by_stage(run, scenario, estimator)
+        if "centroid" in stages and final_stage(run, scenario, estimator) != "centroid":
+            found.append(Outcome(estimator, "centroid", POSITION))
+        found += [Outcome(estimator, "", POSITION), Outcome(estimator, "", ATTITUDE)]
+    return found
+
+
+class DesignData:
+    """A run of a grid of scenarios, with the errors of an outcome by scenario and trial.
+
+    Parameters
+    ----------
+    run
+        The run; its manifest describes the grid.
+    design
+        That description.
+    """
+
+    def __init__(self, run: RunData, design: Design) -> None:
+        self.run = run
+        self.design = design
+        done = set(run.rows["scenario"])
+        self._variations = {one.name: one for one in design.scenarios if one.name in done}
+        self._errors: dict[tuple[str, Outcome], pd.Series] = {}
+
+    def scenarios(self, **levels: str) -> list[str]:
+        """List the scenarios that have been run in which the named axes are at the given levels."""
+        return [name for name in self._variations if levels.items() <= self.levels(name).items()]
+
+    def levels(self, scenario: str) -> dict[str, str]:
+        """Return a scenario's level of each axis, in the order of the axes."""
+        own = self._variations[scenario].levels
+        return {axis.name: own[axis.name] for axis in self.design.axes}
+
+    def bases(self) -> dict[str, list[str]]:
+        """Group the scenarios that have been run by the one that they vary."""
+        groups: dict[str, list[str]] = {}
+        for name, one in self._variations.items():
+            groups.setdefault(one.base, []).append(name)
+        return groups
+
+    def errors(self, scenario: str, outcome: Outcome) -> pd.Series:
+        """Return the errors by trial; trials without an estimate, or which did not reach the stage, have none."""
+        key = (scenario, outcome)
+        if key not in self._errors:
+            stages = errors_by_stage(self.run, scenario, outcome.estimator)
+            stage = outcome.stage or final_stage(self.run, scenario, outcome.estimator)
+            table = stages.get(stage)
+            series = pd.Series(dtype=float) if table is None else table.set_index("trial")[outcome.measure].dropna()
+            self._errors[key] = series.astype(float)
+        return self._errors[key]
+
+    def trials(self, scenario: str, outcome: Outcome) -> int:
+        """Count the trials of a scenario, with and without an estimate."""
+        rows = self.run.rows
+        return int(((rows["scenario"] == scenario) & (rows["estimator"] == outcome.estimator)).sum())
+
+    def median(self, scenario: str, outcome: Outcome) -> Measured:
+        """Return the median error with its interval."""
+        errors = self.errors(scenario, outcome)
+        return measure(errors.to_numpy(), errors.index.to_numpy(), (MEDIAN,))[0]
+
+    def ok(self, scenarios: Sequence[str], outcome: Outcome) -> str:
+        """Print n_ok/n over scenarios."""
+        n_ok = sum(len(self.errors(name, outcome)) for name in scenarios)
+        return f"{n_ok}/{sum(self.trials(name, outcome) for name in scenarios)}"
+
+    def change(self, scenario: str, against: str, outcome: Outcome) -> Measured:
+        """Return the ratio of geometric means between two scenarios, over the trials known to both."""
+        errors = (self.errors(name, outcome).clip(lower=1e-12) for name in (scenario, against))
+        logs = pd.concat([np.log(series) for series in errors], axis=1, join="inner").to_numpy()
+        difference = logs[:, 0] - logs[:, 1]
+        found = measure(difference, np.arange(len(difference)), (MEAN,))[0]
+        return Measured(*(None if x is None else float(np.exp(x)) for x in (found.value, found.low, found.high)))
+
+    def effects(self, names: Sequence[str], outcome: Outcome) -> list[Measured]:
+        """Return the main effect of each axis between its first and last level."""
+        levels = {name: self.levels(name).values() for name in names}
+        firsts = [axis.levels[0] for axis in self.design.axes]
+        high = {name: [a != b for a, b in zip(own, firsts, strict=True)] for name, own in levels.items()}
+        return main_effects({name: self.errors(name, outcome) for name in names}, high)
+
+
+def printed(measured: Measured) -> str:
+    """Print a value with its interval."""
+    if measured.value is None or measured.low is None or measured.high is None:
+        return number(measured.value)
+    return f"{number(measured.value)} [{number(measured.low)}, {number(measured.high)}]"
+
+
+_CHANGE_NOTE = (
+    "Change: the ratio of geometric means of the error over the same trials, with its 95 % bootstrap interval; above 1"
+    " it got worse. ok: trials behind the median, of all."
+)
+
+
+def design_grids(run: RunData) -> list[Grid]:
+    """Tabulate a grid of scenarios; nothing for other runs."""
+    design = run.manifest.grid
+    if design is None:
+        return []
+    tabulate: dict[str, Callable[[DesignData, str, list[str]], Iterator[Grid]]] = {
+        "full": _cell_grids,
+        "one-at-a-time": _axis_grids,
+        "two-level": _effect_grids,
+    }
+    data = DesignData(run, design)
+    return [grid for base, names in data.bases().items() for grid in tabulate[design.design](data, base, names)]
+
+
+def matching(design: Design, levels: dict[str, str]) -> dict[str, str] | None:
+    """Return the levels at which the last of two axes agrees with the first; None where it has no such level."""
+    first, last = design.axes[0], design.axes[-1]
+    if len(design.axes) != 2 or first.levels != last.levels:
+        return None
+    return {first.name: levels[first.name], last.name: levels[first.name]}
+
+
+def _cell_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]:
+    """Tabulate each combination, beside the one at which both axes agree."""
+    design = data.design
+    square = matching(design, data.levels(names[0])) is not None
+    note = _CHANGE_NOTE if square else ""
+    for estimator, group in _by_estimator(data):
+        heads = [axis.label for axis in design.axes]
+        for outcome in group:
+            heads += [outcome.label, *(["change"] if square else [])]
+        rows = []
+        for name in names:
+            levels = data.levels(name)
+            cells = list(levels.values())
+            for outcome in group:
+                cells.append(printed(data.median(name, outcome)))
+                if square:
+                    reference = [n for n in data.scenarios(**(matching(design, levels) or {})) if n in names]
+                    cells.append(
+                        NO_VALUE if reference in ([], [name]) else printed(data.change(name, reference[0], outcome))
+                    )
+            rows.append((*cells, data.ok([name], group[-1])))
+        what = " against ".join(axis.name for axis in design.axes)
+        text = frozenset(range(len(design.axes)))
+        said = note + (" The reference of a line is the combination whose levels agree." if square else "")
+        yield Grid(f"{what}, {base}, {estimator}", (*heads, "ok"), tuple(rows), text, said)
+
+
+def _axis_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]:
+    """Tabulate each level of each axis beside the reference."""
+    for estimator, group in _by_estimator(data):
+        heads = ["axis", "level"]
+        for outcome in group:
+            heads += [outcome.label, "change"]
+        reference = names[0]
+        rows = [("reference", "", *_axis_cells(data, reference, "", group))]
+        for axis in data.design.axes:
+            for level in axis.levels[1:]:
+                for name in (n for n in names if n != reference and data.levels(n)[axis.name] == level):
+                    rows.append((axis.label, level, *_axis_cells(data, name, reference, group)))
+        yield Grid(f"One at a time, {base}, {estimator}", (*heads, "ok"), tuple(rows), frozenset({0}), _CHANGE_NOTE)
+
+
+def _axis_cells(data: DesignData, name: str, reference: str, group: list[Outcome]) -> tuple[str, ...]:
+    cells = []
+    for outcome in group:
+        change = printed(data.change(name, reference, outcome)) if reference else NO_VALUE
+        cells += [printed(data.median(name, outcome)), change]
+    return (*cells, data.ok([name], group[-1]))
+
+
+def _effect_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]:
+    """Tabulate main effects: the scenarios with an axis at its last level against those with it at its first."""
+    note = (
+        "Main effect: the factor by which the error changes from the first to the last level of an axis, by least"
+        " squares on its logarithm over all scenarios with a constant for each trial, with its 95 % bootstrap interval."
+        " ok: trials with an estimate, of all, at either level."
+    )
+    for estimator, group in _by_estimator(data):
+        heads = ("axis", "from", "to", *(outcome.label.split(",")[0] for outcome in group), "ok from", "ok to")
+        effects = [data.effects(names, outcome) for outcome in group]
+        rows = []
+        for k, axis in enumerate(data.design.axes):
+            ends = (axis.levels[0], axis.levels[-1])
+            sides = [[n for n in names if data.levels(n)[axis.name] == level] for level in ends]
+            cells = [printed(found[k]) for found in effects]
+            rows.append((axis.label, *ends, *cells, *(data.ok(side, group[-1]) for side in sides)))
+        yield Grid(f"Main effects, {base}, {estimator}", heads, tuple(rows), frozenset({0}), note)
+
+
+def _by_estimator(data: DesignData) -> list[tuple[str, list[Outcome]]]:
+    found = outcomes(data.run)
+    return [(name, [o for o in found if o.estimator == name]) for name in dict.fromkeys(o.estimator for o in found)]

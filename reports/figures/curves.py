@@ -1,0 +1,87 @@
+"""A number against each of several quantities, a panel for each, with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from reports.figures.style import GREY, LINE_STYLES, SERIES_COLOURS, FloatArray, styled
+
+_PANELS_A_ROW = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Points:
+    """Points of a line: (n,) abscissae and values, and (n, 2) bounds of their intervals."""
+
+    x: FloatArray
+    y: FloatArray
+    low_high: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurvePanel:
+    """A panel: what its abscissa is, and its lines by label."""
+
+    label: str
+    lines: Mapping[str, Points]
+
+
+@styled
+def draw_curves(panels: Sequence[CurvePanel], ordinate: str, title: str) -> Figure:
+    """Draw the panels in rows of three, on one logarithmic ordinate; all panels hold the same lines."""
+    across = min(_PANELS_A_ROW, len(panels))
+    down = -(-len(panels) // across)
+    figure = Figure(figsize=(2.6 * across + 0.4, 2.2 * down + 0.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    places = list(figure.subplots(down, across, squeeze=False, sharey=True).ravel())
+    for axes, panel in zip(places, panels, strict=False):
+        _draw(axes, panel)
+    for axes in places[len(panels) :]:
+        axes.set_axis_off()
+    handles, labels = places[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    figure.supylabel(ordinate, fontsize=9)
+    figure.suptitle(title, fontsize=9.5)
+    return figure
+
+
+def _draw(axes: Axes, panel: CurvePanel) -> None:
+    for i, (label, points) in enumerate(panel.lines.items()):
+        order = np.argsort(points.x)
+        x, y, low_high = points.x[order], points.y[order], points.low_high[order]
+        colour = GREY if label == "prior" else SERIES_COLOURS[i % len(SERIES_COLOURS)]
+        axes.errorbar(
+            x,
+            y,
+            yerr=np.abs(low_high.T - y),
+            color=colour,
+            linestyle=LINE_STYLES[i % len(LINE_STYLES)],
+            marker="o",
+            markersize=3,
+            linewidth=1.3,
+            elinewidth=0.9,
+            capsize=2,
+            label=label,
+        )
+    axes.set_yscale("log")
+    ticks = np.unique(np.concatenate([points.x for points in panel.lines.values()]))
+    _scale(axes, ticks)
+    axes.set_xlabel(panel.label)
+
+
+def _scale(axes: Axes, ticks: FloatArray) -> None:
+    """Choose a scale on which the values lie apart: logarithmic over a decade, with a place for 0; marked at them."""
+    positive = ticks[ticks > 0]
+    if np.all(ticks >= 0) and len(positive) and positive.max() >= 8 * positive.min():
+        if ticks[0] > 0:
+            axes.set_xscale("log")
+        else:
+            axes.set_xscale("symlog", linthresh=float(positive.min()), linscale=0.5)
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.set_xticks([], minor=True)

@@ -1,0 +1,74 @@
+"""The scenarios of a grid: which levels of its axes are combined."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+
+from pydantic import JsonValue
+from scipy.linalg import hadamard
+
+from scenarios.spec.grid import GridSpec
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One scenario of a grid.
+
+    Parameters
+    ----------
+    suffix
+        What its name adds to that of the scenario that it varies; '' for the reference of ``one-at-a-time``.
+    levels
+        Level of each axis, by name.
+    overrides
+        What each of the levels overrides, in the order of the axes.
+    """
+
+    suffix: str
+    levels: Mapping[str, str]
+    overrides: tuple[Mapping[str, JsonValue], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Variation:
+    """Where a scenario of a grid comes from: the scenario that it varies, and its level of each axis."""
+
+    base: str
+    levels: Mapping[str, str]
+
+
+def cells(grid: GridSpec) -> tuple[Cell, ...]:
+    """List the scenarios of a grid, the reference first."""
+    names = {axis: tuple(spec.overrides) for axis, spec in grid.axes.items()}
+    if grid.design == "full":
+        return tuple(_cell(grid, levels, "-".join(levels)) for levels in product(*names.values()))
+    if grid.design == "two-level":
+        runs = two_level_runs(len(names))
+        chosen = [tuple(own[-1 if high else 0] for own, high in zip(names.values(), run, strict=True)) for run in runs]
+        return tuple(_cell(grid, levels, f"run{i:02d}") for i, levels in enumerate(chosen, start=1))
+    reference = tuple(own[0] for own in names.values())
+    found = [_cell(grid, reference, "")]
+    for place, (axis, own) in enumerate(names.items()):
+        for level in own[1:]:
+            found.append(_cell(grid, (*reference[:place], level, *reference[place + 1 :]), f"{axis}-{level}"))
+    return tuple(found)
+
+
+def two_level_runs(factors: int) -> tuple[tuple[bool, ...], ...]:
+    """Return the runs of a two-level design of resolution IV: whether each factor is at its high level.
+
+    A Hadamard matrix of order 2^m, at least the number of factors, folded over: its rows and their opposites. Main
+    effects are orthogonal to each other and to the products of two factors. The first run has all factors low.
+    """
+    order = 1
+    while order < factors:
+        order *= 2
+    matrix = hadamard(order)[:, :factors]
+    return tuple(tuple(bool(sign < 0) for sign in row) for half in (matrix, -matrix) for row in half)
+
+
+def _cell(grid: GridSpec, levels: tuple[str, ...], suffix: str) -> Cell:
+    overrides = tuple(axis.overrides[level] for axis, level in zip(grid.axes.values(), levels, strict=True))
+    return Cell(suffix, dict(zip(grid.axes, levels, strict=True)), overrides)

@@ -1,0 +1,145 @@
+"""What a report says of a grid of scenarios, against errors whose ratios are known."""
+
+import itertools
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import RunBuilder, pose_error
+
+from reports.build import write_report
+from reports.designs import DesignData, Outcome, design_grids, outcomes
+from reports.figures.curves import CurvePanel, Points, draw_curves
+from reports.figures.matrix import Matrix, draw_matrix
+from reports.run_data import read_run
+
+TRIALS = 40
+POSITION = Outcome("landmark-harris", "", "position_error_m")
+
+
+def store(builder: RunBuilder, design: str, axes: list[dict], factors: dict[tuple[str, ...], float]) -> DesignData:
+    """Store a run in which every scenario's errors are those of the first, trial by trial, times a factor."""
+    rng = np.random.default_rng(3)
+    base = rng.lognormal(2.0, 1.0, TRIALS)
+    scenarios = []
+    for number, (levels, factor) in enumerate(factors.items()):
+        name = f"rock-{number}"
+        named = dict(zip((axis["name"] for axis in axes), levels, strict=True))
+        # Sorted as JSON objects are stored: the order of the axes is said elsewhere.
+        scenarios.append({"name": name, "base": "rock", "levels": dict(sorted(named.items()))})
+        for trial, error in enumerate(base):
+            known = trial or number  # the first trial of the reference failed
+            final = pose_error(np.array([error * factor, 0.0, 0.0]), error * factor / 10.0)
+            prior = {f"prior_{key}": value for key, value in pose_error(np.array([50.0, 0.0, 0.0]), 2.0).items()}
+            key = {"trial": trial, "scenario": name, "reason": "", "image": "", "n_landmarks": 9}
+            row = final if known else dict.fromkeys(final, np.nan)
+            status = "ok" if known else "failed"
+            builder.add("rows", **key, estimator="landmark-harris", status=status, **prior, **row)
+            own = {key.removeprefix("prior_"): value for key, value in prior.items()}
+            builder.add("rows", **key, estimator="prior", status="ok", **prior, **own)
+    grid = {"design": design, "axes": axes, "scenarios": scenarios}
+    builder.write(grid=grid, scenarios={one["name"]: {} for one in scenarios}, report=None)
+    run = read_run(builder.folder)
+    assert run.manifest.grid is not None
+    return DesignData(run, run.manifest.grid)
+
+
+def axis(name: str, *levels: str, values: list[float] | None = None) -> dict:
+    return {"name": name, "label": f"the {name}", "levels": list(levels), "values": values}
+
+
+@pytest.fixture
+def square(builder) -> DesignData:
+    laws = ("b", "a")
+    factors = {("b", "b"): 1.0, ("b", "a"): 3.0, ("a", "b"): 4.0, ("a", "a"): 2.0}
+    return store(builder, "full", [axis("truth", *laws), axis("onboard", *laws)], factors)
+
+
+def test_changes_are_the_factors_whatever_the_spread(square):
+    """Lognormal errors of a factor e: the paired ratio is exact, with an interval of no width."""
+    change = square.change("rock-1", "rock-0", POSITION)
+    assert change.value == pytest.approx(3.0)
+    assert change.low == pytest.approx(3.0)
+    assert change.high == pytest.approx(3.0)
+
+
+def test_a_square_of_levels_is_compared_with_its_diagonal(square):
+    [grid] = design_grids(square.run)
+    assert grid.columns[:2] == ("the truth", "the onboard")
+    assert [row[:2] for row in grid.rows] == [("b", "b"), ("b", "a"), ("a", "b"), ("a", "a")]
+    changes = [row[grid.columns.index("change")] for row in grid.rows]
+    assert changes == ["-", "3.00 [3.00, 3.00]", "2.00 [2.00, 2.00]", "-"]
+    assert [row[-1] for row in grid.rows] == [f"{TRIALS - 1}/{TRIALS}", *[f"{TRIALS}/{TRIALS}"] * 3]
+
+
+def test_the_median_is_that_of_the_trials_with_an_estimate(square):
+    rows = square.run.rows
+    mine = rows[(rows["scenario"] == "rock-2") & (rows["estimator"] == "landmark-harris")]
+    assert square.median("rock-2", POSITION).value == pytest.approx(float(mine["position_error_m"].median()))
+    assert len(square.errors("rock-0", POSITION)) == TRIALS - 1
+
+
+def test_main_effects_multiply(builder):
+    effects = {"focal": 1.5, "sun": 1.0, "pole": 0.5}
+    axes = [axis(name, "0", "1", values=[0, 1]) for name in effects]
+    factors = {
+        levels: float(np.prod([e for e, level in zip(effects.values(), levels, strict=True) if level == "1"]))
+        for levels in itertools.product("01", repeat=3)
+    }
+    data = store(builder, "two-level", axes, factors)
+    [grid] = design_grids(data.run)
+    column = grid.columns.index("position error")
+    assert [row[column].split()[0] for row in grid.rows] == ["1.50", "1.00", "0.500"]
+    assert write_report(builder.folder).figures
+
+
+def test_each_axis_is_compared_with_the_reference(builder):
+    axes = [axis("focal", "0", "1", "2", values=[0, 1, 2]), axis("law", "a", "b")]
+    factors = {("0", "a"): 1.0, ("1", "a"): 1.5, ("2", "a"): 2.5, ("0", "b"): 0.25}
+    data = store(builder, "one-at-a-time", axes, factors)
+    [grid] = design_grids(data.run)
+    assert [row[:2] for row in grid.rows] == [
+        ("reference", ""), ("the focal", "1"), ("the focal", "2"), ("the law", "b"),
+    ]  # fmt: skip
+    assert [row[3].split()[0] for row in grid.rows] == ["-", "1.50", "2.50", "0.250"]
+    stems = {path.stem for path in write_report(builder.folder).figures}
+    assert stems == {"curves_position_rock_landmark-harris", "curves_attitude_rock_landmark-harris"}
+
+
+def test_outcomes_include_the_centroid_where_it_is_a_stage(full_run):
+    run = read_run(full_run())
+    assert [(o.stage, o.measure) for o in outcomes(run)] == [
+        ("centroid", "position_error_m"), ("", "position_error_m"), ("", "attitude_error_deg"),
+    ]  # fmt: skip
+
+
+def test_an_unfinished_grid_has_a_report(builder, square):
+    """Scenarios that have not been run are left out, and a cell without them is empty."""
+    file = builder.folder / "rows" / "block-0.parquet"
+    rows = pd.read_parquet(file)
+    rows[rows["scenario"] != "rock-3"].to_parquet(file)
+    assert len(design_grids(read_run(builder.folder))[0].rows) == 3
+    assert write_report(builder.folder).html.exists()
+
+
+def test_matrix_shows_its_numbers_where_they_belong():
+    matrix = Matrix(
+        "error", ("r0", "r1"), ("c0", "c1"), np.array([[1.0, np.nan], [3.0, 4.0]]), [["a", "b"], ["c", "d"]]
+    )
+    [axes] = draw_matrix([matrix], "down", "across", "title").axes
+    assert [(text.get_text(), text.get_position()) for text in axes.texts] == [
+        ("a", (0, 0)), ("b", (1, 0)), ("c", (0, 1)), ("d", (1, 1)),
+    ]  # fmt: skip
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["r0", "r1"]
+    assert axes.yaxis_inverted()
+
+
+def test_curves_join_points_in_the_order_of_the_abscissa():
+    points = Points(
+        np.array([2.0, 0.0, 1.0]), np.array([4.0, 1.0, 2.0]), np.array([[3.0, 5.0], [0.5, 2.0], [1.0, 3.0]])
+    )
+    figure = draw_curves([CurvePanel("x", {"method": points})], "y", "title")
+    line = figure.axes[0].containers[0].lines[0]
+    np.testing.assert_array_equal(line.get_xydata(), [[0.0, 1.0], [1.0, 2.0], [2.0, 4.0]])
+    bars = figure.axes[0].containers[0].lines[2][0].get_segments()
+    np.testing.assert_allclose([bar[:, 1] for bar in bars], [[0.5, 2.0], [1.0, 3.0], [3.0, 5.0]])
