@@ -14,6 +14,7 @@ from estimators.contract import Assets, Estimate, Stage
 from estimators.landmark.alignment import correlation_pair
 from estimators.landmark.centroid import AlignmentOptions, MeshView, align_translation
 from estimators.landmark.matching import inverse_2x2
+from estimators.landmark.pose.posterior import Prior, solve_map
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
@@ -21,7 +22,6 @@ from estimators.maplets.build import MapletOptions
 from estimators.maplets.database import MapletDatabase
 from estimators.maplets.matching import MapletScene, MatchingOptions, capture, refine, take_picture
 from estimators.maplets.report import Fit, Recognition, maplet_table
-from estimators.maplets.solve import Prior, solve_map
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Stage, Table
+from estimators.landmark.pose.posterior import Posterior
 from estimators.maplets.database import MapletDatabase
 from estimators.maplets.matching import Found
-from estimators.maplets.solve import Posterior
 from scenarios.geometry import Camera
 
 FloatArray = NDArray[np.float64]

@@ -6,10 +6,10 @@ from scipy.ndimage import fourier_shift, gaussian_filter
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
+from estimators.landmark.pose.posterior import Prior, solve_map
 from estimators.landmark.pose.problem import PoseProblem
 from estimators.maplets.correlation import correlate_window, shift_covariance
 from estimators.maplets.refinement import make_pair, refine_window
-from estimators.maplets.solve import Prior, solve_map
 from scenarios.geometry import Camera, look_at
 
 SIDE = 64

@@ -1,4 +1,4 @@
-"""The pose of greatest posterior probability from displaced maplets, robust against wrong ones."""
+"""The pose of greatest posterior probability from points seen in an image, robust against wrong ones."""
 
 from __future__ import annotations
 
@@ -73,11 +73,11 @@ def solve_map(problem: PoseProblem, prior: Prior, start: Pose, redundancy: float
     Parameters
     ----------
     problem
-        Anchors of the maplets and where they are seen.
+        Points and where they are seen.
     prior, start
         What is known beforehand, and where to begin.
     redundancy
-        How many observations tell the same, because their windows overlap: divides their information.
+        How many observations tell the same, because they rest on the same pixels: divides their information.
     """
     pose, known = start, np.linalg.inv(prior.covariance)
     for _ in range(_MAX_STEPS):
