@@ -9,18 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.image_store import ImageStore
 from campaign.machine import use_threads
 from campaign.parallel import in_order
+from campaign.products.database_images import database_images
 from campaign.products.keys import content_key
-from campaign.world import World, open_world, typical_range_m
 from estimators.landmark.build import METHOD_VERSION, CandidateOptions, extract_candidates
 from scenarios.cache import default_cache
-from scenarios.draw import Stream, draw_lit_view, generator
-from scenarios.geometry import View
 from scenarios.load import LoadedScenario
-from scenarios.spec.distribution import Uniform
-from scenarios.spec.world import LightingSpec, ViewpointSpec
 
 KIND = "landmark-candidates"
 VERSION = 1
@@ -49,9 +44,7 @@ class Candidates:
 def candidates_of(scenario: LoadedScenario, options: CandidateOptions, jobs: int, variant: str) -> Candidates:
     """Return the candidates of ``scenario``, from the cache where they are in it.
 
-    The images are noise free, of the scenario's own body, BRDF and camera (without distortion), from random
-    directions at the scenario's range, with the Sun anywhere within the largest phase angle (Rowell et al. 2015,
-    section 4.1). They are kept as well, so that other corners render nothing again.
+    The images (`database_images`) are kept as well, so that other corners render nothing again.
 
     Parameters
     ----------
@@ -95,19 +88,7 @@ def _of_images(
     scenario: LoadedScenario, options: CandidateOptions, images: Sequence[int], variant: str
 ) -> list[tuple[FloatArray, bool]]:
     """Find the candidates of some images, and whether each image came from the store."""
-    world = open_world(scenario, variant)
-    viewpoint = ViewpointSpec(range_m=typical_range_m(scenario))
-    lighting = LightingSpec(phase_deg=Uniform(uniform=(0.0, options.phase_deg_max)))
-    store = ImageStore.open(scenario, variant, Stream.DATABASE, viewpoint, lighting)
-    found = []
-    for image in images:
-        rng = generator(options.seed, Stream.DATABASE, image)
-        view = draw_lit_view(viewpoint, lighting, world.camera.pinhole, rng)
-        pixels, stored = store.image(options.seed, image, view, world.renderer.render)
-        found.append((_of_image(world, view, pixels, options), stored))
-    store.flush()
-    return found
-
-
-def _of_image(world: World, view: View, image: NDArray[np.float32], options: CandidateOptions) -> FloatArray:
-    return extract_candidates(image, lambda uv: world.renderer.surface(view, uv).points_body_m, options)
+    return [
+        (extract_candidates(image.pixels, image.deproject, options), image.from_store)
+        for image in database_images(scenario, images, options.phase_deg_max, options.seed, variant)
+    ]

@@ -1,0 +1,65 @@
+"""Images that data bases are made of: rendered from random directions under a random Sun, and kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from campaign.image_store import ImageStore
+from campaign.world import open_world, typical_range_m
+from scenarios.draw import Stream, draw_lit_view, generator
+from scenarios.geometry import View
+from scenarios.load import LoadedScenario
+from scenarios.spec.distribution import Uniform
+from scenarios.spec.world import LightingSpec, ViewpointSpec
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DatabaseImage:
+    """An image of the believed body, its view, what takes its pixels back to the surface, and whether it was kept."""
+
+    pixels: NDArray[np.float32]
+    view: View
+    scenario: LoadedScenario
+    variant: str
+    from_store: bool
+
+    def deproject(self, uv_px: FloatArray) -> FloatArray:
+        """Points of the surface (N, 3), body frame, m, at pixel positions (N, 2); NaN where a pixel sees the sky."""
+        return open_world(self.scenario, self.variant).renderer.surface(self.view, uv_px).points_body_m
+
+
+def database_images(
+    scenario: LoadedScenario, images: Sequence[int], phase_deg_max: float, seed: int, variant: str
+) -> Iterator[DatabaseImage]:
+    """Yield noise-free images of the scenario's own body, BRDF and camera (without distortion).
+
+    From random directions at the scenario's range, with the Sun anywhere within the largest phase angle (Rowell et al.
+    2015, section 4.1). They are kept, so that another data base of the same views renders nothing again.
+
+    Parameters
+    ----------
+    scenario
+        As the spacecraft believes it to be.
+    images
+        Numbers of the images, from 0.
+    phase_deg_max, seed
+        Of their Suns and of their views.
+    variant
+        The Mitsuba variant.
+    """
+    world = open_world(scenario, variant)
+    viewpoint = ViewpointSpec(range_m=typical_range_m(scenario))
+    lighting = LightingSpec(phase_deg=Uniform(uniform=(0.0, phase_deg_max)))
+    store = ImageStore.open(scenario, variant, Stream.DATABASE, viewpoint, lighting)
+    for image in images:
+        rng = generator(seed, Stream.DATABASE, image)
+        view = draw_lit_view(viewpoint, lighting, world.camera.pinhole, rng)
+        pixels, stored = store.image(seed, image, view, world.renderer.render)
+        yield DatabaseImage(pixels, view, scenario, variant, stored)
+    store.flush()
