@@ -18,6 +18,8 @@ _OWN: Mapping[str, str] = MappingProxyType(
         "centroid": "estimators.landmark.centroiding:CentroidAligner",
         "landmark-harris": "estimators.landmark.recognizer:LandmarkRecognizer",
         "landmark-altimeter": "estimators.altimeter:AltimeterEstimator",
+        "landmark-orb": "estimators.descriptors.recognizer:OrbNavigator",
+        "landmark-sift": "estimators.descriptors.recognizer:SiftNavigator",
         "landmark-ransac": "estimators.landmark.robust.estimator:ConsensusRecognizer",
         "photometric": "estimators.dense.photometric:PhotometricEstimator",
         "lmaps": "estimators.maplets.recognizer:MapletNavigator",

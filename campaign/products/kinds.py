@@ -7,7 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
-from campaign.products import landmark_database, maplets
+from campaign.products import descriptors, landmark_database, maplets
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
@@ -47,7 +47,9 @@ class ProductKind(Protocol):
         ...
 
 
-_KINDS: Mapping[str, ProductKind] = MappingProxyType({landmark_database.KIND: landmark_database, maplets.KIND: maplets})
+_KINDS: Mapping[str, ProductKind] = MappingProxyType(
+    {module.KIND: module for module in (landmark_database, maplets, descriptors)}
+)
 
 
 def product_kind(name: str) -> ProductKind:

@@ -1,0 +1,72 @@
+"""Descriptors of a scenario: features of rendered images, taken back to the body."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from campaign.machine import use_threads
+from campaign.parallel import in_order
+from campaign.products.database_images import database_images
+from estimators.descriptors.build import METHOD_VERSION, DescriptorOptions, view_features
+from estimators.descriptors.database import DescriptorDatabase, ViewFeatures
+from scenarios.load import LoadedScenario
+from scenarios.spec.base import SpecModel
+
+KIND = "descriptors"
+_CHUNK_IMAGES = 10
+
+
+def parse(options: Mapping[str, object]) -> DescriptorOptions:
+    """Validate the options of a data base."""
+    return DescriptorOptions.model_validate(options)
+
+
+def versions() -> list[int]:
+    """List the versions of all code that a data base depends on, beside the renderer's."""
+    return [METHOD_VERSION]
+
+
+def announcement(options: SpecModel) -> str:
+    """Say what takes time in a build."""
+    options = _checked(options)
+    return f"{options.kind}, {options.images} images"
+
+
+def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
+    """Build the data base of ``scenario`` and store it in ``folder``."""
+    options = _checked(options)
+    chunks = [range(i, min(i + _CHUNK_IMAGES, options.images)) for i in range(0, options.images, _CHUNK_IMAGES)]
+    calls = ((scenario, options, chunk, variant, jobs) for chunk in chunks)
+    found = [image for chunk in in_order(jobs, _of_images, calls) for image in chunk]
+    views = tuple(features for features, _ in found)
+    provenance = {"options": options.model_dump(mode="json"), "method_version": METHOD_VERSION}
+    DescriptorDatabase(options.kind, views, provenance).save(folder)
+    return {"images": len(views), "images_from_store": sum(kept for _, kept in found)}
+
+
+def load(folder: Path) -> DescriptorDatabase:
+    """Read a stored data base."""
+    return DescriptorDatabase.load(folder)
+
+
+def about(folder: Path) -> dict[str, object]:
+    """Describe a stored data base for the manifest."""
+    database = load(folder)
+    return {"descriptors": database.kind, "n_landmarks": database.n_features}
+
+
+def _of_images(
+    scenario: LoadedScenario, options: DescriptorOptions, images: Sequence[int], variant: str, jobs: int
+) -> list[tuple[ViewFeatures, bool]]:
+    use_threads(jobs)
+    return [
+        (view_features(image.pixels, image.view, image.deproject, options), image.from_store)
+        for image in database_images(scenario, images, options.phase_deg_max, options.seed, variant)
+    ]
+
+
+def _checked(options: SpecModel) -> DescriptorOptions:
+    if not isinstance(options, DescriptorOptions):
+        raise TypeError(f"{KIND}: options are a {type(options).__name__}, not DescriptorOptions")
+    return options

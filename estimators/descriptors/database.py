@@ -1,0 +1,132 @@
+"""Descriptors of features with their points on the body, view by view, and how they are stored."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.descriptors.features import DESCRIPTOR_BYTES, Kind
+from scenarios.errors import BoresightError
+
+FloatArray = NDArray[np.float64]
+
+FORMAT = "boresight-descriptors"
+FORMAT_VERSION = 1
+FILE = "descriptors.npz"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewFeatures:
+    """Features of one image that lie on the body.
+
+    Parameters
+    ----------
+    camera_dir_body, sun_dir_body
+        (3,) unit vectors from the body's origin.
+    points_m
+        (M, 3) points on the body.
+    descriptors
+        (M, D) bytes.
+    """
+
+    camera_dir_body: FloatArray
+    sun_dir_body: FloatArray
+    points_m: FloatArray
+    descriptors: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class DescriptorDatabase:
+    """Views of the body with their features.
+
+    Parameters
+    ----------
+    kind
+        Of the descriptors.
+    views
+        One for each image.
+    provenance
+        How it was made: values that JSON can hold.
+
+    Raises
+    ------
+    BoresightError
+        If there is no view or shapes disagree.
+    """
+
+    kind: Kind
+    views: tuple[ViewFeatures, ...]
+    provenance: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.kind not in DESCRIPTOR_BYTES or not self.views:
+            raise BoresightError(f"a data base of {self.kind} descriptors with {len(self.views)} views is of no use")
+        for view in self.views:
+            n = len(view.points_m)
+            shapes = (view.points_m.shape, view.descriptors.shape)
+            if shapes != ((n, 3), (n, DESCRIPTOR_BYTES[self.kind])) or not np.isfinite(view.points_m).all():
+                raise BoresightError(f"a view of {self.kind} features cannot have points and descriptors {shapes}")
+
+    @property
+    def n_features(self) -> int:
+        """Features of all views."""
+        return sum(len(view.points_m) for view in self.views)
+
+    def nearest(self, camera_dir_body: FloatArray, sun_dir_body: FloatArray, count: int) -> Sequence[ViewFeatures]:
+        """Return the views that look most alike: nearest in the directions of camera and Sun together."""
+        cameras = np.stack([view.camera_dir_body for view in self.views])
+        suns = np.stack([view.sun_dir_body for view in self.views])
+        apart = _angle(cameras, camera_dir_body) ** 2 + _angle(suns, sun_dir_body) ** 2
+        return [self.views[index] for index in np.argsort(apart, kind="stable")[:count]]
+
+    def save(self, folder: Path) -> None:
+        """Write ``descriptors.npz`` into ``folder``, which is made if absent; points in single precision."""
+        folder.mkdir(parents=True, exist_ok=True)
+        head = {"format": FORMAT, "version": FORMAT_VERSION, "kind": self.kind, "provenance": dict(self.provenance)}
+        arrays: dict[str, NDArray[np.generic]] = {
+            "head": np.frombuffer(json.dumps(head).encode(), dtype=np.uint8),
+            "counts": np.array([len(view.points_m) for view in self.views], dtype=np.int32),
+            "camera_dirs_body": np.stack([view.camera_dir_body for view in self.views]),
+            "sun_dirs_body": np.stack([view.sun_dir_body for view in self.views]),
+            "points_m": np.concatenate([view.points_m for view in self.views]).astype(np.float32),
+            "descriptors": np.concatenate([view.descriptors for view in self.views]),
+        }
+        np.savez_compressed(folder / FILE, **arrays)  # type: ignore[arg-type]
+
+    @classmethod
+    def load(cls, folder: Path) -> DescriptorDatabase:
+        """Read what ``save`` wrote.
+
+        Raises
+        ------
+        BoresightError
+            If the file is missing or its content is wrong; the message names it.
+        """
+        path = folder / FILE
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+            head = json.loads(bytes(arrays["head"]).decode())
+            if (head["format"], head["version"]) == (FORMAT, FORMAT_VERSION):
+                ends = np.cumsum(arrays["counts"])[:-1]
+                points, descriptors = (np.split(arrays[name], ends) for name in ("points_m", "descriptors"))
+                directions = (arrays["camera_dirs_body"], arrays["sun_dirs_body"])
+                columns = zip(*directions, points, descriptors, strict=True)
+                views = tuple(ViewFeatures(c, s, p.astype(np.float64), d) for c, s, p, d in columns)
+                return cls(cast("Kind", head["kind"]), views, head["provenance"])
+            fault = f"it is not format {FORMAT!r} version {FORMAT_VERSION}"
+        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, BoresightError) as error:
+            fault = str(error)
+        raise BoresightError(f"{path}: cannot be read as a data base of descriptors: {fault}; build it again")
+
+
+def _angle(units: FloatArray, unit: FloatArray) -> FloatArray:
+    angle: FloatArray = np.arccos(np.clip(units @ unit, -1.0, 1.0))
+    return angle

@@ -1,0 +1,92 @@
+"""Features with descriptors: SIFT (Lowe 2004) and ORB (Rublee et al. 2011), by OpenCV."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from estimators.landmark.signal import extract_signal
+from scenarios.geometry import pixel_from_opencv
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+
+Kind = Literal["sift", "orb"]
+DESCRIPTOR_BYTES = {"sift": 128, "orb": 32}
+_BRIGHT_LEVEL = 200.0  # leaves room for what is brighter than the 99th percentile of the body
+
+
+class FeatureOptions(SpecModel):
+    """How features are found in an image."""
+
+    count: int = Field(400, ge=8, le=100_000, description="At most this many features an image, the strongest first")
+    contrast_min: float = Field(0.02, gt=0, le=1, description="SIFT: least contrast of a feature")
+    fast_threshold: int = Field(10, ge=1, le=255, description="ORB: least contrast of a corner")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """Features of one image.
+
+    Parameters
+    ----------
+    uv_px
+        (M, 2) positions, centre of the first pixel at (0.5, 0.5).
+    descriptors
+        (M, D) bytes.
+    """
+
+    uv_px: FloatArray
+    descriptors: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.uv_px)
+
+
+def find_features(image: NDArray[np.float32], kind: Kind, options: FeatureOptions) -> Features:
+    """Find and describe features; the image is brought to a fixed range first, so its unit does not matter."""
+    signal = extract_signal(image).image
+    grey = np.clip(np.rint(_BRIGHT_LEVEL * signal), 0, 255).astype(np.uint8)
+    keypoints, described = _detector(kind, options).detectAndCompute(grey, None)
+    if described is None or len(keypoints) == 0:
+        return Features(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES[kind]), dtype=np.uint8))
+    strongest = np.argsort([-point.response for point in keypoints], kind="stable")[: options.count]
+    uv_px = pixel_from_opencv(np.array([point.pt for point in keypoints], dtype=np.float64))
+    return Features(uv_px[strongest], np.asarray(described).astype(np.uint8)[strongest])
+
+
+def _detector(kind: Kind, options: FeatureOptions) -> cv2.Feature2D:
+    if kind == "sift":
+        # Without the precise upscaling OpenCV's positions are off by a quarter of a pixel.
+        return cv2.SIFT.create(contrastThreshold=options.contrast_min, enable_precise_upscale=True)
+    return cv2.ORB.create(nfeatures=options.count, fastThreshold=options.fast_threshold)
+
+
+def match_features(
+    observed: NDArray[np.uint8], known: NDArray[np.uint8], kind: Kind, ratio_max: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+    """Match descriptors to their nearest known ones that are clearly nearer than the second nearest (Lowe 2004).
+
+    Returns
+    -------
+    observed, known
+        (M,) rows of both.
+    distance
+        (M,) of the descriptors.
+    """
+    nothing = np.empty(0, dtype=np.int64)
+    if len(observed) == 0 or len(known) < 2:
+        return nothing, nothing, np.empty(0)
+    if kind == "sift":
+        matcher = cv2.BFMatcher(cv2.NORM_L2)
+        pairs = matcher.knnMatch(observed.astype(np.float32), known.astype(np.float32), k=2)
+    else:
+        pairs = cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(observed, known, k=2)
+    clear = [first for first, second in pairs if first.distance < ratio_max * second.distance]
+    rows = np.array([[match.queryIdx, match.trainIdx] for match in clear], dtype=np.int64).reshape(-1, 2)
+    return rows[:, 0], rows[:, 1], np.array([match.distance for match in clear], dtype=np.float64)

@@ -1,0 +1,240 @@
+"""Recognition by descriptors as estimators: ``landmark-sift`` and ``landmark-orb``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.stats import chi2
+
+from estimators.contract import Assets, Estimate, Stage
+from estimators.descriptors.build import DescriptorOptions, DescriptorViewOptions
+from estimators.descriptors.database import DescriptorDatabase
+from estimators.descriptors.features import FeatureOptions, Features, Kind, find_features, match_features
+from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
+from estimators.landmark.pose.posterior import Posterior, Prior, solve_map
+from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
+from estimators.landmark.signal import extract_signal
+from estimators.landmark.stopwatch import Stopwatch
+from estimators.options import parse_options
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Pose, pixel_to_opencv
+from scenarios.observation import Frame, Observation
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+
+PRODUCT = "descriptors"
+_CONFIDENCE = 0.999
+_POSE_UNKNOWNS = 6
+_IGNORANCE = 1e6  # factor on a covariance that says nothing any more
+
+
+class DescriptorNavigatorOptions(SpecModel):
+    """Options of both estimators."""
+
+    database: DescriptorViewOptions = DescriptorViewOptions()
+    features: FeatureOptions | None = Field(None, description="In an observed image: as for the data base if left out")
+    views: int = Field(8, ge=1, le=1000, description="Views of the data base that an image is matched with")
+    ratio_max: float = Field(0.85, gt=0, le=1, description="Nearest over second nearest distance of a match")
+    prior_sigma: float = Field(4.0, gt=0, description="A match farther from its prediction, in sigmas, is dropped")
+    inlier_px: float = Field(3.0, gt=0, description="Largest reprojection error of an inlier of RANSAC")
+    max_iterations: int = Field(5000, ge=10, le=1_000_000, description="Of RANSAC")
+    pixel_sigma: float = Field(1.0, gt=0, description="Standard deviation of a feature's position, px, at first")
+    patch_px: float = Field(12.0, gt=0, description="Features of one square of this side tell the same")
+    prior_probability: float = Field(
+        1e-6, gt=0, lt=1, description="A solution that the prior holds less probable than this is refused"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matched:
+    """Features of an image with points of the body: (M, 2) and (M, 3)."""
+
+    uv_px: FloatArray
+    points_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.uv_px)
+
+    def subset(self, rows: NDArray[np.generic]) -> Matched:
+        """Keep some rows."""
+        return Matched(self.uv_px[rows], self.points_m[rows])
+
+    def problem(self, camera: Camera, pixel_sigma: float) -> PoseProblem:
+        """Pose them as a problem with the same noise for all."""
+        information = np.tile(np.eye(2) / pixel_sigma**2, (len(self), 1, 1))
+        return PoseProblem(self.points_m, self.uv_px, information, camera)
+
+
+class DescriptorNavigator:
+    """Features matched with those of rendered views, RANSAC, maximum a posteriori; each frame on its own."""
+
+    name: ClassVar[str]
+    version: ClassVar[int] = 1
+    kind: ClassVar[Kind]
+
+    def __init__(self, database: DescriptorDatabase, options: DescriptorNavigatorOptions) -> None:
+        self._database = database
+        self._options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
+        """Build from a campaign's options and its data base."""
+        parsed = parse_options(DescriptorNavigatorOptions, options, cls.name)
+        asked = DescriptorOptions(kind=cls.kind, **parsed.database.model_dump())
+        database = assets.product(PRODUCT, asked.model_dump(mode="json"))
+        if not isinstance(database, DescriptorDatabase) or database.kind != cls.kind:
+            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
+        return cls(database, parsed)
+
+    def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
+        """Estimate the pose of each frame on its own; the first frame that fails fails the whole.
+
+        Stages, diagnostics and timings are those of the last frame.
+        """
+        if not observation.frames:
+            return Estimate("failed", "the observation holds no image")
+        clock = Stopwatch()
+        solved: list[Posterior] = []
+        stages: tuple[Stage, ...] = ()
+        for frame in observation.frames:
+            found = self._solve(frame, observation.camera, int(rng.integers(2**31)), clock)
+            if isinstance(found, str):
+                return Estimate("failed", found, timings_s=clock.seconds)
+            consensus, posterior = found
+            solved.append(posterior)
+            stages = (Stage("consensus", consensus), Stage("recognition", posterior.T_cam_body))
+        return Estimate(
+            "ok",
+            poses=tuple(posterior.T_cam_body for posterior in solved),
+            covariances=tuple(posterior.covariance for posterior in solved),
+            bounds=tuple(posterior.bound for posterior in solved),
+            stages=stages,
+            diagnostics={"n_landmarks": len(solved[-1].d2), "scale2": solved[-1].scale2},
+            timings_s=clock.seconds,
+        )
+
+    def _solve(self, frame: Frame, camera: Camera, seed: int, clock: Stopwatch) -> tuple[Pose, Posterior] | str:
+        """Solve one frame, or say why there is no pose."""
+        options = self._options
+        if frame.image.shape != (camera.height_px, camera.width_px):
+            expected = (camera.height_px, camera.width_px)
+            raise BoresightError(f"the image has shape {frame.image.shape}, but the camera's is {expected}")
+        if not np.isfinite(frame.image).all():
+            return "the image holds NaN or infinite pixels"
+        if extract_signal(frame.image).empty:
+            return "the image is black: nothing above its background"
+        with clock("feature_extraction"):
+            features = find_features(frame.image, self.kind, options.features or options.database.features)
+        with clock("matching"):
+            matched = self._match(features, frame, camera)
+        with clock("recognition"):
+            consensus = find_consensus(matched, camera, options, seed)
+            if isinstance(consensus, str):
+                return consensus
+            pose, inliers = consensus
+            prior = Prior(frame.prior_T_cam_body, frame.prior_covariance)
+            problem = inliers.problem(camera, options.pixel_sigma)
+            redundancy = len(inliers) / occupied_squares(inliers.uv_px, options.patch_px)
+            probability = chance(problem, pose, prior, redundancy)
+            posterior = solve_map(problem, prior, pose, redundancy)
+        if probability < options.prior_probability:
+            return f"the solution contradicts the prior: probability {probability:.1g}"
+        return pose, posterior
+
+    def _match(self, features: Features, frame: Frame, camera: Camera) -> Matched:
+        """Match with the nearest views; of several matches of a feature the one of least distance counts."""
+        options, prior = self._options, frame.prior_T_cam_body
+        position = prior.camera_position_m
+        sun_dir_body = prior.rotation.T @ frame.sun_dir_cam
+        views = self._database.nearest(position / np.linalg.norm(position), sun_dir_body, options.views)
+        rows: list[NDArray[np.int64]] = []
+        points: list[FloatArray] = []
+        distances: list[FloatArray] = []
+        for view in views:
+            row, known, distance = match_features(features.descriptors, view.descriptors, self.kind, options.ratio_max)
+            rows.append(row)
+            points.append(view.points_m[known])
+            distances.append(distance)
+        row, distance, point = np.concatenate(rows), np.concatenate(distances), np.concatenate(points)
+        near = near_prediction(Matched(features.uv_px[row], point), camera, frame, options.prior_sigma)
+        row, distance, point = row[near], distance[near], point[near]
+        order = np.argsort(distance, kind="stable")
+        _, first = np.unique(row[order], return_index=True)
+        return Matched(features.uv_px[row[order[first]]], point[order[first]])
+
+
+def occupied_squares(uv_px: FloatArray, side_px: float) -> int:
+    """Count the squares of a regular grid in which there is a point (M, 2)."""
+    return len(np.unique(np.floor(uv_px / side_px).astype(np.int64), axis=0))
+
+
+def chance(problem: PoseProblem, consensus: Pose, prior: Prior, redundancy: float) -> float:
+    """Probability of a solution as far from the prior as that of the observations alone.
+
+    The difference of the two has the covariance of both together.
+    """
+    alone = solve_map(problem, Prior(prior.T_cam_body, _IGNORANCE * prior.covariance), consensus, redundancy)
+    offset = prior.offset(alone.T_cam_body)
+    return float(chi2.sf(offset @ np.linalg.solve(prior.covariance + alone.covariance, offset), _POSE_UNKNOWNS))
+
+
+def near_prediction(matched: Matched, camera: Camera, frame: Frame, sigmas: float) -> NDArray[np.bool_]:
+    """Tell which matches (M,) lie within some standard deviations of where the prior predicts their points."""
+    if len(matched) < MIN_LANDMARKS:
+        return np.ones(len(matched), dtype=np.bool_)
+    pose = frame.prior_T_cam_body
+    problem = matched.problem(camera, 1.0)
+    jacobian = minimal_jacobian(problem, pose)
+    covariance = jacobian @ frame.prior_covariance @ np.swapaxes(jacobian, 1, 2) + np.eye(2)
+    residuals = problem.residuals_px(pose)
+    d2 = np.einsum("ni,ni->n", residuals, np.linalg.solve(covariance, residuals[..., None])[..., 0])
+    return np.asarray(d2 <= sigmas**2)
+
+
+def find_consensus(
+    matched: Matched, camera: Camera, options: DescriptorNavigatorOptions, seed: int
+) -> tuple[Pose, Matched] | str:
+    """Find the pose with most inliers by OpenCV's USAC with MAGSAC++ (Barath et al. 2020), or say why there is none."""
+    if len(matched) < MIN_LANDMARKS:
+        return f"{len(matched)} features matched, {MIN_LANDMARKS} needed"
+    parameters = cv2.UsacParams()
+    parameters.threshold = options.inlier_px
+    parameters.maxIterations = options.max_iterations
+    parameters.confidence = _CONFIDENCE
+    parameters.score = cv2.SCORE_METHOD_MAGSAC
+    parameters.randomGeneratorState = seed
+    parameters.isParallel = False
+    matrix = camera.matrix
+    matrix[:2, 2] = pixel_to_opencv(matrix[:2, 2])
+    found, _, rotation, translation, inliers = cv2.solvePnPRansac(
+        matched.points_m, pixel_to_opencv(matched.uv_px), matrix, None, params=parameters
+    )
+    count = 0 if inliers is None else len(inliers)
+    if not found or count < MIN_LANDMARKS:
+        return f"{count} of {len(matched)} matched features agree, {MIN_LANDMARKS} needed"
+    pose = Pose(cv2.Rodrigues(rotation)[0], np.ravel(translation))
+    kept = matched.subset(np.ravel(inliers))
+    if not (pose.transform(kept.points_m)[:, 2] > 0.0).all():
+        return "the features that agree lie behind the camera"
+    return pose, kept
+
+
+class SiftNavigator(DescriptorNavigator):
+    """Recognition by SIFT features."""
+
+    name: ClassVar[str] = "landmark-sift"
+    kind: ClassVar[Kind] = "sift"
+
+
+class OrbNavigator(DescriptorNavigator):
+    """Recognition by ORB features."""
+
+    name: ClassVar[str] = "landmark-orb"
+    kind: ClassVar[Kind] = "orb"
