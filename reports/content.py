@@ -19,6 +19,7 @@ from reports.detection import DEFINITIONS, Detection, area, detections, outlier_
 from reports.figures import (
     MOST_CURVES,
     Curve,
+    TradeMark,
     draw_centroid_offsets,
     draw_cumulative_errors,
     draw_landmark_counts,
@@ -26,6 +27,7 @@ from reports.figures import (
     draw_method_errors,
     draw_pose_errors,
     draw_roc,
+    draw_trade_off,
 )
 from reports.measures import CONTROL, Record, errors_by_stage, final_stage, measure_run
 from reports.paired import paired_records
@@ -46,6 +48,7 @@ from reports.tables import (
     stage_label,
     timing_grid,
 )
+from reports.tradeoff import ATTITUDE, POSITION, costs, prior_medians, trade_grid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,6 +92,7 @@ class Content:
             reference_grid(self.records, self.run),
             comparison_grid(self.compared),
             claim_grid(self.claims),
+            trade_grid(self.run),
             detail_grid(self.records),
             diagnostic_grid(self.records),
             paired_grid(self.records),
@@ -182,6 +186,7 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
             yield from _landmark_figures(content, scenario, estimator)
             yield from _outlier_figures(content, scenario, estimator)
         yield from _method_figures(content, scenario)
+        yield from _trade_figures(content, scenario)
         yield _cumulative_figure(content, scenario)
     yield from _centroid_figures(content)
 
@@ -280,6 +285,27 @@ def _method_figures(content: Content, scenario: str) -> Iterator[NamedFigure]:
             f"{title}: normalised histograms over the trials with an estimate; what lies beyond the axis is said in the"
             " legend.",
             f"Two histograms of the errors of attitude and position of {', '.join(labels)}.",
+        )
+
+
+def _trade_figures(content: Content, scenario: str) -> Iterator[NamedFigure]:
+    """Set accuracy against what it costs."""
+    run = content.run
+    marks = {
+        cost.estimator: TradeMark(
+            {POSITION: cost.position_m, ATTITUDE: cost.attitude_deg}, cost.seconds.value, cost.size_bytes
+        )
+        for cost in costs(run)
+        if cost.scenario == scenario
+    }
+    if marks:
+        title = f"Accuracy and its cost, {scenario}"
+        yield NamedFigure(
+            _stem("trade_off", scenario),
+            draw_trade_off(marks, prior_medians(run, scenario), title, run.manifest.credits),
+            f"{title}: median errors with their 95 % intervals against time and size of the data base; dashed: the"
+            " prior. What reads no data base stands in the panels of time alone.",
+            f"Median errors of {', '.join(marks)} against time an image and size of the data base.",
         )
 
 

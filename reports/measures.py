@@ -41,6 +41,7 @@ UNITS = {
     "chi_square": "",
     "database_landmarks": "",
     "database_facets": "",
+    "database_bytes": "bytes",
     "seconds": "s",
 }
 # Units of numbers that estimators report, by the end of their names.
@@ -258,7 +259,7 @@ def landmark_measures(run: RunData) -> list[Record]:
 
 
 def database_measures(run: RunData) -> list[Record]:
-    """Count the landmarks and facets of each data base.
+    """Count the landmarks and facets of each data base, and its bytes as it is stored.
 
     A single data base of a run with a single estimator beside the control belongs to it, even if it does not say so.
     """
@@ -268,7 +269,8 @@ def database_measures(run: RunData) -> list[Record]:
     for product in run.manifest.products:
         scenario, estimator = (product.scenario, product.estimator) if product.scenario else only
         subject = _Subject(scenario, estimator, "database", 1)
-        for name, count in (("database_landmarks", product.n_landmarks), ("database_facets", product.n_facets)):
+        counts = {"landmarks": product.n_landmarks, "facets": product.n_facets, "bytes": product.bytes}
+        for name, count in ((f"database_{name}", count) for name, count in counts.items()):
             if count is not None:
                 records.append(subject.record(name, "count", Measured(count, count, count), 1))
     return records

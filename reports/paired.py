@@ -91,6 +91,14 @@ def failures(rows: pd.DataFrame) -> NDArray[np.bool_]:
     return np.asarray((rows["status"] != "ok").to_numpy() | worse)
 
 
+def share_of(marked: NDArray[np.bool_]) -> Measured:
+    """Share of marked trials with Wilson's interval."""
+    if not len(marked):
+        return Measured(None)
+    low, high = binomtest(int(marked.sum()), len(marked)).proportion_ci(method="wilson")
+    return Measured(float(marked.mean()), float(low), float(high))
+
+
 def _failure_records(pair: _Pair) -> Iterator[Record]:
     """Yield both failure rates and their difference, negative where there are fewer.
 
@@ -102,8 +110,7 @@ def _failure_records(pair: _Pair) -> Iterator[Record]:
     if n == 0:
         return
     for name, failed in ((OWN, mine), (THEIRS, theirs)):
-        low, high = binomtest(int(failed.sum()), n).proportion_ci(method="wilson")
-        yield pair.record(FAILURE_RATE, name, Measured(float(failed.mean()), float(low), float(high)), n)
+        yield pair.record(FAILURE_RATE, name, share_of(failed), n)
     rate = (alone - other) / n
     half = float(_NORMAL_95 * np.sqrt(alone + other - (alone - other) ** 2 / n) / n)
     yield pair.record(FAILURE_RATE, DIFFERENCE, Measured(rate, rate - half, rate + half), n)

@@ -43,6 +43,7 @@ class Product(BaseModel):
     estimator: str = ""
     n_landmarks: int | None = None
     n_facets: int | None = None
+    bytes: int | None = None
     seconds: float | None = None
     images: int | None = None
 

@@ -67,6 +67,7 @@ _MEASURES = {
     "outlier_rounds": "outlier rounds",
     "database_landmarks": "landmarks in the data base",
     "database_facets": "facets of the data base",
+    "database_bytes": "size of the data base",
     "position_reduction_m": "reduction of the position error",
     "attitude_reduction_deg": "reduction of the attitude error",
     "seconds": "time",

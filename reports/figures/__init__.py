@@ -7,12 +7,14 @@ from reports.figures.methods import draw_method_errors
 from reports.figures.pose import draw_cumulative_errors, draw_pose_errors
 from reports.figures.roc import MOST_CURVES, Curve, draw_roc
 from reports.figures.style import save_figure
+from reports.figures.tradeoff import TradeMark, draw_trade_off
 
 __all__ = [
     "MOST_CURVES",
     "Curve",
     "Fit",
     "Overlay",
+    "TradeMark",
     "draw_centroid_offsets",
     "draw_cumulative_errors",
     "draw_fit_panels",
@@ -21,5 +23,6 @@ __all__ = [
     "draw_method_errors",
     "draw_pose_errors",
     "draw_roc",
+    "draw_trade_off",
     "save_figure",
 ]

@@ -1,0 +1,102 @@
+"""Accuracy of several methods against what it costs: time an image, and size of the data base."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from reports.figures.style import GREY, SERIES_COLOURS, add_credits, grid_figure, styled
+from reports.statistics import Measured
+
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+_FEW_DECADES = 300.0
+_ERRORS = (("position_error_m", "position error, m"), ("attitude_error_deg", "attitude error, deg"))
+
+
+@dataclass(frozen=True, slots=True)
+class TradeMark:
+    """One method.
+
+    Parameters
+    ----------
+    errors
+        Median errors with their intervals, by ``position_error_m`` and ``attitude_error_deg``.
+    seconds
+        Time an image; None if unknown.
+    size_bytes
+        Of its data base; None where it has none.
+    """
+
+    errors: Mapping[str, Measured]
+    seconds: float | None
+    size_bytes: int | None
+
+
+@styled
+def draw_trade_off(
+    marks: Mapping[str, TradeMark], prior: Mapping[str, float], title: str, credit_lines: Sequence[str] = ()
+) -> Figure:
+    """Draw errors of position and attitude, a row each, against time and size, a column each; all axes logarithmic.
+
+    Parameters
+    ----------
+    marks
+        Methods by label.
+    prior
+        Median error before any of them, by the same names.
+    title
+        Printed above the panels.
+    credit_lines
+        Credits of real images.
+    """
+    figure, places = grid_figure(2, 2, height_in=5.6)
+    for row, (name, label) in zip(places, _ERRORS, strict=True):
+        times = {key: 1e3 * mark.seconds for key, mark in marks.items() if mark.seconds is not None}
+        sizes = {key: 1e-3 * mark.size_bytes for key, mark in marks.items() if mark.size_bytes is not None}
+        for axes, costs, abscissa in zip(row, (times, sizes), ("time an image, ms", "data base, kB"), strict=True):
+            _draw(axes, {key: mark.errors[name] for key, mark in marks.items()}, costs)
+            axes.axhline(prior[name], color=GREY, linestyle="--", linewidth=1.0, label="prior")
+            axes.set(xlabel=abscissa, ylabel=label)
+            _logarithmic(axes)
+        row[1].sharey(row[0])
+    handles, labels = places[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))
+    figure.suptitle(title, fontsize=9.5)
+    add_credits(figure, credit_lines)
+    return figure
+
+
+def _draw(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str, float]) -> None:
+    for index, (label, error) in enumerate(errors.items()):
+        if label not in costs or error.value is None:
+            continue
+        known = error.low is not None and error.high is not None
+        reach = [[error.value - (error.low or 0.0)], [(error.high or 0.0) - error.value]] if known else None
+        axes.errorbar(
+            [costs[label]],
+            [error.value],
+            yerr=reach,
+            color=SERIES_COLOURS[index % len(SERIES_COLOURS)],
+            marker=_MARKERS[index % len(_MARKERS)],
+            markersize=6,
+            linestyle="none",
+            capsize=3,
+            label=label,
+        )
+
+
+def _logarithmic(axes: Axes) -> None:
+    """Write plain numbers, at 1, 2 and 5 of every decade where there are few."""
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.margins(0.15)
+    axes.autoscale_view()
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())

@@ -1,0 +1,100 @@
+"""Accuracy beside its cost: sizes of data bases, times, failures, and the figure of them."""
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from reports.build import write_report
+from reports.content import read_content
+from reports.figures import TradeMark, draw_trade_off
+from reports.figures.style import render
+from reports.measures import find
+from reports.run_data import read_run
+from reports.statistics import Measured
+from reports.tradeoff import costs, trade_grid
+
+PRIOR = ((40.0, 0.0, 0.0), 1.0)
+ITOKAWA = "itokawa"
+PRODUCTS = [
+    {"kind": "landmark-database", "n_landmarks": 400, "bytes": 50_000},
+    {"kind": "maplets", "n_landmarks": 200, "bytes": 160_000},
+]
+
+
+def fill(builder, **manifest):
+    """Four trials: ``corners`` fails once and is worse than the prior once, ``maplets`` is always well."""
+    corners = [((20.0, 0, 0), 0.5), ((10.0, 0, 0), 0.3), ((90.0, 0, 0), 2.0), None]
+    for trial, found in enumerate(corners):
+        builder.trial(trial, PRIOR, PRIOR, estimator="prior")
+        for estimator, final in (("corners", found), ("maplets", ((4.0, 0, 0), 0.1))):
+            builder.trial(trial, PRIOR, final, estimator=estimator)
+            key = {"trial": trial, "scenario": ITOKAWA, "estimator": estimator}
+            seconds = {"feature_extraction": 0.02, "recognition": 0.01 * (1 + trial), "image": 5.0}
+            for stage, time in seconds.items():
+                builder.add("timings", **key, stage=stage, seconds=time)
+    owners = ("corners", "maplets")
+    products = [
+        {**product, "scenario": ITOKAWA, "estimator": name} for name, product in zip(owners, PRODUCTS, strict=True)
+    ]
+    return builder.write(**{"estimators": ["prior", *owners], "products": products, "report": None} | manifest)
+
+
+def test_costs_by_hand(builder):
+    corners, maplets = costs(read_run(fill(builder)))
+    assert (corners.estimator, corners.n_ok, corners.n, corners.landmarks, corners.size_bytes) == (
+        "corners", 3, 4, 400, 50_000,
+    )  # fmt: skip
+    assert corners.position_m.value == 20.0
+    # Trials 0 to 2 have an estimate and take 30, 40 and 50 ms; the image is not the estimator's.
+    assert corners.seconds.value == pytest.approx(0.04)
+    interval = binomtest(2, 4).proportion_ci(method="wilson")
+    assert (corners.failed.value, corners.failed.low) == (0.5, pytest.approx(interval.low))
+    assert (maplets.failed.value, maplets.size_bytes) == (0.0, 160_000)
+
+
+def test_the_table_holds_accuracy_and_cost(builder):
+    grid = trade_grid(read_run(fill(builder)))
+    lines = [dict(zip(grid.columns, row, strict=True)) for row in grid.rows]
+    assert [line["estimator"] for line in lines] == ["corners", "maplets"]
+    assert (lines[0]["ok"], lines[0]["time an image ms"]) == ("3/4", "40.0")
+    assert [line["data base kB"] for line in lines] == ["50.0", "160"]
+    assert [line["bytes a landmark"] for line in lines] == ["125", "800"]
+    assert lines[1]["failures % [95 %]"].startswith("0 [0")
+
+
+def test_the_size_is_a_number_of_the_report(builder):
+    content = read_content(fill(builder))
+    size = find(content.records, scenario=ITOKAWA, estimator="maplets", measure="database_bytes")
+    assert (size.value, size.unit, size.statistic) == (160_000, "bytes", "count")
+    files = write_report(content.run.folder)
+    assert (files.folder / "trade_off_itokawa.png").stat().st_size > 10_000
+    assert "Accuracy and its cost" in files.markdown.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("products", [[], [{**PRODUCTS[0], "scenario": "elsewhere", "estimator": "corners"}]])
+def test_nothing_is_traded_where_no_data_base_is_known(builder, products):
+    content = read_content(fill(builder, products=products))
+    assert trade_grid(content.run) is None
+    files = write_report(content.run.folder)
+    assert not list(files.folder.glob("trade_off*"))
+
+
+def test_an_estimator_that_never_answers_has_no_accuracy(builder):
+    builder.trial(0, PRIOR, None, estimator="corners", reason="black")
+    builder.trial(0, PRIOR, ((4.0, 0, 0), 0.1), estimator="maplets")
+    owned = [{**PRODUCTS[0], "scenario": ITOKAWA, "estimator": "corners"}]
+    run = read_run(builder.write(estimators=["corners", "maplets"], products=owned))
+    rows = trade_grid(run).rows
+    assert rows[0][2:5] == ("0/1", "-", "-")
+    assert rows[1][-3:] == ("-", "-", "-")
+
+
+def test_marks_lie_at_their_costs():
+    errors = {"position_error_m": Measured(4.0, 3.0, 5.0), "attitude_error_deg": Measured(0.1, 0.08, 0.12)}
+    marks = {"maplets": TradeMark(errors, 0.5, 160_000), "shape": TradeMark(errors, 2.0, None)}
+    figure = draw_trade_off(marks, {"position_error_m": 45.0, "attitude_error_deg": 1.0}, "T", ["Credit"])
+    assert render(figure, "png")[:4] == b"\x89PNG"
+    time, size = figure.axes[:2]
+    assert [tuple(np.ravel(c.lines[0].get_xydata())) for c in time.containers] == [(500.0, 4.0), (2000.0, 4.0)]
+    assert [tuple(np.ravel(c.lines[0].get_xydata())) for c in size.containers] == [(160.0, 4.0)]
+    assert [list(line.get_ydata()) for line in time.lines if line.get_label() == "prior"] == [[45.0, 45.0]]
