@@ -21,6 +21,7 @@ _OWN: Mapping[str, str] = MappingProxyType(
         "landmark-orb": "estimators.descriptors.recognizer:OrbNavigator",
         "landmark-sift": "estimators.descriptors.recognizer:SiftNavigator",
         "landmark-ransac": "estimators.landmark.robust.estimator:ConsensusRecognizer",
+        "whole-image": "estimators.dense.whole_image:WholeImageRecognizer",
         "photometric": "estimators.dense.photometric:PhotometricEstimator",
         "lmaps": "estimators.maplets.recognizer:MapletNavigator",
         "prior": "estimators.prior:PriorEstimator",

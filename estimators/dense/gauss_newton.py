@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimators.dense.options import LevelOptions, PhotometricOptions
+from estimators.dense.options import LevelOptions, RegistrationOptions
 from estimators.dense.pyramid import band, reduced_camera, reduced_image
 from estimators.landmark.centroid import MeshView
 from scenarios.geometry import Pose
@@ -61,7 +61,7 @@ class PriorTerm:
 
 def fit_level(
     observed: Image, start: Pose, view: MeshView, prior: PriorTerm, size_m: float, level: LevelOptions,
-    options: PhotometricOptions,
+    options: RegistrationOptions,
 ) -> Fit:  # fmt: skip
     """Fit the pose at one level of the pyramid.
 
@@ -135,7 +135,7 @@ def _compared(target: Image, rendered: Image) -> NDArray[np.bool_]:
 
 
 def _normal_equations(
-    target: Image, rendered: Image, jacobian: list[Image], compared: NDArray[np.bool_], options: PhotometricOptions
+    target: Image, rendered: Image, jacobian: list[Image], compared: NDArray[np.bool_], options: RegistrationOptions
 ) -> tuple[FloatArray, FloatArray, float]:
     """Information (6, 6) and gradient (6,) of the pose with the gain eliminated, and the images' correlation."""
     o, i = target[compared].astype(np.float64), rendered[compared].astype(np.float64)

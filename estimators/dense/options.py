@@ -1,4 +1,4 @@
-"""Options of photometric alignment."""
+"""Options of registration, and of photometric alignment that is nothing else."""
 
 from __future__ import annotations
 
@@ -22,14 +22,9 @@ class LevelOptions(SpecModel):
     iterations: int = Field(6, ge=1, le=200, description="Steps at most")
 
 
-class PhotometricOptions(SpecModel):
-    """Options of ``photometric``."""
+class RegistrationOptions(SpecModel):
+    """From the prior to the pose at which the rendering of a shape is the image."""
 
-    shape: Literal["onboard", "landmark-mesh"] = Field(
-        "onboard", description="The full shape that the spacecraft carries, or the mesh of its landmark data base"
-    )
-    database: DatabaseOptions = DatabaseOptions()
-    samples_per_pixel: Literal[1, 4, 9, 16] = Field(4, description="Samples of the renderings: a regular grid")
     alignment_loop: AlignmentOptions = AlignmentOptions()
     levels: tuple[LevelOptions, ...] = Field(
         (
@@ -48,3 +43,13 @@ class PhotometricOptions(SpecModel):
     )
     tolerance_px: float = Field(0.01, gt=0, description="A level ends when a step moves the body by less than this")
     correlation_min: float = Field(0.5, ge=-1, le=1, description="A worse final correlation is a failure")
+
+
+class PhotometricOptions(RegistrationOptions):
+    """Options of ``photometric``."""
+
+    shape: Literal["onboard", "landmark-mesh"] = Field(
+        "onboard", description="The full shape that the spacecraft carries, or the mesh of its landmark data base"
+    )
+    database: DatabaseOptions = DatabaseOptions()
+    samples_per_pixel: Literal[1, 4, 9, 16] = Field(4, description="Samples of the renderings: a regular grid")

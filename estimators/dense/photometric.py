@@ -6,23 +6,19 @@ from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimators.contract import Assets, Estimate, ImageRenderer, Stage
-from estimators.dense.gauss_newton import Fit, PriorTerm, fit_level, inverse
+from estimators.dense.gauss_newton import inverse
 from estimators.dense.options import PhotometricOptions
-from estimators.landmark.alignment import correlation_pair
-from estimators.landmark.centroid import MeshView, align_translation
-from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.recognizer import PRODUCT
+from estimators.dense.registration import Registration, register
+from estimators.landmark.centroid import MeshView
+from estimators.landmark.recognizer import borrow_database
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose, TriangleMesh
+from scenarios.geometry import Camera, TriangleMesh
 from scenarios.observation import Frame, Observation
-
-FloatArray = NDArray[np.float64]
 
 
 class PhotometricEstimator:
@@ -53,27 +49,28 @@ class PhotometricEstimator:
         if not observation.frames:
             return Estimate("failed", "the observation holds no image")
         clock = Stopwatch()
-        fits: list[Fit] = []
-        stages: list[Stage] = []
+        found: list[Registration] = []
         for frame in observation.frames:
-            stages = []
-            fit = self._fit(frame, observation.camera, clock, stages)
-            if isinstance(fit, str):
-                return Estimate("failed", fit, stages=tuple(stages), timings_s=clock.seconds)
-            fits.append(fit)
+            result = self._register(frame, observation.camera, clock)
+            if isinstance(result, str):
+                return Estimate("failed", result, timings_s=clock.seconds)
+            if result.failure:
+                return Estimate("failed", result.failure, stages=self._stages(result), timings_s=clock.seconds)
+            found.append(result)
+        fits = [result.fits[-1] for result in found]
         bounds = tuple(inverse(fit.information) for fit in fits)
         return Estimate(
             "ok",
             poses=tuple(fit.T_cam_body for fit in fits),
             covariances=bounds,
             bounds=bounds,
-            stages=tuple(stages),
-            diagnostics={"correlation": fits[-1].correlation, "steps": fits[-1].steps},
+            stages=self._stages(found[-1]),
+            diagnostics={"correlation": fits[-1].correlation, "steps": sum(fit.steps for fit in found[-1].fits)},
             timings_s=clock.seconds,
         )
 
-    def _fit(self, frame: Frame, camera: Camera, clock: Stopwatch, stages: list[Stage]) -> Fit | str:
-        """Fit one frame, or say why not; the poses on the way are added to ``stages``."""
+    def _register(self, frame: Frame, camera: Camera, clock: Stopwatch) -> Registration | str:
+        """Register one frame, or say why there is nothing to register."""
         if frame.image.shape != (camera.height_px, camera.width_px):
             expected = (camera.height_px, camera.width_px)
             raise BoresightError(f"the image has shape {frame.image.shape}, but the camera's is {expected}")
@@ -83,35 +80,15 @@ class PhotometricEstimator:
         if observed.empty:
             return "the image is black: nothing above its background"
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
-        start = frame.prior_T_cam_body
-        alignment = align_translation(
-            observed.image, start, view, correlation_pair, self._options.alignment_loop, clock
-        )
-        if alignment.failure:
-            return alignment.failure
-        stages.append(Stage("alignment", alignment.T_cam_body))
-        prior = PriorTerm(start, inverse(frame.prior_covariance))
-        with clock("photometric"):
-            fit = self._levels(observed.image, alignment.T_cam_body, view, prior, stages)
-        if not fit.correlation >= self._options.correlation_min:
-            return f"the rendering does not look like the image: correlation {fit.correlation:.2f}"
-        return fit
+        return register(observed.image, frame, view, self._size_m, self._options, clock)
 
-    def _levels(
-        self, observed: NDArray[np.float32], start: Pose, view: MeshView, prior: PriorTerm, stages: list[Stage]
-    ) -> Fit:
-        pose, steps, fit = start, 0, None
-        for level in self._options.levels:
-            fit = fit_level(observed, pose, view, prior, self._size_m, level, self._options)
-            pose, steps = fit.T_cam_body, steps + fit.steps
-            stages.append(Stage(f"level-{level.reduction}", pose))
-        if fit is None:
-            raise BoresightError("photometric: levels: there is none")
-        return Fit(fit.T_cam_body, fit.information, fit.correlation, steps)
+    def _stages(self, result: Registration) -> tuple[Stage, ...]:
+        if result.shift.failure:
+            return ()
+        levels = zip(self._options.levels, result.fits, strict=True)
+        fitted = (Stage(f"level-{level.reduction}", fit.T_cam_body) for level, fit in levels)
+        return (Stage("alignment", result.shift.T_cam_body), *fitted)
 
 
 def _landmark_mesh(options: PhotometricOptions, assets: Assets) -> TriangleMesh:
-    database = assets.product(PRODUCT, options.database.model_dump(mode="json"))
-    if not isinstance(database, LandmarkDatabase):
-        raise BoresightError(f"{PhotometricEstimator.name}: the product {PRODUCT!r} is a {type(database).__name__}")
-    return database.mesh()
+    return borrow_database(options.database, assets, PhotometricEstimator.name).mesh()

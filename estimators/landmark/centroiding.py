@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 from estimators.contract import Assets, Estimate, ImageRenderer, Stage
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.centroid import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
-from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.recognizer import PRODUCT
+from estimators.landmark.recognizer import borrow_database
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
-from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose
 from scenarios.observation import Frame, Observation
 from scenarios.spec.base import SpecModel
@@ -43,9 +41,7 @@ class CentroidAligner:
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its landmark data base."""
         parsed = parse_options(CentroidOptions, options, cls.name)
-        database = assets.product(PRODUCT, parsed.database.model_dump(mode="json"))
-        if not isinstance(database, LandmarkDatabase):
-            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
+        database = borrow_database(parsed.database, assets, cls.name)
         return cls(assets.mesh_renderer(database.mesh()), parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
@@ -33,13 +33,27 @@ PRODUCT = "landmark-database"
 MEASURES = {"centroid": centroid_pair, "image": correlation_pair}
 
 
-class LandmarkOptions(SpecModel):
-    """Options of the recogniser."""
+@dataclass(frozen=True, slots=True)
+class MeshAligner:
+    """What brings the mesh into place before landmarks are looked for.
+
+    Parameters
+    ----------
+    stage
+        Name of the pose that it leads to.
+    align
+        (observed signal, its frame, how the mesh is seen, clock) -> that pose.
+    """
+
+    stage: str
+    align: Callable[[NDArray[np.float32], Frame, MeshView, Stopwatch], Alignment]
+
+
+class RecognitionOptions(SpecModel):
+    """Options of recognition, whatever brings the mesh into place before it."""
 
     database: DatabaseOptions = DatabaseOptions()
     corners: CornerOptions | None = None
-    alignment: Literal["centroid", "image", "none"] = "centroid"
-    alignment_loop: AlignmentOptions = AlignmentOptions()
     pose: PoseOptions = PoseOptions()
     consistency_max_px: float | None = Field(
         None, gt=0, description="A solution whose mesh, rendered, has its brightness centroid farther off fails"
@@ -49,6 +63,13 @@ class LandmarkOptions(SpecModel):
     def image_corners(self) -> CornerOptions:
         """How corners are found in an observed image: as for the data base, unless said otherwise."""
         return self.corners or self.database.corners
+
+
+class LandmarkOptions(RecognitionOptions):
+    """Options of the paper's recogniser."""
+
+    alignment: Literal["centroid", "image", "none"] = "centroid"
+    alignment_loop: AlignmentOptions = AlignmentOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,17 +103,42 @@ class Recognition:
     centroid_residual_px: float | None = None
 
 
+def shifting(options: LandmarkOptions) -> MeshAligner:
+    """Shift the mesh across the line of sight until its centroid, or its whole image, lies on the observed one."""
+
+    def align(observed: NDArray[np.float32], frame: Frame, view: MeshView, clock: Stopwatch) -> Alignment:
+        prior = frame.prior_T_cam_body
+        if options.alignment == "none":
+            return Alignment(prior, ())
+        return align_translation(observed, prior, view, MEASURES[options.alignment], options.alignment_loop, clock)
+
+    return MeshAligner("centroid" if options.alignment == "centroid" else "alignment", align)
+
+
 def recognise(
-    frame: Frame, camera: Camera, database: LandmarkDatabase, renderer: ImageRenderer, options: LandmarkOptions
+    frame: Frame, view: MeshView, database: LandmarkDatabase, options: RecognitionOptions, aligner: MeshAligner
 ) -> Recognition:
     """Run all stages on one image.
+
+    Parameters
+    ----------
+    frame
+        The image with its prior.
+    view
+        How the mesh of the landmarks is seen in it.
+    database
+        The landmarks.
+    options
+        Of corners, matching and pose.
+    aligner
+        Finds the pose that landmarks are first predicted from.
 
     Raises
     ------
     BoresightError
         If the image is not of the camera's size.
     """
-    prior, clock = frame.prior_T_cam_body, Stopwatch()
+    prior, camera, clock = frame.prior_T_cam_body, view.camera, Stopwatch()
     nothing = Alignment(prior, ())
     expected = (camera.height_px, camera.width_px)
     if frame.image.shape != expected:
@@ -105,10 +151,7 @@ def recognise(
         return Recognition(
             prior, nothing, None, None, clock.seconds, "the image is black: nothing above its background"
         )
-    alignment, view = nothing, MeshView(camera, renderer, frame.sun_dir_cam)
-    if options.alignment != "none":
-        measure = MEASURES[options.alignment]
-        alignment = align_translation(observed.image, prior, view, measure, options.alignment_loop, clock)
+    alignment = aligner.align(observed.image, frame, view, clock)
     if alignment.failure:
         return Recognition(prior, alignment, None, None, clock.seconds, alignment.failure)
     with clock("feature_extraction"):
@@ -123,16 +166,33 @@ def recognise(
     return Recognition(prior, alignment, corners, solution, clock.seconds, failure, residual_px)
 
 
+def borrow_database(options: DatabaseOptions, assets: Assets, borrower: str) -> LandmarkDatabase:
+    """Borrow the landmark data base of some options.
+
+    Raises
+    ------
+    BoresightError
+        If what is lent is none.
+    """
+    database = assets.product(PRODUCT, options.model_dump(mode="json"))
+    if not isinstance(database, LandmarkDatabase):
+        raise BoresightError(f"{borrower}: the product {PRODUCT!r} is a {type(database).__name__}")
+    return database
+
+
 class LandmarkRecognizer:
     """Rowell et al. (2015): known landmarks by proximity of Harris corners; each frame on its own."""
 
     name: ClassVar[str] = "landmark-harris"
     version: ClassVar[int] = 2
 
-    def __init__(self, database: LandmarkDatabase, renderer: ImageRenderer, options: LandmarkOptions) -> None:
+    def __init__(
+        self, database: LandmarkDatabase, renderer: ImageRenderer, options: RecognitionOptions, aligner: MeshAligner
+    ) -> None:
         self._database = database
         self._renderer = renderer
         self._options = options
+        self._aligner = aligner
 
     @property
     def database(self) -> LandmarkDatabase:
@@ -143,14 +203,13 @@ class LandmarkRecognizer:
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its landmark data base."""
         parsed = parse_options(LandmarkOptions, options, cls.name)
-        database = assets.product(PRODUCT, parsed.database.model_dump(mode="json"))
-        if not isinstance(database, LandmarkDatabase):
-            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
-        return cls(database, assets.mesh_renderer(database.mesh()), parsed)
+        database = borrow_database(parsed.database, assets, cls.name)
+        return cls(database, assets.mesh_renderer(database.mesh()), parsed, shifting(parsed))
 
     def recognise(self, frame: Frame, camera: Camera) -> Recognition:
         """Run on one frame and keep all intermediate results."""
-        return recognise(frame, camera, self._database, self._renderer, self._options)
+        view = MeshView(camera, self._renderer, frame.sun_dir_cam)
+        return recognise(frame, view, self._database, self._options, self._aligner)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate the pose of each frame on its own; the first frame that fails fails the whole.
@@ -184,8 +243,7 @@ class LandmarkRecognizer:
 
     def _stages(self, result: Recognition) -> tuple[Stage, ...]:
         """Name the poses on the way; the first stage by what it brought together, centroids or whole images."""
-        aligned = "centroid" if self._options.alignment == "centroid" else "alignment"
-        stages = [Stage(aligned, result.alignment.T_cam_body)] if result.alignment.steps else []
+        stages = [Stage(self._aligner.stage, result.alignment.T_cam_body)] if result.alignment.steps else []
         if result.solution is not None and result.solution.fit is not None:
             stages.append(Stage("recognition", result.solution.fit.T_cam_body))
         return tuple(stages)

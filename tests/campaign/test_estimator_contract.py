@@ -27,6 +27,7 @@ QUICK = {
     "landmark-harris": {"database": DATABASE},
     "centroid": {"database": DATABASE},
     "landmark-ransac": {"database": DATABASE},
+    "whole-image": {"database": DATABASE},
     "photometric": {"samples_per_pixel": 1, "levels": [{"reduction": 4, "iterations": 3}]},
     "landmark-altimeter": {"options": {"database": DATABASE}},
 }

@@ -9,6 +9,9 @@ from estimators.dense.gauss_newton import PriorTerm, inverse
 from estimators.dense.options import LevelOptions, PhotometricOptions
 from estimators.dense.photometric import PhotometricEstimator
 from estimators.dense.pyramid import band, reduced_camera, reduced_image
+from estimators.dense.whole_image import registering
+from estimators.landmark.centroid import MeshView
+from estimators.landmark.stopwatch import Stopwatch
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.bodies.embedded import EMBEDDED
 from scenarios.geometry import Camera, Pose, View, look_at
@@ -57,6 +60,18 @@ def test_the_true_shape_gives_the_true_pose(renderer, image, seed):
     assert shift_m < 2.5
     assert turn_deg < 0.15
     assert found.diagnostics["correlation"] > 0.99
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_mesh_is_brought_into_place_for_recognition(renderer, image, seed):
+    """Shift and turn, and the point that the shift begins with for drawing."""
+    start = frame(image, seed)
+    clock = Stopwatch()
+    found = registering(OPTIONS, 200.0).align(image, start, MeshView(CAMERA, renderer, SUN_CAM), clock)
+    assert not found.failure
+    assert found.steps[0].T_cam_body is start.prior_T_cam_body
+    assert errors(found.T_cam_body)[1] < min(0.15, 0.5 * errors(start.prior_T_cam_body)[1])
+    assert clock.seconds["registration"] > 0.0
 
 
 def test_the_unit_of_the_image_has_no_part(renderer, image):

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from estimators.contract import Estimate
+from estimators.dense.whole_image import WholeImageRecognizer
 from estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
 from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.recognizer import PRODUCT, LandmarkOptions, LandmarkRecognizer
+from estimators.landmark.recognizer import PRODUCT, LandmarkOptions, LandmarkRecognizer, shifting
 from estimators.registry import estimator_class, estimator_names
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.bodies import load_body
@@ -64,8 +65,8 @@ class World:
         self.asked.append((kind, options))
         return self.database
 
-    def mesh_renderer(self, mesh):
-        return MitsubaRenderer(mesh, self.brdf, 1)
+    def mesh_renderer(self, mesh, samples_per_pixel=1):
+        return MitsubaRenderer(mesh, self.brdf, samples_per_pixel)
 
     def frame(self, trial, noise_dn=0.0):
         rng = np.random.default_rng(trial)
@@ -124,6 +125,22 @@ def test_recognition_improves_on_the_prior(world, noise_dn):
     assert np.median(after, axis=0)[0] < 0.95 * attitude
     # Two pixels of this camera are 4.5 m on the body.
     assert np.nanmedian(np.concatenate(landmark_errors)) < 4.5
+
+
+def test_the_whole_image_turns_the_mesh_before_landmarks_are_looked_for(world):
+    """The centroid leaves the prior's attitude as it is; the image tells it."""
+    by_centroid, by_image = recogniser(world), WholeImageRecognizer.from_options({"database": DATABASE}, world)
+    starts, gains = [], []
+    for trial in range(TRIALS):
+        view, frame = world.frame(trial)
+        results = [estimate(estimator, frame) for estimator in (by_centroid, by_image)]
+        assert [result.status for result in results] == ["ok", "ok"]
+        assert [stage.name for stage in results[1].stages] == ["registration", "recognition"]
+        starts.append([errors(view, result.stages[0].T_cam_body)[0] for result in results])
+        gains.append(errors(view, results[1].poses[0])[1] / errors(view, frame.prior_T_cam_body)[1])
+    before, after = np.sqrt(np.mean(np.square(starts), axis=0))
+    assert after < 0.95 * before
+    assert np.median(gains) < 0.9
 
 
 def test_an_estimate_holds_what_the_contract_says(world):
@@ -320,8 +337,8 @@ def test_a_saved_data_base_recognises_the_same(world, tmp_path):
     again = LandmarkDatabase.load(tmp_path)
     _, frame = world.frame(1)
     options = LandmarkOptions(database=DATABASE)
-    first = LandmarkRecognizer(world.database, world.mesh_renderer(world.database.mesh()), options)
-    second = LandmarkRecognizer(again, world.mesh_renderer(again.mesh()), options)
+    first = LandmarkRecognizer(world.database, world.mesh_renderer(world.database.mesh()), options, shifting(options))
+    second = LandmarkRecognizer(again, world.mesh_renderer(again.mesh()), options, shifting(options))
     assert same(estimate(first, frame), estimate(second, frame))
 
 

@@ -16,7 +16,7 @@ from estimators.landmark.consistency import centroid_residual_px, inconsistency
 from estimators.landmark.corners import detect_corners
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.matched import MatchedFrame, matched_table
-from estimators.landmark.recognizer import MEASURES, PRODUCT
+from estimators.landmark.recognizer import MEASURES, borrow_database
 from estimators.landmark.robust.mixture import Mixture, PosePrior, Poses, Step
 from estimators.landmark.robust.options import ConsensusOptions
 from estimators.landmark.robust.search import best_hypotheses, refined
@@ -67,9 +67,7 @@ class ConsensusRecognizer:
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its landmark data base."""
         parsed = parse_options(ConsensusOptions, options, cls.name)
-        database = assets.product(PRODUCT, parsed.database.model_dump(mode="json"))
-        if not isinstance(database, LandmarkDatabase):
-            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
+        database = borrow_database(parsed.database, assets, cls.name)
         return cls(database, assets.mesh_renderer(database.mesh()), parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:

@@ -1,0 +1,86 @@
+"""Registration of a rendered shape with an image: shift, then all six parameters from coarse to fine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.dense.gauss_newton import Fit, PriorTerm, fit_level, inverse
+from estimators.dense.options import RegistrationOptions
+from estimators.landmark.alignment import correlation_pair
+from estimators.landmark.centroid import Alignment, MeshView, align_translation
+from estimators.landmark.stopwatch import Stopwatch
+from scenarios.geometry import Pose
+from scenarios.observation import Frame
+
+STAGE = "registration"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """How a pose came about.
+
+    Parameters
+    ----------
+    shift
+        The first shift across the line of sight.
+    fits
+        Of each level, from coarse to fine.
+    failure
+        Why the pose is none; empty where it is one.
+    """
+
+    shift: Alignment
+    fits: tuple[Fit, ...] = ()
+    failure: str = ""
+
+    @property
+    def T_cam_body(self) -> Pose:
+        """The last pose."""
+        return self.fits[-1].T_cam_body if self.fits else self.shift.T_cam_body
+
+
+def register(
+    observed: NDArray[np.float32],
+    frame: Frame,
+    view: MeshView,
+    size_m: float,
+    options: RegistrationOptions,
+    clock: Stopwatch,
+) -> Registration:
+    """Find the pose at which the rendering of a shape is the image, maximum a posteriori.
+
+    Parameters
+    ----------
+    observed
+        (H, W) signal of the image, background 0, not black.
+    frame
+        Its prior: where to start, and how much that is worth.
+    view
+        How the shape is seen.
+    size_m
+        Radius of the shape: how far a turn moves its surface.
+    options
+        Levels and thresholds.
+    clock
+        Gets the times ``mesh_rendering`` and ``centroid`` of the shift, and ``registration``.
+    """
+    start = frame.prior_T_cam_body
+    shift = align_translation(observed, start, view, correlation_pair, options.alignment_loop, clock)
+    if shift.failure:
+        return Registration(shift, failure=shift.failure)
+    prior = PriorTerm(start, inverse(frame.prior_covariance))
+    fits: list[Fit] = []
+    for level in options.levels:
+        with clock(STAGE):
+            begin = fits[-1].T_cam_body if fits else shift.T_cam_body
+            fits.append(fit_level(observed, begin, view, prior, size_m, level, options))
+    return Registration(shift, tuple(fits), _verdict(fits[-1].correlation, options.correlation_min))
+
+
+def _verdict(correlation: float, least: float) -> str:
+    if correlation >= least:
+        return ""
+    return f"the rendering does not look like the image: correlation {correlation:.2f}"
