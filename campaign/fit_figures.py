@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,28 +21,70 @@ from estimators.landmark.visibility import visible_landmarks
 from reports.content import NamedFigure
 from reports.figures import Fit, Overlay, draw_fit_panels
 from scenarios.geometry import Camera, Pose, TriangleMesh
+from scenarios.spec.scenario import ScenarioSpec
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SecondLook:
+    """One trial of a stored run, recognised again from its seed with everything that came about in between.
+
+    Parameters
+    ----------
+    image
+        (H, W) what the estimator saw.
+    image_name
+        File name of a real image, or ''.
+    camera
+        The camera that it calculates with.
+    database
+        The landmarks that it looks for.
+    found
+        Its intermediate results.
+    """
+
+    image: NDArray[np.float32]
+    image_name: str
+    camera: Camera
+    database: LandmarkDatabase
+    found: Recognition
+
+
+def second_look(experiment: SingleImage, label: str, trial: int) -> SecondLook | None:
+    """Recognise the landmarks of one trial again; None where the estimator is no landmark recogniser."""
+    estimator = experiment.estimators[label]
+    if not isinstance(estimator, LandmarkRecognizer):
+        return None
+    sight = experiment.world.source.sight(experiment.seed, trial)
+    observation = experiment.observe(sight, trial)
+    frame = observation.frames[0]
+    found = estimator.recognise(frame, observation.camera)
+    return SecondLook(frame.image, sight.image_name, observation.camera, estimator.database, found)
+
+
+def single_image(campaign: ResolvedCampaign, scenario: str, run: Path) -> SingleImage | None:
+    """Open a scenario of a stored run; None where its trials are of another kind."""
+    experiment = experiment_of(campaign, scenario, Bench(run, 1, keep_images=False))
+    return experiment if isinstance(experiment, SingleImage) else None
 
 
 def fit_figures(campaign: ResolvedCampaign, run: Path, rows: pd.DataFrame) -> Iterator[NamedFigure]:
     """Draw a typical trial of every scenario and landmark recogniser: the one of median position error."""
     for scenario in campaign.scenarios:
-        experiment = experiment_of(campaign, scenario.spec.name, Bench(run, 1, keep_images=False))
-        if not isinstance(experiment, SingleImage):
-            continue
-        for label, estimator in experiment.estimators.items():
+        experiment = single_image(campaign, scenario.spec.name, run)
+        for label in experiment.estimators if experiment else ():
             mine = rows[(rows["scenario"] == scenario.spec.name) & (rows["estimator"] == label)]
             trial = median_trial(mine)
-            if trial is None or not isinstance(estimator, LandmarkRecognizer):
+            look = second_look(experiment, label, trial) if experiment and trial is not None else None
+            fit = fit_of(look) if look else None
+            if look is None or fit is None or trial is None:
                 continue
-            sight = experiment.world.source.sight(campaign.seed, trial)
-            observation = experiment.observe(sight, trial)
-            frame, camera = observation.frames[0], observation.camera
-            found = estimator.recognise(frame, camera)
-            fit = _fit(frame.image, found, estimator.database, camera)
-            if fit is None:
-                continue
-            credit = [scenario.spec.images.credit] if scenario.spec.images and scenario.spec.images.credit else []
-            yield _named(fit, f"{scenario.spec.name}, {label}, trial {trial} {sight.image_name}".strip(), trial, credit)
+            what = f"{scenario.spec.name}, {label}, trial {trial} {look.image_name}".strip()
+            yield _named(fit, what, trial, credit_lines(scenario.spec))
+
+
+def credit_lines(spec: ScenarioSpec) -> list[str]:
+    """List the credits that figures with a scenario's images must carry."""
+    return [spec.images.credit] if spec.images and spec.images.credit else []
 
 
 def median_trial(rows: pd.DataFrame) -> int | None:
@@ -61,20 +104,33 @@ def _named(fit: Fit, what: str, trial: int, credit: list[str]) -> NamedFigure:
     return NamedFigure(stem, draw_fit_panels(fit, what, credit), caption, alt)
 
 
-def _fit(image: NDArray[np.float32], found: Recognition, database: LandmarkDatabase, camera: Camera) -> Fit | None:
+def fit_of(look: SecondLook) -> Fit | None:
+    """Collect what the figure of a fit shows; None where the recognition failed before its end."""
+    found = look.found
     if not found.alignment.steps or found.corners is None or found.solution is None or found.solution.fit is None:
         return None
-    first = found.alignment.steps[0]
     matched = np.zeros(len(found.corners), dtype=np.bool_)
     matched[found.solution.rounds[-1].matches.corner] = True
+    return _fit(look, found.solution.fit.T_cam_body, found.corners.uv_px, matched)
+
+
+def alignment_of(look: SecondLook) -> Fit | None:
+    """Collect what the figure of an alignment shows; None where there was none."""
+    if not look.found.alignment.steps:
+        return None
+    return _fit(look, look.found.alignment.T_cam_body, np.empty((0, 2)), np.empty(0, dtype=np.bool_))
+
+
+def _fit(look: SecondLook, after: Pose, corners_px: NDArray[np.float64], matched: NDArray[np.bool_]) -> Fit:
+    first = look.found.alignment.steps[0]
     return Fit(
-        image=image,
+        image=look.image,
         mesh_image=first.rendered,
-        before=overlay(database, camera, found.prior),
-        after=overlay(database, camera, found.solution.fit.T_cam_body),
+        before=overlay(look.database, look.camera, look.found.prior),
+        after=overlay(look.database, look.camera, after),
         observed_centroid_px=first.observed_px,
         rendered_centroid_px=first.rendered_px,
-        corners_px=found.corners.uv_px,
+        corners_px=corners_px,
         matched=matched,
     )
 

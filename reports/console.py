@@ -26,10 +26,10 @@ def console_table(run: Path | Content) -> Group:
     several = len({r.estimator for r in content.records if r.estimator and r.stage != CONTROL}) > 1
     columns = (*(["estimator"] if several else []), "stage", "ok", "position m", "x", "y", "z", "attitude deg")
     grids = [*(grid.keep(*columns) for grid in pose_grids(content.records)), verdict_grid(content.compared)]
-    return Group(*(_rich(grid) for grid in grids if grid is not None))
+    return Group(*(rich_table(grid) for grid in grids if grid is not None))
 
 
-def _rich(grid: Grid) -> Table:
+def rich_table(grid: Grid) -> Table:
     """Lay a grid out: numbers keep to one line, texts may wrap."""
     table = Table(title=grid.title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
     table.show_edge, table.padding = False, 0

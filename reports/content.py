@@ -33,6 +33,7 @@ from reports.measures import CONTROL, Record, errors_by_stage, final_stage, meas
 from reports.paired import paired_records
 from reports.published import Comparison, load_published
 from reports.run_data import RunData, read_run, select
+from reports.sensitivity import sensitivity_grid
 from reports.statistics import LARGE, MEDIAN, FloatArray
 from reports.tables import (
     Grid,
@@ -96,12 +97,18 @@ class Content:
             detail_grid(self.records),
             diagnostic_grid(self.records),
             paired_grid(self.records),
+            sensitivity_grid(self.records, self.labels()),
             outlier_grid(self.records),
             timing_grid(self.records),
             failure_grid(self.run),
         )
         found = [*pose_grids(self.records), *(grid for grid in optional if grid is not None)]
         return [*design_grids(self.run), *found]
+
+    def labels(self) -> list[str]:
+        """List the labels of the estimators in the order of the campaign."""
+        named = [entry if isinstance(entry, str) else "" for entry in self.run.manifest.estimators]
+        return [label for label in named if label]
 
     def table(self) -> pd.DataFrame:
         """Every measured number, beside the published one where there is one."""
@@ -182,8 +189,8 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
         return
     for scenario in dict.fromkeys(scenario for scenario, _ in run.posed_pairs()):
         for _, estimator in (pair for pair in run.posed_pairs() if pair[0] == scenario and pair[1] != CONTROL):
-            yield _pose_figure(content, scenario, estimator)
-            yield from _landmark_figures(content, scenario, estimator)
+            yield pose_figure(content, scenario, estimator)
+            yield from landmark_figures(content, scenario, estimator)
             yield from _outlier_figures(content, scenario, estimator)
         yield from _method_figures(content, scenario)
         yield from _trade_figures(content, scenario)
@@ -191,7 +198,7 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
     yield from _centroid_figures(content)
 
 
-def _published_medians(content: Content, scenario: str, estimator: str) -> dict[tuple[str, str], float]:
+def published_medians(content: Content, scenario: str, estimator: str) -> dict[tuple[str, str], float]:
     """Medians of the paper by (stage, measure), for the figures of one scenario and estimator."""
     return {
         (c.published.stage, c.published.measure): c.published.value
@@ -201,10 +208,11 @@ def _published_medians(content: Content, scenario: str, estimator: str) -> dict[
     }
 
 
-def _pose_figure(content: Content, scenario: str, estimator: str) -> NamedFigure:
+def pose_figure(content: Content, scenario: str, estimator: str) -> NamedFigure:
+    """Draw the errors of an estimator after each of its stages."""
     run = content.run
     errors = {stage_label(name): table for name, table in errors_by_stage(run, scenario, estimator).items()}
-    medians = _published_medians(content, scenario, estimator)
+    medians = published_medians(content, scenario, estimator)
     published = {(stage_label(stage), measure): value for (stage, measure), value in medians.items()}
     title = f"Pose error, {scenario}, {estimator}"
     triangles = " Open triangles on the axis: medians of the paper." if published else ""
@@ -217,7 +225,8 @@ def _pose_figure(content: Content, scenario: str, estimator: str) -> NamedFigure
     )
 
 
-def _landmark_figures(content: Content, scenario: str, estimator: str) -> Iterator[NamedFigure]:
+def landmark_figures(content: Content, scenario: str, estimator: str) -> Iterator[NamedFigure]:
+    """Draw the errors of recognised landmarks, and their number an image, where there are any."""
     run = content.run
     credit_lines = run.manifest.credits
     marks = select(run.landmarks, scenario, estimator)
@@ -235,7 +244,7 @@ def _landmark_figures(content: Content, scenario: str, estimator: str) -> Iterat
     counts = _finite(rows.loc[rows["status"] == "ok", "n_landmarks"])
     if len(set(counts)) > 1:
         title = f"Landmarks an image, {scenario}, {estimator}"
-        medians = _published_medians(content, scenario, estimator)
+        medians = published_medians(content, scenario, estimator)
         median = medians.get((final_stage(run, scenario, estimator), "n_landmarks"))
         yield NamedFigure(
             _stem("landmark_counts", scenario, estimator),

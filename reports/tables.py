@@ -254,13 +254,28 @@ def verdict_grid(compared: Sequence[ComparedValue]) -> Grid | None:
     return Grid("Beside the published values", heads, tuple(rows), frozenset({0, 3})) if rows else None
 
 
+def claim_medians(ours: Sequence[Record | None]) -> str:
+    """Print the medians in the order of a claim, with the relation that holds between neighbours; ``-`` for none."""
+    parts: list[str] = []
+    for before, record in zip((None, *ours), ours, strict=False):
+        parts += [_relation(before, record)] if parts else []
+        parts.append(f"{record.estimator} {value_of(record, interval=True)} {record.unit}" if record else NO_VALUE)
+    return " ".join(parts) or NO_VALUE
+
+
+def _relation(before: Record | None, after: Record | None) -> str:
+    if before is None or after is None or before.value is None or after.value is None:
+        return "?"
+    return "<" if before.value < after.value else ">" if before.value > after.value else "="
+
+
 def claim_grid(claims: Sequence[ComparedClaim]) -> Grid | None:
     """Tabulate orders that the paper states in words; None if it states none."""
     heads = ("the paper says", "ours: medians [95 %], in that order", "verdict", "place in the paper")
     rows = tuple(
         (
             item.claim.text,
-            " < ".join(f"{r.estimator} {value_of(r, interval=True)} {r.unit}" if r else NO_VALUE for r in item.ours),
+            claim_medians(item.ours),
             item.verdict,
             item.claim.place,
         )

@@ -1,21 +1,28 @@
 """The figures of a report, drawn from plain tables and arrays."""
 
 from reports.figures.centroid import draw_centroid_offsets
-from reports.figures.fit import Fit, Overlay, draw_fit_panels
-from reports.figures.landmarks import draw_landmark_counts, draw_landmark_errors
+from reports.figures.clusters import ClusterView, draw_clusters
+from reports.figures.fit import Fit, Overlay, draw_alignment_panels, draw_fit_panels
+from reports.figures.landmarks import draw_count_comparison, draw_landmark_counts, draw_landmark_errors
 from reports.figures.methods import draw_method_errors
 from reports.figures.pose import draw_cumulative_errors, draw_pose_errors
 from reports.figures.roc import MOST_CURVES, Curve, draw_roc
 from reports.figures.style import save_figure
 from reports.figures.tradeoff import TradeMark, draw_trade_off
+from reports.figures.triangulation import SurfaceView, draw_triangulation
 
 __all__ = [
     "MOST_CURVES",
+    "ClusterView",
     "Curve",
     "Fit",
     "Overlay",
+    "SurfaceView",
     "TradeMark",
+    "draw_alignment_panels",
     "draw_centroid_offsets",
+    "draw_clusters",
+    "draw_count_comparison",
     "draw_cumulative_errors",
     "draw_fit_panels",
     "draw_landmark_counts",
@@ -24,5 +31,6 @@ __all__ = [
     "draw_pose_errors",
     "draw_roc",
     "draw_trade_off",
+    "draw_triangulation",
     "save_figure",
 ]

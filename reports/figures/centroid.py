@@ -30,9 +30,7 @@ def draw_centroid_offsets(offsets: Mapping[str, FloatArray], title: str) -> Figu
     for axes, (name, sample) in zip(panels.ravel(), offsets.items(), strict=False):
         _draw_panel(axes, sample)
         sigma = np.sqrt(np.trace(np.atleast_2d(np.cov(sample.T))) / 2.0) if len(sample) > 1 else 0.0
-        beyond = int(np.count_nonzero(np.abs(sample).max(axis=1) > limit)) if len(sample) else 0
-        note = f", {beyond} beyond" if beyond else ""
-        axes.set_title(f"{name}\nn = {len(sample)}, sigma {sigma:.2g} px an axis{note}", fontsize=8.5)
+        axes.set_title(f"{name}\nn = {len(sample)}, $\\sigma$ = {sigma:.2g} px", fontsize=8.5)
         axes.set(xlim=(-limit, limit), ylim=(limit, -limit), aspect="equal", xlabel="$\\Delta u$, px")
     for axes in panels.ravel()[len(offsets) :]:
         axes.set_visible(False)
@@ -43,8 +41,8 @@ def draw_centroid_offsets(offsets: Mapping[str, FloatArray], title: str) -> Figu
 
 
 def _limit(offsets: Mapping[str, FloatArray]) -> float:
-    """Choose round axes that hold 99.5 % of every group."""
-    reach = [float(np.percentile(np.abs(sample).max(axis=1), 99.5)) for sample in offsets.values() if len(sample)]
+    """Choose round axes that hold every group whole."""
+    reach = [float(np.abs(sample).max()) for sample in offsets.values() if len(sample)]
     return max(1.0, float(np.ceil(max(reach, default=1.0))))
 
 

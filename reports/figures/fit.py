@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from reports.figures.style import ORANGE, SKY, VERMILION, FloatArray, new_figure, styled
+from reports.figures.style import ORANGE, SKY, VERMILION, FloatArray, hide_axes, new_figure, show_image, styled
 
 MATCH_SIGMAS = 6.0
 
@@ -77,29 +77,47 @@ def draw_fit_panels(fit: Fit, title: str, credit_lines: Sequence[str] = ()) -> F
     credit_lines
         Credits of a real image.
     """
-    (left, right), (top, bottom) = _window(fit)
-    height_in = 1.25 + 3.35 * min((bottom - top) / (right - left), 2.0)
-    figure, (first, second, third) = new_figure(3, width_in=10.5, height_in=height_in)
-    for axes, image in ((first, fit.image), (second, fit.mesh_image), (third, fit.image)):
-        _draw_image(axes, image)
+    figure, (first, _, third) = _panels(fit, "(c) converged fit")
     _draw_initial(first, fit)
     _draw_final(third, fit)
-    names = ("(a) initial fit", "(b) mesh rendered for the first iteration", "(c) converged fit")
-    for axes, name in zip((first, second, third), names, strict=True):
-        axes.set_title(name)
-        axes.set(xlim=(left, right), ylim=(bottom, top), xticks=[], yticks=[])
-        axes.spines[:].set_visible(False)
-    _add_legend(figure, fit.matched, credit_lines)
+    _add_legend(figure, [*_initial_marks(), *_corner_marks(fit.matched)], credit_lines)
     figure.suptitle(title, fontsize=10)
     return figure
 
 
-def _draw_image(axes: Axes, image: NDArray[np.floating]) -> None:
-    """Show an image so that the centre of its first pixel is at (0.5, 0.5), stretched to its 99.8th percentile."""
-    height, width = image.shape
-    top = float(np.percentile(image, 99.8)) or float(image.max()) or 1.0
-    axes.imshow(image, cmap="gray", vmin=0.0, vmax=top, extent=(0, width, height, 0), interpolation="nearest")
-    axes.grid(visible=False)
+@styled
+def draw_alignment_panels(fit: Fit, title: str, credit_lines: Sequence[str] = ()) -> Figure:
+    """Draw the initial fit, the rendered mesh and the fit after the alignment of the centroids (the paper's figure 3).
+
+    Parameters
+    ----------
+    fit
+        What to draw; ``after`` is the data base with the aligned pose, and its corners are not drawn.
+    title
+        Printed above the panels.
+    credit_lines
+        Credits of a real image.
+    """
+    figure, (first, _, third) = _panels(fit, "(c) fit after the alignment of the centroids")
+    _draw_initial(first, fit)
+    _draw_edges(third, fit.after)
+    _add_legend(figure, _initial_marks(), credit_lines)
+    figure.suptitle(title, fontsize=10)
+    return figure
+
+
+def _panels(fit: Fit, last: str) -> tuple[Figure, list[Axes]]:
+    """Show image, mesh and image again, cropped alike to the body."""
+    (left, right), (top, bottom) = _window(fit)
+    height_in = 1.25 + 3.35 * min((bottom - top) / (right - left), 2.0)
+    figure, panels = new_figure(3, width_in=10.5, height_in=height_in)
+    names = ("(a) initial fit", "(b) mesh rendered for the first iteration", last)
+    for axes, image, name in zip(panels, (fit.image, fit.mesh_image, fit.image), names, strict=True):
+        show_image(axes, image)
+        axes.set_title(name)
+        axes.set(xlim=(left, right), ylim=(bottom, top))
+        hide_axes(axes)
+    return figure, panels
 
 
 def _draw_initial(axes: Axes, fit: Fit) -> None:
@@ -144,18 +162,30 @@ def _dot(marker: str, face: str, edge: str, label: str) -> Line2D:
     return Line2D([], [], marker=marker, color="none", markerfacecolor=face, markeredgecolor=edge, label=label)
 
 
-def _add_legend(figure: Figure, matched: NDArray[np.bool_], credit_lines: Sequence[str]) -> None:
-    """Explain the marks and print the credits below the panels, where they hide nothing."""
-    handles = [
+def _line(colour: str, label: str) -> Line2D:
+    return Line2D([], [], color=colour, label=label)
+
+
+def _initial_marks() -> list[Line2D]:
+    return [
         _dot("o", "black", "black", "observed centroid"),
         _dot("o", VERMILION, VERMILION, "rendered centroid"),
-        Line2D([], [], color=SKY, label=f"{MATCH_SIGMAS:g}-sigma search"),
-        Line2D([], [], color=ORANGE, label="mesh"),
+        _line(SKY, f"{MATCH_SIGMAS:g}-sigma search"),
+        _line(ORANGE, "mesh"),
+    ]
+
+
+def _corner_marks(matched: NDArray[np.bool_]) -> list[Line2D]:
+    return [
         _dot("D", "none", VERMILION, f"corner, not matched ({np.count_nonzero(~matched)})"),
         _dot("D", VERMILION, VERMILION, f"corner matched with a landmark ({np.count_nonzero(matched)})"),
     ]
+
+
+def _add_legend(figure: Figure, handles: Sequence[Line2D], credit_lines: Sequence[str]) -> None:
+    """Explain the marks and print the credits below the panels, where they hide nothing."""
     figure.legend(
-        handles=handles,
+        handles=list(handles),
         loc="outside lower center",
         ncols=len(handles),
         columnspacing=1.2,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,10 +13,13 @@ from scipy.stats import chi2
 from reports.figures.style import (
     BLUE,
     GREY,
+    LINE_STYLES,
+    SERIES_COLOURS,
     VERMILION,
     FloatArray,
     add_credits,
     beyond_text,
+    mark_on_axis,
     new_figure,
     raise_top,
     shared_edges,
@@ -100,6 +103,45 @@ def draw_landmark_counts(
     axes.set(xlabel="recognised landmarks an image", ylabel="images")
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     raise_top(axes, 2)
+    axes.legend(loc="upper right")
+    figure.suptitle(title, fontsize=9.5)
+    add_credits(figure, credit_lines)
+    return figure
+
+
+@styled
+def draw_count_comparison(
+    counts: Mapping[str, FloatArray], published: Mapping[str, float], title: str, credit_lines: Sequence[str] = ()
+) -> Figure:
+    """Draw the number of recognised landmarks an image for several sets of images (the paper's figure 10).
+
+    Parameters
+    ----------
+    counts
+        Label of each set, and (n,) numbers of landmarks, one an image.
+    published
+        Medians of the paper by label, marked by triangles on the axis.
+    title
+        Printed above the panel.
+    credit_lines
+        Credits of real images.
+    """
+    figure, (axes,) = new_figure(1, width_in=6.0, height_in=3.6)
+    top = max(float(sample.max()) for sample in counts.values())
+    width = max(1, round(top / 60))
+    edges = np.arange(-0.5, top + width + 0.5, width)
+    for i, (name, sample) in enumerate(counts.items()):
+        colour = SERIES_COLOURS[i % len(SERIES_COLOURS)]
+        median = float(np.median(sample))
+        label = f"{name}: median {median:.3g} (n = {len(sample)})"
+        style = LINE_STYLES[i % len(LINE_STYLES)]
+        step_histogram(axes, sample, edges, label=label, color=colour, linestyle=style, linewidth=1.5)
+        axes.axvline(median, ymax=0.75, color=colour, linewidth=0.9, linestyle=":")
+        if name in published:
+            mark_on_axis(axes, published[name], colour)
+    axes.set(xlabel="recognised landmarks an image", ylabel="share of the images per landmark")
+    axes.set_xlim(0.0, edges[-1])
+    raise_top(axes, len(counts))
     axes.legend(loc="upper right")
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)

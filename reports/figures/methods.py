@@ -22,6 +22,8 @@ from reports.figures.style import (
 )
 
 _LEGEND_INSIDE = 4
+_LEGEND_TITLE = "median (share beyond the axis)"
+_SHARE_TOLD = 1.0
 _PANELS = (
     ("attitude_error_deg", "attitude error, deg", "frequency per degree"),
     ("position_error_m", "position error, m", "frequency per metre"),
@@ -84,13 +86,14 @@ def _draw_methods(axes: Axes, methods: Mapping[str, FloatArray], labels: Sequenc
             "linestyle": LINE_STYLES[index % len(LINE_STYLES)],
             "linewidth": 1.5,
         }
-        share = np.count_nonzero(sample > edges[-1]) / max(len(sample), 1)
-        median = f"median {np.median(sample):.3g}" if len(sample) else "none"
-        beyond = f", {100.0 * share:.2g} % beyond" if share > 0.0 else ""
+        share = 100.0 * np.count_nonzero(sample > edges[-1]) / max(len(sample), 1)
+        median = f"{np.median(sample):.3g}" if len(sample) else "none"
+        beyond = f" ({share:.0f} %)" if share >= _SHARE_TOLD else ""
         step_histogram(axes, sample, edges, label=f"{method}: {median}{beyond}", **line)
     axes.set_xlim(0.0, edges[-1])
     if len(methods) <= _LEGEND_INSIDE:
         raise_top(axes, len(methods))
-        axes.legend(loc="upper right")
+        legend = axes.legend(loc="upper right", title=_LEGEND_TITLE, title_fontsize=7.5, fontsize=7.5)
+        legend.set_in_layout(False)
     else:
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2))
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), title=_LEGEND_TITLE, title_fontsize=8.0)

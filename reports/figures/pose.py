@@ -20,6 +20,7 @@ from reports.figures.style import (
     FloatArray,
     add_credits,
     beyond_text,
+    mark_on_axis,
     new_figure,
     raise_top,
     shared_edges,
@@ -66,7 +67,7 @@ def draw_pose_errors(
         edges = shared_edges([*samples.values(), *(np.array([value]) for value in medians.values())])
         beyond = _draw_stages(axes, samples, list(stages), edges, unit)
         for name, value in medians.items():
-            _mark_published(axes, value, _line(list(stages).index(name), len(stages))["color"])
+            mark_on_axis(axes, value, _line(list(stages).index(name), len(stages))["color"])
         axes.set(xlabel=label + beyond, ylabel=frequency)
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
@@ -118,22 +119,6 @@ def _draw_stages(
 def _short(value: float) -> str:
     """Print three digits, and no exponent for what people read as metres."""
     return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
-
-
-def _mark_published(axes: Axes, value: float, colour: str) -> None:
-    """Mark a paper's median by an open triangle on the axis."""
-    axes.plot(
-        [value],
-        [0.0],
-        marker="^",
-        markersize=7,
-        markerfacecolor="white",
-        markeredgecolor=colour,
-        transform=axes.get_xaxis_transform(),
-        clip_on=False,
-        zorder=5,
-        linestyle="none",
-    )
 
 
 def _thinned(ascending: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:

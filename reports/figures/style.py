@@ -91,6 +91,21 @@ def save_figure(figure: Figure, stem: Path) -> tuple[Path, Path]:
     return paths
 
 
+def show_image(axes: Axes, image: NDArray[np.floating[Any]]) -> None:
+    """Show an image so that the centre of its first pixel is at (0.5, 0.5), stretched to its 99.8th percentile."""
+    height, width = image.shape
+    top = float(np.percentile(image, 99.8)) or float(image.max()) or 1.0
+    axes.imshow(image, cmap="gray", vmin=0.0, vmax=top, extent=(0, width, height, 0), interpolation="nearest")
+    axes.grid(visible=False)
+
+
+def hide_axes(axes: Axes) -> None:
+    """Leave only what is drawn: no ticks, no frame, no grid."""
+    axes.set(xticks=[], yticks=[])
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+
+
 def add_credits(figure: Figure, credit_lines: Sequence[str]) -> None:
     """Print the credit lines of the images below the panels."""
     if credit_lines:
@@ -121,6 +136,22 @@ def step_histogram(axes: Axes, sample: FloatArray, edges: FloatArray, **line: An
 def beyond_text(beyond: int, limit: float, unit: str) -> str:
     """Say, as an addition to the axis label, how many values the axis leaves out."""
     return f"  ({beyond} beyond {limit:g}{f' {unit}' if unit else ''})" if beyond else ""
+
+
+def mark_on_axis(axes: Axes, value: float, colour: str) -> None:
+    """Mark a paper's value by an open triangle on the axis."""
+    axes.plot(
+        [value],
+        [0.0],
+        marker="^",
+        markersize=7,
+        markerfacecolor="white",
+        markeredgecolor=colour,
+        transform=axes.get_xaxis_transform(),
+        clip_on=False,
+        zorder=5,
+        linestyle="none",
+    )
 
 
 def raise_top(axes: Axes, lines: int) -> None:

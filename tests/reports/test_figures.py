@@ -7,18 +7,25 @@ from PIL import Image
 from scipy import stats
 
 from reports.figures import (
+    ClusterView,
     Fit,
     Overlay,
+    SurfaceView,
+    draw_alignment_panels,
     draw_centroid_offsets,
+    draw_clusters,
+    draw_count_comparison,
     draw_cumulative_errors,
     draw_fit_panels,
     draw_landmark_counts,
     draw_landmark_errors,
     draw_method_errors,
     draw_pose_errors,
+    draw_triangulation,
     save_figure,
 )
 from reports.figures.centroid import one_sigma_ellipse
+from reports.figures.clusters import cluster_colours
 from reports.figures.fit import MATCH_SIGMAS
 from reports.figures.style import render, shared_edges
 
@@ -52,6 +59,29 @@ def _fit():
     )
 
 
+def _clusters():
+    rng = np.random.default_rng(5)
+    points, numbers = rng.uniform(20, 180, size=(60, 2)), np.arange(60) // 6
+    image = np.zeros((200, 200))
+    image[15:185, 15:185] = 0.5
+    return ClusterView(points, numbers, points[:30], numbers[:30], image)
+
+
+def _surface():
+    corners = np.array([[10.0, 10.0], [90.0, 12.0], [50.0, 80.0], [95.0, 85.0]])
+    facets = corners[[[0, 2, 1], [1, 2, 3]]]
+    centres = facets.mean(axis=1)
+    return SurfaceView(
+        landmarks_px=corners,
+        edges_px=corners[[[0, 1], [1, 2], [2, 0], [1, 3], [2, 3]]],
+        facets_px=facets,
+        shades=np.array([0.2, 0.9]),
+        normals_px=np.stack([centres, centres + np.array([3.0, -4.0])], axis=1),
+        n_tetrahedra=1,
+        n_facets=4,
+    )
+
+
 FIGURES = {
     "pose": lambda: draw_pose_errors(
         {"prior": _errors(40), "after recognition": _errors(20, 150, 1)}, "T", {}, [CREDIT]
@@ -62,6 +92,12 @@ FIGURES = {
     ),
     "landmarks": lambda: draw_landmark_errors(np.arange(1.0, 99.0), np.arange(1.0, 99.0), "T", [CREDIT]),
     "counts": lambda: draw_landmark_counts(np.arange(30.0, 80.0), "T", 59.0, [CREDIT]),
+    "clusters": lambda: draw_clusters(_clusters(), "T"),
+    "triangulation": lambda: draw_triangulation(_surface(), "T"),
+    "count comparison": lambda: draw_count_comparison(
+        {"a": np.arange(30.0, 80.0), "b": np.arange(20.0, 60.0)}, {"a": 59.0}, "T", [CREDIT]
+    ),
+    "alignment": lambda: draw_alignment_panels(_fit(), "T", [CREDIT]),
     "fit": lambda: draw_fit_panels(_fit(), "T", [CREDIT]),
 }
 
@@ -79,7 +115,8 @@ def test_files_are_drawn_and_the_same_each_time(name, tmp_path):
     assert render(again, "pdf") == pdf.read_bytes()
 
 
-@pytest.mark.parametrize("name", FIGURES)
+# Figures of landmark data bases show renderings alone.
+@pytest.mark.parametrize("name", [name for name in FIGURES if name not in ("clusters", "triangulation")])
 def test_credit_line_is_printed(name):
     with_credit = FIGURES[name]()
     texts = [text.get_text() for text in with_credit.findobj(matplotlib.text.Text)]
@@ -220,3 +257,55 @@ def test_all_panels_of_centroid_offsets_share_their_axes():
     figure = draw_centroid_offsets(offsets, "T")
     limits = {(axes.get_xlim(), axes.get_ylim()) for axes in figure.axes}
     assert limits == {((-8.0, 8.0), (8.0, -8.0))}  # v grows downwards, as in the image
+
+
+def test_panels_of_clusters_show_the_same_part_of_the_image():
+    figure = draw_clusters(_clusters(), "T")
+    limits = {(axes.get_xlim(), axes.get_ylim()) for axes in figure.axes}
+    assert len(limits) == 1
+    (left, right), (bottom, top) = limits.pop()
+    assert left < 15 < 185 < right
+    assert top < 15 < 185 < bottom
+    assert [len(axes.collections[0].get_offsets()) for axes in figure.axes[:2]] == [60, 30]
+
+
+def test_clusters_next_to_each_other_differ_in_colour():
+    colours = cluster_colours(np.arange(200))
+    assert colours.min() >= 0.0
+    assert colours.max() <= 1.0
+    np.testing.assert_array_equal(cluster_colours(np.array([3, 3])), colours[[3, 3]])
+    assert np.abs(np.diff(colours, axis=0)).max(axis=1).min() > 0.2
+
+
+def test_counts_of_several_sets_are_shares_and_medians_are_marked():
+    figure = draw_count_comparison({"a": np.full(8, 12.0), "b": np.arange(10.0, 20.0)}, {"b": 15.0}, "T")
+    (axes,) = figure.axes
+    assert max(np.max(patch.get_data()[0]) for patch in axes.patches) == 1.0
+    marks = [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "^"]
+    assert marks == [15.0]
+    dotted = sorted(line.get_xdata()[0] for line in axes.lines if line.get_linestyle() == ":")
+    assert dotted == [12.0, 14.5]
+
+
+def test_methods_keep_their_colours_and_axes_in_all_rows():
+    groups = {"A": {"a": _errors(40), "b": _errors(20)}, "B": {"b": _errors(20), "a": _errors(40)}}
+    figure = draw_method_errors(groups, "T")
+    first, _, second, _ = figure.axes
+    assert first.get_xlim() == second.get_xlim()
+    assert first.get_ylim() == second.get_ylim()
+    colours = [
+        {
+            text.get_text().split(":")[0]: line.get_color()
+            for text, line in zip(axes.get_legend().get_texts(), axes.get_legend().get_lines(), strict=True)
+        }
+        for axes in (first, second)
+    ]
+    assert colours[0] == colours[1]
+
+
+def test_a_method_that_fails_does_not_flatten_the_others():
+    poor = _errors(40).assign(position_error_m=1e5)
+    figure = draw_method_errors({"": {"good": _errors(10), "fair": _errors(20), "poor": poor}}, "T")
+    position = figure.axes[1]
+    assert position.get_xlim()[1] < 1000
+    assert any("poor" in text.get_text() and "100 %" in text.get_text() for text in position.get_legend().get_texts())

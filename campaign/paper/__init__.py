@@ -1,0 +1,3 @@
+"""The figures and the table of a paper, gathered from stored runs."""
+
+PAPERS = ("rowell2015",)

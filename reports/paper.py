@@ -1,0 +1,248 @@
+"""One page for a whole paper: every published number beside ours, and every figure."""
+
+from __future__ import annotations
+
+import base64
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import pandas as pd
+from jinja2 import Environment, StrictUndefined
+
+from reports.comparison import VERDICT_RULE, ComparedClaim, ComparedValue, Verdict
+from reports.content import Content, NamedFigure
+from reports.figures import save_figure
+from reports.measures import Record
+from reports.published import Comparison
+from reports.tables import NO_VALUE, Grid, claim_medians, counts, measure_label, stage_label, value_of
+
+
+@dataclass(frozen=True, slots=True)
+class PaperLine:
+    """One published number or statement beside ours.
+
+    Parameters
+    ----------
+    campaign, scenario, estimator
+        What it was held against; scenario and estimator are '' where nothing was run.
+    place
+        Where it is printed.
+    quantity, statistic
+        What it is.
+    printed
+        The paper's number or words.
+    ours
+        Our numbers: one, or those of an order.
+    tolerance
+        Half-width of the band that counts as reproduced; None where there is none.
+    verdict
+        By the rule.
+    """
+
+    campaign: str
+    scenario: str
+    estimator: str
+    place: str
+    quantity: str
+    statistic: str
+    printed: str
+    ours: tuple[Record | None, ...]
+    tolerance: float | None
+    verdict: Verdict
+
+
+def paper_lines(
+    campaign: str, comparison: Comparison, content: Content | None, labels: Sequence[str]
+) -> Iterator[PaperLine]:
+    """Set every number and statement of a comparison beside those of a run, or beside nothing where there is none.
+
+    Parameters
+    ----------
+    campaign
+        Name of the campaign.
+    comparison
+        What the paper says.
+    content
+        The run; None where there is none.
+    labels
+        Estimators of the run that are the paper's own method.
+    """
+    if content is None:
+        numbers = comparison.values  # noqa: PD011  a tuple of published values, not a table
+        nothing = (ComparedValue(number.scenario, "", number, None, "not measured") for number in numbers)
+        yield from (_value_line(campaign, item) for item in nothing)
+        claims = (ComparedClaim("", claim, (), "not measured") for claim in comparison.claims)
+        yield from (_claim_line(campaign, item) for item in claims)
+        return
+    yield from (_value_line(campaign, item) for item in content.compared if item.estimator in labels)
+    yield from (_claim_line(campaign, item) for item in content.claims)
+
+
+def _value_line(campaign: str, item: ComparedValue) -> PaperLine:
+    published = item.published
+    stage = stage_label(published.stage, timed=published.measure == "seconds")
+    return PaperLine(
+        campaign,
+        item.scenario,
+        item.estimator,
+        published.place,
+        f"{measure_label(published.measure)}, {stage}",
+        published.statistic,
+        published.printed,
+        (item.ours,),
+        published.tolerance if item.verdict != "context" else None,
+        item.verdict,
+    )
+
+
+def _claim_line(campaign: str, item: ComparedClaim) -> PaperLine:
+    claim = item.claim
+    return PaperLine(
+        campaign, item.scenario, "", claim.place, measure_label(claim.measure), "order of the medians", claim.text,
+        item.ours, None, item.verdict,
+    )  # fmt: skip
+
+
+def paper_grid(lines: Sequence[PaperLine]) -> Grid:
+    """Lay the lines out as the one table of the paper."""
+    heads = (
+        "place in the paper",
+        "quantity",
+        "statistic",
+        "paper",
+        "ours [95 %]",
+        "ok",
+        "tolerance",
+        "verdict",
+        "campaign",
+        "scenario",
+    )
+    rows = tuple(
+        (
+            line.place,
+            line.quantity,
+            line.statistic,
+            line.printed,
+            _ours(line),
+            counts(line.ours[0]) if len(line.ours) == 1 else NO_VALUE,
+            f"± {line.tolerance:g}" if line.tolerance is not None else NO_VALUE,
+            line.verdict,
+            line.campaign,
+            line.scenario or NO_VALUE,
+        )
+        for line in lines
+    )
+    return Grid("Every published number beside ours", heads, rows, frozenset({0, 1, 2, 3, 4, 7, 8, 9}), VERDICT_RULE)
+
+
+def _ours(line: PaperLine) -> str:
+    return value_of(line.ours[0], interval=True) if len(line.ours) == 1 else claim_medians(line.ours)
+
+
+def verdict_tally(lines: Sequence[PaperLine]) -> str:
+    """Count the verdicts in words."""
+    tally = Counter(line.verdict for line in lines)
+    return ", ".join(f"{count} {verdict}" for verdict, count in tally.most_common())
+
+
+def paper_table(lines: Sequence[PaperLine]) -> pd.DataFrame:
+    """Tabulate the lines as numbers, a row for each of ours."""
+    rows = []
+    for line in lines:
+        for ours in line.ours or (None,):
+            rows.append(
+                {
+                    "campaign": line.campaign,
+                    "scenario": line.scenario,
+                    "estimator": ours.estimator if ours and ours.estimator else line.estimator,
+                    "place": line.place,
+                    "quantity": line.quantity,
+                    "statistic": line.statistic,
+                    "published": line.printed,
+                    "ours": ours.value if ours else None,
+                    "low": ours.low if ours else None,
+                    "high": ours.high if ours else None,
+                    "unit": ours.unit if ours else "",
+                    "n_ok": ours.n_ok if ours else 0,
+                    "n": ours.n if ours else 0,
+                    "tolerance": line.tolerance,
+                    "verdict": line.verdict,
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PaperPage:
+    """All that the page of a paper shows.
+
+    Parameters
+    ----------
+    title, source
+        Heading, and the paper's reference.
+    lines
+        The one table.
+    grids
+        Further tables.
+    figures
+        The paper's figures, named by its numbers.
+    runs
+        What each number comes from: campaign, and how its run was made.
+    missing
+        What is not there, and how to make it.
+    credits
+        Credit lines of real images.
+    """
+
+    title: str
+    source: str
+    lines: tuple[PaperLine, ...]
+    grids: tuple[Grid, ...]
+    figures: tuple[NamedFigure, ...]
+    runs: tuple[tuple[str, str], ...]
+    missing: tuple[str, ...]
+    credits: tuple[str, ...]
+
+
+def write_paper(page: PaperPage, folder: Path) -> Path:
+    """Write figures (PNG and PDF), ``table.csv``, ``table.md`` and ``index.html`` into a folder; return the page.
+
+    Figures of the paper that an earlier call left there and that this one cannot draw are removed.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    stems = {figure.stem for figure in page.figures}
+    for old in (*folder.glob("figure_*.png"), *folder.glob("figure_*.pdf")):
+        if old.stem not in stems:
+            old.unlink()
+    for figure in page.figures:
+        save_figure(figure.figure, folder / figure.stem)
+    paper_table(page.lines).to_csv(folder / "table.csv", index=False, lineterminator="\n")
+    (folder / "table.md").write_text(_markdown(page), encoding="utf-8")
+    (folder / "index.html").write_text(_html(page, folder), encoding="utf-8")
+    return folder / "index.html"
+
+
+def _markdown(page: PaperPage) -> str:
+    parts = [f"# {page.title}", page.source, "\n".join(f"- {name}: {how}" for name, how in page.runs)]
+    parts += ["\n".join(f"- {line}" for line in page.missing), f"Verdicts: {verdict_tally(page.lines)}."]
+    parts += [grid.markdown() for grid in (paper_grid(page.lines), *page.grids)]
+    parts += [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in page.figures]
+    return "\n\n".join(part for part in (*parts, *page.credits) if part) + "\n"
+
+
+def _html(page: PaperPage, folder: Path) -> str:
+    files = resources.files("reports")
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    template = environment.from_string(files.joinpath("paper.html").read_text(encoding="utf-8"))
+    return template.render(
+        css=files.joinpath("page.css").read_text(encoding="utf-8"),
+        page=page,
+        tally=verdict_tally(page.lines),
+        grids=[paper_grid(page.lines), *page.grids],
+        figures=[
+            (figure, base64.b64encode((folder / f"{figure.stem}.png").read_bytes()).decode()) for figure in page.figures
+        ],
+    )

@@ -1,0 +1,89 @@
+"""Ways to make a data base beside each other: its size, and the errors that follow from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from reports.measures import CONTROL, Record, find
+from reports.paired import DIFFERENCES, FAILURE_RATE, OWN, PAIRED
+from reports.published import Comparison
+from reports.statistics import MEDIAN
+from reports.tables import NO_VALUE, Grid, counts, value_of
+
+_ERRORS = ("position_error_m", "attitude_error_deg")
+_PAPER = (
+    ("database_landmarks", "database", "count"),
+    ("database_facets", "database", "count"),
+    ("n_landmarks", "recognition", MEDIAN.name),
+    ("position_error_m", "recognition", MEDIAN.name),
+    ("attitude_error_deg", "recognition", MEDIAN.name),
+)
+_HEADS = (
+    "scenario",
+    "estimator",
+    "landmarks",
+    "facets",
+    "landmarks an image",
+    "position m [95 %]",
+    "attitude deg [95 %]",
+    "ok",
+    "failures",
+    "position against the first [95 %]",
+    "attitude against the first [95 %]",
+)
+_NOTE = (
+    "Size of each data base, medians of the number of recognised landmarks and of the errors after recognition,"
+    " failures (no estimate, or a position error above the prior's), and the medians of the differences to the first"
+    " line, trial by trial (negative is better)."
+)
+
+
+def sensitivity_grid(records: Sequence[Record], order: Sequence[str], paper: Comparison | None = None) -> Grid | None:
+    """Tabulate the estimators that have a data base of their own; None where there are not at least two lines.
+
+    Parameters
+    ----------
+    records
+        Of one run.
+    order
+        Labels of the estimators, in the order of the lines.
+    paper
+        Its values make the first line.
+    """
+    sized = {(r.scenario, r.estimator) for r in records if r.measure == "database_landmarks"}
+    scenarios = dict.fromkeys(r.scenario for r in records)
+    pairs = [(s, label) for s in scenarios for label in order if (s, label) in sized and label != CONTROL]
+    if len(pairs) < 2:
+        return None
+    rows = [_line(records, scenario, label) for scenario, label in pairs]
+    if paper is not None:
+        rows.insert(0, _paper_line(paper))
+    return Grid("Sensitivity of data base and errors", _HEADS, tuple(rows), frozenset({0, 1}), _NOTE)
+
+
+def _line(records: Sequence[Record], scenario: str, label: str) -> tuple[str, ...]:
+    mine = [r for r in records if r.scenario == scenario and r.estimator == label]
+    first = [find(mine, stage="database", measure=f"database_{name}") for name in ("landmarks", "facets")]
+    number = find(mine, measure="n_landmarks", statistic=MEDIAN.name)
+    stage = number.stage if number else "recognition"
+    errors = [find(mine, stage=stage, measure=name, statistic=MEDIAN.name) for name in _ERRORS]
+    paired = [r for r in mine if r.stage == PAIRED]
+    against = {r.reference for r in paired}
+    key = {"reference": next(iter(against), "")}
+    rates = find(paired, **key, measure=FAILURE_RATE, statistic=OWN)
+    differences = [find(paired, **key, measure=name, statistic=MEDIAN.name) for name in DIFFERENCES]
+    return (
+        scenario,
+        label,
+        *(value_of(r) for r in first),
+        value_of(number),
+        *(value_of(r, interval=True) for r in errors),
+        counts(errors[0]),
+        value_of(rates),
+        *(value_of(r, interval=True) for r in differences),
+    )
+
+
+def _paper_line(paper: Comparison) -> tuple[str, ...]:
+    found = [paper.find(*key) for key in _PAPER]
+    return ("", "the paper", *(value.printed if value else NO_VALUE for value in found), *[NO_VALUE] * 4)

@@ -1,0 +1,210 @@
+"""The page of a paper: from whatever runs there are, named by the paper's numbers, and honest about the rest."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from tiny_campaign import SCENE, compute, write_campaign
+
+from campaign.cli import main
+from campaign.paper.gather import newest_finished, run_folders
+from campaign.paper.page import drawn, gather, paper_campaigns
+from campaign.paper.rowell2015 import FIGURES
+from campaign.paper.shapes import broadside_view, built_again, cluster_view, surface_view
+from campaign.resolve import resolve
+from campaign.store import RunFolder
+from campaign.world import open_world
+from estimators.landmark.build import DatabaseOptions
+from renderers.mitsuba3 import choose_variant
+from reports.published import load_published
+from scenarios.errors import BoresightError
+
+BASE = "{images: 40, min_observations: 6, clusters: {seed_radius_m: 15}}"
+HEAD = "scenarios: [scene]\nseed: 3\n"
+CAMPAIGNS = {
+    "rowell2015-simulated": f"estimators: [prior, landmark-harris: {{database: {BASE}}}]\ntrials: 6\n",
+    "rowell2015-centroid": f"estimators: [prior, centroid: {{database: {BASE}}}]\ntrials: 4\n",
+    "rowell2015-database": f"experiment: landmark-database\nestimators: [landmark-database: {BASE}]\ntrials: 1\n",
+    "rowell2015-convergence": (
+        "experiment: pose-convergence\nestimators:\n"
+        + "".join(
+            f"  - pose-solver: {{label: {label}, method: {method}, database: {BASE}}}\n"
+            for label, method in (
+                ("closed-form", "closed-form"), ("non-linear-quaternion", "non-linear"), ("both-quaternion", "both"),
+            )
+        )
+        + "trials: 30\n"
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def runs(cache, tmp_path_factory):
+    """A folder of small runs that go by the names of the paper's campaigns."""
+    folder = tmp_path_factory.mktemp("paper")
+    for name, text in CAMPAIGNS.items():
+        report = f"report: {name}\n"
+        file = write_campaign(folder / "files" / name, f"name: {name}\ntitle: T\n{HEAD}{text}{report}", SCENE)
+        compute(file, folder / "runs" / f"{name}-a", trials(text))
+    return folder / "runs"
+
+
+def trials(text):
+    return int(re.search(r"trials: (\d+)", text)[1])
+
+
+@pytest.fixture(scope="module")
+def page(runs):
+    """What the command writes."""
+    out = runs.parent / "figures"
+    assert main(["figures", "rowell2015", "--runs", str(runs), "--out", str(out)]) == 0
+    return out
+
+
+def test_figures_are_named_by_the_numbers_of_the_paper(page):
+    drawn_ = {path.name for path in page.glob("figure_*")}
+    expected = {f"figure_{n:02d}.{kind}" for n in (1, 2, 3, 4, 5, 6, 7, 10) for kind in ("png", "pdf")}
+    # In this scene some figures may have nothing to show: then a line says so, and no file is there.
+    text = (page / "table.md").read_text(encoding="utf-8")
+    for name in expected - drawn_:
+        assert f"figure {int(name[7:9])}: " in text
+    assert drawn_ <= expected
+    assert {"figure_01.png", "figure_02.png", "figure_04.png", "figure_05.png", "figure_06.png"} <= drawn_
+    assert all((page / name).stat().st_size > 5000 for name in drawn_)
+
+
+def test_what_is_missing_is_said_in_one_line_each(page):
+    text = (page / "table.md").read_text(encoding="utf-8")
+    missing = [name for name in paper_campaigns() if name not in CAMPAIGNS]
+    assert missing
+    for name in missing:
+        assert len(re.findall(rf"^- {name}: no finished run .* boresight run {name}$", text, re.M)) == 1
+    assert len(re.findall("^- figure 8: not drawn without a finished run of rowell2015-real or", text, re.M)) == 1
+
+
+def test_every_published_number_has_its_line(page):
+    table = pd.read_csv(page / "table.csv", keep_default_na=False)
+    for name in (*CAMPAIGNS, "navcam67p-real"):
+        comparison = load_published("rowell2015-real-context" if name == "navcam67p-real" else name)
+        mine = table[table["campaign"] == name]
+        wanted = [value for value in comparison.values if value.scenario == ""]  # noqa: PD011
+        assert {value.printed for value in wanted} <= set(mine["published"])
+        assert {claim.text for claim in comparison.claims} <= set(mine["published"])
+    assert (table.loc[table["campaign"] == "navcam67p-real", "verdict"] == "not measured").all()
+    html = (page / "index.html").read_text(encoding="utf-8")
+    assert html.count("<img ") == len(list(page.glob("figure_*.png")))
+    assert "http" not in html.replace("http://www.w3.org", "")
+
+
+def test_numbers_are_those_of_the_rows(page, runs):
+    table = pd.read_csv(page / "table.csv")
+    rows = RunFolder(runs / "rowell2015-simulated-a").table("rows")
+    rows = rows[rows["estimator"] == "landmark-harris"]
+    line = table[(table["quantity"] == "position error, prior") & (table["campaign"] == "rowell2015-simulated")]
+    assert line["ours"].item() == pytest.approx(rows["prior_position_error_m"].median())
+    assert (line["n_ok"].item(), line["n"].item()) == (6, 6)
+    assert line["low"].item() < line["ours"].item() < line["high"].item()
+
+
+def test_a_second_call_without_runs_leaves_no_old_figures(page, runs, tmp_path, capsys):
+    out = tmp_path / "figures"
+    out.mkdir()
+    for name in ("figure_06.png", "figure_06.pdf", "mine.png"):
+        (out / name).write_bytes(b"old")
+    assert main(["figures", "rowell2015", "--runs", str(tmp_path), "--out", str(out)]) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["index.html", "mine.png", "table.csv", "table.md"]
+    said = capsys.readouterr().out
+    assert said.count("no finished run") == len(paper_campaigns())
+    assert set(pd.read_csv(out / "table.csv")["verdict"]) == {"not measured"}
+
+
+def test_another_paper_is_refused(capsys):
+    assert main(["figures", "rowell2016"]) == 2
+    assert "rowell2015" in capsys.readouterr().err
+
+
+def test_the_newest_finished_run_is_taken_and_unfinished_ones_are_not(tmp_path):
+    def store(name, finished, trials, rows):
+        folder = tmp_path / name
+        (folder / "rows").mkdir(parents=True)
+        manifest = {"name": "c", "digest": "d", "finished": finished, "trials": trials, "scenarios": {"s": {}}}
+        (folder / "manifest.json").write_text(json.dumps(manifest))
+        pd.DataFrame({"scenario": ["s"] * rows, "trial": range(rows)}).to_parquet(folder / "rows" / "s-0.parquet")
+
+    store("old", "2024-01-01T00:00:00+00:00", 3, 3)
+    store("new", "2024-02-01T00:00:00+00:00", 3, 3)
+    store("continued", "2024-03-01T00:00:00+00:00", 5, 3)  # finished once, then asked for more
+    store("running", None, 3, 3)
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "manifest.json").write_text("{")
+    found = newest_finished(run_folders(tmp_path), "c")
+    assert found is not None
+    assert found.folder.path.name == "new"
+    assert newest_finished(run_folders(tmp_path), "another") is None
+
+
+def test_a_run_of_another_version_keeps_its_numbers_and_loses_its_pictures(runs):
+    found, _ = gather(runs)
+    run = found["rowell2015-database"]
+    stale = replace(run, manifest={**run.manifest, "digest": "another"})
+    with pytest.raises(BoresightError, match="another version"):
+        drawn(FIGURES[0], {"rowell2015-database": stale}, 1)
+    assert stale.content.records
+
+
+def test_a_further_campaign_stands_beside_the_first(runs):
+    found, _ = gather(runs)
+    twice = {"rowell2015-real": found["rowell2015-simulated"], "navcam67p-real": found["rowell2015-simulated"]}
+    figures = drawn(FIGURES[8], twice, 1)
+    assert [figure.stem for figure in figures] == ["figure_09", "figure_09_navcam67p-real"]
+    assert all(figure.caption.startswith("Figure 9. ") for figure in figures)
+
+
+@pytest.fixture(scope="module")
+def made(runs):
+    campaign = resolve(str(runs.parent / "files" / "rowell2015-database" / "tiny.yaml"), variant=choose_variant().name)
+    world = open_world(campaign.scenarios[0], campaign.variant)
+    options = DatabaseOptions(images=40, min_observations=6, clusters={"seed_radius_m": 15}, seed=3)
+    return world, built_again(world, options, 1, campaign.variant), broadside_view(world, 2000.0)
+
+
+def test_the_view_is_broadside(made):
+    """The body's longest principal axis lies across the image and its shortest along the line of sight."""
+    world, _, view = made
+    in_camera = view.T_cam_body.rotate(world.body.mesh.vertices_m - world.body.mesh.vertices_m.mean(axis=0))
+    moments = in_camera.T @ in_camera
+    np.testing.assert_allclose(moments - np.diag(np.diag(moments)), 0.0, atol=1e-6 * moments.max())
+    assert moments[0, 0] >= moments[1, 1] >= moments[2, 2]
+
+
+def test_clusters_are_drawn_where_their_points_are(made):
+    """Each drawn point is on the lit or dark side of the body itself, and belongs to the cluster of its colour."""
+    world, built, view = made
+    seen = cluster_view(world, built, view)
+    assert set(seen.merged_of) <= set(range(len(built.clusters.refined)))
+    points = world.renderer.surface(view, seen.merged_px).points_body_m
+    for number in np.unique(seen.merged_of)[:10]:
+        members = built.points_m[built.clusters.refined[number].members]
+        mine = points[seen.merged_of == number]
+        nearest = np.linalg.norm(mine[:, None] - members[None], axis=2).min(axis=1)
+        assert nearest.max() < 3.0
+    assert len(seen.seed_px) >= len(seen.merged_px)
+
+
+def test_facets_face_the_camera_and_normals_point_out_of_them(made):
+    _, built, view = made
+    seen = surface_view(built.database, view)
+    mesh = built.database.mesh()
+    to_camera = view.T_cam_body.camera_position_m - mesh.corners_m.mean(axis=1)
+    facing = int((np.einsum("fi,fi->f", to_camera, mesh.normals) > 0).sum())
+    assert len(seen.facets_px) == len(seen.shades) == len(seen.normals_px) == facing
+    assert seen.n_facets == len(mesh.faces)
+    # Counter-clockwise from outside is clockwise in an image whose v grows downwards.
+    first, second = seen.facets_px[:, 1] - seen.facets_px[:, 0], seen.facets_px[:, 2] - seen.facets_px[:, 0]
+    assert ((first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) < 0).all()
+    assert ((seen.shades >= 0) & (seen.shades <= 1)).all()
