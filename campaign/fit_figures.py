@@ -68,8 +68,11 @@ def single_image(campaign: ResolvedCampaign, scenario: str, run: Path) -> Single
 
 
 def fit_figures(campaign: ResolvedCampaign, run: Path, rows: pd.DataFrame) -> Iterator[NamedFigure]:
-    """Draw a typical trial of every scenario and landmark recogniser: the one of median position error."""
-    for scenario in campaign.scenarios:
+    """Draw a typical trial of every scenario and landmark recogniser: the one of median position error.
+
+    The scenarios of a grid are many and look alike: the first stands for them.
+    """
+    for scenario in campaign.scenarios[: None if campaign.spec.grid is None else 1]:
         experiment = single_image(campaign, scenario.spec.name, run)
         for label in experiment.estimators if experiment else ():
             mine = rows[(rows["scenario"] == scenario.spec.name) & (rows["estimator"] == label)]

@@ -10,12 +10,13 @@ from rich.table import Table
 from rich.text import Text
 
 from reports.content import Content, read_content
+from reports.designs import design_grids
 from reports.measures import CONTROL
 from reports.tables import Grid, pose_grids, verdict_grid
 
 
 def console_table(run: Path | Content) -> Group:
-    """Build the table of pose errors, and the verdicts where values are published.
+    """Build the table of pose errors, and the verdicts where values are published; of a grid, the grid's tables.
 
     Parameters
     ----------
@@ -23,6 +24,8 @@ def console_table(run: Path | Content) -> Group:
         A run folder, or the content of a report that was just written.
     """
     content = read_content(run) if isinstance(run, Path) else run
+    if content.run.manifest.grid is not None:
+        return Group(*(rich_table(grid) for grid in design_grids(content.run)))
     several = len({r.estimator for r in content.records if r.estimator and r.stage != CONTROL}) > 1
     columns = (*(["estimator"] if several else []), "stage", "ok", "position m", "x", "y", "z", "attitude deg")
     grids = [*(grid.keep(*columns) for grid in pose_grids(content.records)), verdict_grid(content.compared)]

@@ -88,7 +88,10 @@ class Content:
     notes: tuple[str, ...]
 
     def grids(self) -> list[Grid]:
-        """List the tables of the report, in order."""
+        """List the tables of the report, in order; of a grid of scenarios, those of the grid alone."""
+        failures = failure_grid(self.run)
+        if self.run.manifest.grid is not None:
+            return [*design_grids(self.run), *([] if failures is None else [failures])]
         optional = (
             reference_grid(self.records, self.run),
             comparison_grid(self.compared),
@@ -100,10 +103,9 @@ class Content:
             sensitivity_grid(self.records, self.labels()),
             outlier_grid(self.records),
             timing_grid(self.records),
-            failure_grid(self.run),
+            failures,
         )
-        found = [*pose_grids(self.records), *(grid for grid in optional if grid is not None)]
-        return [*design_grids(self.run), *found]
+        return [*pose_grids(self.records), *(grid for grid in optional if grid is not None)]
 
     def labels(self) -> list[str]:
         """List the labels of the estimators in the order of the campaign."""
@@ -174,7 +176,7 @@ def _notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
 def _scenario_lines(run: RunData) -> Iterator[str]:
     """Say what each scenario is, in the words of its file."""
     scenarios = run.manifest.scenarios
-    if isinstance(scenarios, dict):
+    if isinstance(scenarios, dict) and run.manifest.grid is None:
         for name, spec in scenarios.items():
             if isinstance(spec, dict) and spec.get("description"):
                 yield f"Scenario {name}: {spec['description']}"

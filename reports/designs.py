@@ -15,16 +15,20 @@ import pandas as pd
 
 from reports.main_effects import main_effects
 from reports.measures import CONTROL, errors_by_stage, final_stage, unit_of
-from reports.run_data import Design, RunData
+from reports.run_data import Design, RunData, select
 from reports.statistics import MEAN, MEDIAN, Measured, measure
 from reports.tables import NO_VALUE, Grid, measure_label, number, stage_label
 
-POSITION, ATTITUDE = "position_error_m", "attitude_error_deg"
+POSITION, ATTITUDE, CENTROID = "position_error_m", "attitude_error_deg", "centroid_offset_px"
+_REPORTED = "diagnostics"
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What is compared between scenarios: an error of an estimator after one of its stages, '' for the final one."""
+    """What is compared between scenarios: an error of an estimator after one of its stages, '' for the final one.
+
+    The stage ``diagnostics`` stands for numbers that the estimator reports.
+    """
 
     estimator: str
     stage: str
@@ -33,20 +37,38 @@ class Outcome:
     @property
     def label(self) -> str:
         """In words, with the unit."""
-        after = f" {stage_label(self.stage)}" if self.stage else ""
+        after = f" {stage_label(self.stage)}" if self.stage not in ("", _REPORTED) else ""
         return f"{measure_label(self.measure)}{after}, {unit_of(self.measure)}"
 
 
 def outcomes(run: RunData) -> list[Outcome]:
-    """List the outcomes of a run: position after centroiding, where there is such a stage, final position, attitude."""
+    """List the outcomes of a run: what there is of centroiding, then the final position and attitude.
+
+    The attitude is none of an estimator that leaves it as it was, such as centroiding alone.
+    """
     found = []
     for estimator in dict.fromkeys(name for _, name in run.pairs() if name != CONTROL):
         scenario = next(where for where, name in run.pairs() if name == estimator)
         stages = errors_by_stage(run, scenario, estimator)
+        if _reports(run, estimator, CENTROID):
+            found.append(Outcome(estimator, _REPORTED, CENTROID))
         if "centroid" in stages and final_stage(run, scenario, estimator) != "centroid":
             found.append(Outcome(estimator, "centroid", POSITION))
-        found += [Outcome(estimator, "", POSITION), Outcome(estimator, "", ATTITUDE)]
+        found.append(Outcome(estimator, "", POSITION))
+        if _turns(run, estimator):
+            found.append(Outcome(estimator, "", ATTITUDE))
     return found
+
+
+def _reports(run: RunData, estimator: str, name: str) -> bool:
+    told = run.diagnostics
+    return bool(((told["estimator"] == estimator) & (told["name"] == name)).any())
+
+
+def _turns(run: RunData, estimator: str) -> bool:
+    """Whether an estimator changes the attitude at all."""
+    rows = run.rows[(run.rows["estimator"] == estimator) & (run.rows["status"] == "ok")]
+    return rows.empty or bool(((rows[ATTITUDE] - rows[f"prior_{ATTITUDE}"]).abs() > 1e-9).any())
 
 
 class DesignData:
@@ -87,12 +109,18 @@ class DesignData:
         """Return the errors by trial; trials without an estimate, or which did not reach the stage, have none."""
         key = (scenario, outcome)
         if key not in self._errors:
-            stages = errors_by_stage(self.run, scenario, outcome.estimator)
-            stage = outcome.stage or final_stage(self.run, scenario, outcome.estimator)
-            table = stages.get(stage)
-            series = pd.Series(dtype=float) if table is None else table.set_index("trial")[outcome.measure].dropna()
-            self._errors[key] = series.astype(float)
+            series = self._reported(scenario, outcome) if outcome.stage == _REPORTED else self._posed(scenario, outcome)
+            self._errors[key] = series.dropna().astype(float)
         return self._errors[key]
+
+    def _posed(self, scenario: str, outcome: Outcome) -> pd.Series:
+        stages = errors_by_stage(self.run, scenario, outcome.estimator)
+        table = stages.get(outcome.stage or final_stage(self.run, scenario, outcome.estimator))
+        return pd.Series(dtype=float) if table is None else table.set_index("trial")[outcome.measure]
+
+    def _reported(self, scenario: str, outcome: Outcome) -> pd.Series:
+        told = select(self.run.diagnostics, scenario, outcome.estimator)
+        return told[told["name"] == outcome.measure].set_index("trial")["value"]
 
     def trials(self, scenario: str, outcome: Outcome) -> int:
         """Count the trials of a scenario, with and without an estimate."""

@@ -8,6 +8,7 @@ import pytest
 from conftest import RunBuilder, pose_error
 
 from reports.build import write_report
+from reports.content import read_content
 from reports.designs import DesignData, Outcome, design_grids, outcomes
 from reports.figures.curves import CurvePanel, Points, draw_curves
 from reports.figures.matrix import Matrix, draw_matrix
@@ -143,3 +144,42 @@ def test_curves_join_points_in_the_order_of_the_abscissa():
     np.testing.assert_array_equal(line.get_xydata(), [[0.0, 1.0], [1.0, 2.0], [2.0, 4.0]])
     bars = figure.axes[0].containers[0].lines[2][0].get_segments()
     np.testing.assert_allclose([bar[:, 1] for bar in bars], [[0.5, 2.0], [1.0, 3.0], [3.0, 5.0]])
+
+
+def test_centroiding_alone_has_an_offset_and_no_attitude(builder):
+    """What leaves the attitude as it was is not compared by it; what it reports of centroids is, in pixels."""
+    axes = [axis("law", "a", "b")]
+    store(builder, "full", axes, {("a",): 1.0, ("b",): 2.0})
+    for scenario, offset in (("rock-0", 1.0), ("rock-1", 3.0)):
+        for trial in range(TRIALS):
+            key = {"trial": trial, "scenario": scenario, "estimator": "centroid"}
+            pose = pose_error(np.array([offset, 0.0, 0.0]), 2.0)
+            own = {f"prior_{name}": value for name, value in pose_error(np.array([50.0, 0.0, 0.0]), 2.0).items()}
+            builder.add("rows", **key, reason="", image="", n_landmarks=0, status="ok", **own, **pose)
+            builder.add("diagnostics", **key, name="centroid_offset_px", value=offset * (1.0 + trial / TRIALS))
+    builder.write(
+        grid={
+            "design": "full",
+            "axes": axes,
+            "scenarios": [{"name": f"rock-{i}", "base": "rock", "levels": {"law": x}} for i, x in enumerate("ab")],
+        },
+        scenarios={"rock-0": {}, "rock-1": {}},
+        report=None,
+    )
+    run = read_run(builder.folder)
+    mine = [one for one in outcomes(run) if one.estimator == "centroid"]
+    assert [one.measure for one in mine] == ["centroid_offset_px", "position_error_m"]
+    assert mine[0].label == "offset of the brightness centroid, px"
+    data = DesignData(run, run.manifest.grid)
+    assert data.change("rock-1", "rock-0", mine[0]).value == pytest.approx(3.0)
+    assert data.ok(["rock-0", "rock-1"], mine[0]) == f"{2 * TRIALS}/{2 * TRIALS}"
+
+
+def test_a_report_tells_of_the_grid_and_not_of_each_scenario(square):
+    content = read_content(square.run.folder)
+    assert [grid.title for grid in content.grids()] == [
+        "truth against onboard, rock, landmark-harris",
+        "Failures by reason",
+    ]
+    assert not any("Scenario rock" in note for note in content.notes)
+    assert len(content.table()) > len(square.scenarios())
