@@ -25,7 +25,8 @@ def console_table(run: Path | Content) -> Group:
     """
     content = read_content(run) if isinstance(run, Path) else run
     if content.run.manifest.grid is not None:
-        return Group(*(rich_table(grid) for grid in design_grids(content.run)))
+        found = design_grids(content.run)
+        return Group(*(rich_table(grid.keep(*(c for c in grid.columns if c != "change"))) for grid in found))
     several = len({r.estimator for r in content.records if r.estimator and r.stage != CONTROL}) > 1
     columns = (*(["estimator"] if several else []), "stage", "ok", "position m", "x", "y", "z", "attitude deg")
     grids = [*(grid.keep(*columns) for grid in pose_grids(content.records)), verdict_grid(content.compared)]
