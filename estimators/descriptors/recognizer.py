@@ -19,6 +19,7 @@ from estimators.descriptors.features import FeatureOptions, Features, Kind, find
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
 from estimators.landmark.pose.posterior import Posterior, Prior, solve_map
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
+from estimators.landmark.pose.shared import shared_pixels
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
@@ -46,7 +47,7 @@ class DescriptorNavigatorOptions(SpecModel):
     inlier_px: float = Field(3.0, gt=0, description="Largest reprojection error of an inlier of RANSAC")
     max_iterations: int = Field(5000, ge=10, le=1_000_000, description="Of RANSAC")
     pixel_sigma: float = Field(1.0, gt=0, description="Standard deviation of a feature's position, px, at first")
-    patch_px: float = Field(12.0, gt=0, description="Features of one square of this side tell the same")
+    patch_px: float = Field(12.0, gt=0, description="Side of the window that a feature rests on")
     prior_probability: float = Field(
         1e-6, gt=0, lt=1, description="A solution that the prior holds less probable than this is refused"
     )
@@ -76,7 +77,7 @@ class DescriptorNavigator:
     """Features matched with those of rendered views, RANSAC, maximum a posteriori; each frame on its own."""
 
     name: ClassVar[str]
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     kind: ClassVar[Kind]
 
     def __init__(self, database: DescriptorDatabase, options: DescriptorNavigatorOptions) -> None:
@@ -141,9 +142,10 @@ class DescriptorNavigator:
             pose, inliers = consensus
             prior = Prior(frame.prior_T_cam_body, frame.prior_covariance)
             problem = inliers.problem(camera, options.pixel_sigma)
-            redundancy = len(inliers) / occupied_squares(inliers.uv_px, options.patch_px)
-            probability = chance(problem, pose, prior, redundancy)
-            posterior = solve_map(problem, prior, pose, redundancy)
+            half_px = options.patch_px / 2.0
+            shared = shared_pixels(inliers.uv_px - half_px, inliers.uv_px + half_px)
+            probability = chance(problem, pose, prior, shared)
+            posterior = solve_map(problem, prior, pose, shared)
         if probability < options.prior_probability:
             return f"the solution contradicts the prior: probability {probability:.1g}"
         return pose, posterior
@@ -170,17 +172,12 @@ class DescriptorNavigator:
         return Matched(features.uv_px[row[order[first]]], point[order[first]])
 
 
-def occupied_squares(uv_px: FloatArray, side_px: float) -> int:
-    """Count the squares of a regular grid in which there is a point (M, 2)."""
-    return len(np.unique(np.floor(uv_px / side_px).astype(np.int64), axis=0))
-
-
-def chance(problem: PoseProblem, consensus: Pose, prior: Prior, redundancy: float) -> float:
+def chance(problem: PoseProblem, consensus: Pose, prior: Prior, shared: FloatArray) -> float:
     """Probability of a solution as far from the prior as that of the observations alone.
 
     The difference of the two has the covariance of both together.
     """
-    alone = solve_map(problem, Prior(prior.T_cam_body, _IGNORANCE * prior.covariance), consensus, redundancy)
+    alone = solve_map(problem, Prior(prior.T_cam_body, _IGNORANCE * prior.covariance), consensus, shared)
     offset = prior.offset(alone.T_cam_body)
     return float(chi2.sf(offset @ np.linalg.solve(prior.covariance + alone.covariance, offset), _POSE_UNKNOWNS))
 

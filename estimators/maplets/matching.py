@@ -14,6 +14,7 @@ from estimators.contract import ImageRenderer
 from estimators.landmark.centroid import MeshView
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
+from estimators.landmark.pose.shared import shared_pixels
 from estimators.landmark.signal import KNOWN_SKY, extract_signal
 from estimators.maplets.correlation import Displacement, correlate_window
 from estimators.maplets.database import MapletDatabase
@@ -41,7 +42,8 @@ class MatchingOptions(SpecModel):
     blur_px: float = Field(0.7, gt=0, le=10, description="Smoothing of both images before the refinement")
     dark: float = Field(0.12, ge=0, lt=1, description="Pixels below this share of the bright level do not count")
     noise_px2: float = Field(9.0, gt=0, description="Area over which differences of the pictures hold together")
-    height_sigma_m: float = Field(0.5, ge=0, description="Standard deviation of the onboard heights")
+    height_sigma_m: float = Field(0.2, ge=0, description="Standard deviation of the mean onboard height of a maplet")
+    systematic_px: float = Field(0.15, ge=0, description="Standard deviation of what moves a whole window, each axis")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -52,10 +54,14 @@ class MatchingOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapletScene:
-    """A data base with the renderer of the mesh over all its maplets, and that mesh's vertices (V, 3)."""
+    """A data base with renderers of the mesh over all its maplets, and that mesh's vertices (V, 3).
+
+    ``quick`` takes one sample a pixel: enough to see where the body is.
+    """
 
     database: MapletDatabase
     renderer: ImageRenderer
+    quick: ImageRenderer
     vertices_m: FloatArray
 
 
@@ -108,17 +114,17 @@ class Found:
         (M, 2, 2) of those positions, the uncertainty of the onboard heights included.
     correlation
         (M,) of the pictures.
-    redundancy
-        Sum of the windows' pixels over the number of different ones.
+    shared
+        (M, M) share of the pixels that each two windows have in common.
     height_sigma_m
-        Standard deviation of the onboard heights.
+        Standard deviation of the mean onboard height of a maplet.
     """
 
     maplet: NDArray[np.int64]
     uv_px: FloatArray
     covariances_px2: FloatArray
     correlation: FloatArray
-    redundancy: float
+    shared: FloatArray
     height_sigma_m: float
 
     def __len__(self) -> int:
@@ -186,7 +192,6 @@ def _collect(
     options: MatchingOptions,
 ) -> Found:
     """Locate every window with enough usable pixels and keep those that are found."""
-    cover = np.zeros(usable.shape, dtype=np.int32)
     kept: list[tuple[int, Displacement]] = []
     for index in range(len(seen.windows)):
         window = seen.windows.slices(index)
@@ -195,7 +200,6 @@ def _collect(
         found = locate(index, window)
         if found is not None and found.correlation >= options.correlation_min:
             kept.append((index, found))
-            cover[window] += usable[window]
     rows = np.array([index for index, _ in kept], dtype=np.int64)
     by_height = options.height_sigma_m * np.einsum(
         "nij,nj->ni", seen.point_jacobian[rows], seen.database.axes[seen.windows.maplet[rows], 2]
@@ -204,8 +208,8 @@ def _collect(
     return Found(
         seen.windows.maplet[rows],
         seen.windows.uv_px[rows] + np.array([found.shift_px for _, found in kept]).reshape(-1, 2),
-        matched + by_height[:, :, None] * by_height[:, None, :],
+        matched + by_height[:, :, None] * by_height[:, None, :] + options.systematic_px**2 * np.eye(2),
         np.array([found.correlation for _, found in kept]),
-        float(cover.sum() / max(1, np.count_nonzero(cover))),
+        shared_pixels(seen.windows.first[rows].astype(np.float64), seen.windows.last[rows].astype(np.float64)),
         options.height_sigma_m,
     )

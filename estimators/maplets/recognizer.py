@@ -70,7 +70,7 @@ def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: Maplets
         observed = extract_signal(frame.image)
     if observed.empty:
         return failed("the image is black: nothing above its background")
-    view = MeshView(camera, scene.renderer, frame.sun_dir_cam)
+    view = MeshView(camera, scene.quick, frame.sun_dir_cam)
     aligned = align_translation(
         observed.image, frame.prior_T_cam_body, view, correlation_pair, options.alignment, clock
     )
@@ -105,7 +105,7 @@ class _Bench:
             anchors_m = self.scene.database.anchors_m[found.maplet]
             problem = PoseProblem(anchors_m, found.uv_px, inverse_2x2(found.covariances_px2), self.camera)
             prior = Prior(frame.prior_T_cam_body, frame.prior_covariance)
-            return Fit(found, solve_map(problem, prior, pose, found.redundancy))
+            return Fit(found, solve_map(problem, prior, pose, found.shared))
 
     def motion_px(self, before: Pose, after: Pose) -> float:
         """Return the largest motion of a maplet in the image between two poses."""
@@ -140,7 +140,7 @@ class MapletNavigator:
     """Maplets of the onboard shape, rendered at the predicted pose and Sun and correlated; each frame on its own."""
 
     name: ClassVar[str] = "lmaps"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     def __init__(self, scene: MapletScene, options: MapletsOptions) -> None:
         self._scene = scene
@@ -155,7 +155,7 @@ class MapletNavigator:
             raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
         mesh = database.mesh()
         renderer = assets.mesh_renderer(mesh, parsed.samples_per_pixel)
-        return cls(MapletScene(database, renderer, mesh.vertices_m), parsed)
+        return cls(MapletScene(database, renderer, assets.mesh_renderer(mesh), mesh.vertices_m), parsed)
 
     def recognise(self, frame: Frame, camera: Camera) -> Recognition:
         """Run on one frame and keep all intermediate results."""
@@ -198,6 +198,6 @@ def _diagnostics(result: Recognition) -> dict[str, float | int | str]:
         "n_landmarks": len(last.found),
         "rounds": len(result.fits),
         "correlation": float(np.median(last.found.correlation)),
-        "redundancy": last.found.redundancy,
+        "redundancy": float(last.found.shared.sum(axis=1).mean()),
         "scale2": last.posterior.scale2,
     }

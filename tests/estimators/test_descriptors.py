@@ -15,7 +15,6 @@ from estimators.descriptors.recognizer import (
     SiftNavigator,
     find_consensus,
     near_prediction,
-    occupied_squares,
 )
 from estimators.landmark.pose.posterior import Prior
 from renderers.mitsuba3 import MitsubaRenderer
@@ -123,12 +122,6 @@ def test_too_little_agreement_says_so():
     assert "3 features matched" in find_consensus(matched_scene(1, 3, 0), CAMERA, OPTIONS, 1)
     chaos = find_consensus(matched_scene(1, 0, 8), CAMERA, OPTIONS, 1)
     assert isinstance(chaos, str) or len(chaos[1]) < 8
-
-
-def test_features_of_one_square_count_once():
-    uv = np.array([[0.5, 0.5], [11.9, 11.9], [12.1, 11.9], [12.1, 12.1], [-0.1, 0.5], [23.0, 23.0]])
-    assert occupied_squares(uv, 12.0) == 4
-    assert occupied_squares(uv, 100.0) == 2
 
 
 def test_matches_far_from_their_prediction_are_dropped():

@@ -8,6 +8,7 @@ from scipy.stats import chi2
 
 from estimators.landmark.pose.posterior import Prior, solve_map
 from estimators.landmark.pose.problem import PoseProblem
+from estimators.landmark.pose.shared import shared_pixels
 from estimators.maplets.correlation import correlate_window, shift_covariance
 from estimators.maplets.refinement import make_pair, refine_window
 from scenarios.geometry import Camera, look_at
@@ -134,6 +135,10 @@ def scene(rng, n=40):
     return problem, Prior(TRUE.perturbed(error[:3], error[3:]), PRIOR_COVARIANCE)
 
 
+def parts_of(problem):
+    return problem.points_body_m, problem.uv_px, problem.information_px2
+
+
 def test_the_offset_of_a_pose_is_its_perturbation():
     step = np.array([0.01, -0.02, 0.03, 4.0, -5.0, 6.0])
     prior = Prior(TRUE, PRIOR_COVARIANCE)
@@ -142,7 +147,7 @@ def test_the_offset_of_a_pose_is_its_perturbation():
 
 def test_the_solution_maximises_the_posterior():
     problem, prior = scene(np.random.default_rng(4))
-    found = solve_map(problem, prior, prior.T_cam_body, 1.0)
+    found = solve_map(problem, prior, prior.T_cam_body, np.eye(40))
     scale = np.sqrt(np.diag(PRIOR_COVARIANCE))
     white = np.linalg.cholesky(np.swapaxes(problem.information_px2, 1, 2) / found.scale2)
 
@@ -164,7 +169,7 @@ def test_the_covariance_is_consistent_and_the_bound_below_it():
     squares, ratios = [], []
     for seed in range(150):
         problem, prior = scene(np.random.default_rng(100 + seed))
-        found = solve_map(problem, prior, prior.T_cam_body, 1.0)
+        found = solve_map(problem, prior, prior.T_cam_body, np.eye(40))
         error = Prior(TRUE, PRIOR_COVARIANCE).offset(found.T_cam_body)
         squares.append(error @ np.linalg.solve(found.covariance, error))
         ratios.append(np.trace(found.covariance[3:, 3:]) / np.trace(found.bound[3:, 3:]))
@@ -176,19 +181,57 @@ def test_the_covariance_is_consistent_and_the_bound_below_it():
 
 def test_wrong_maplets_hardly_count():
     problem, prior = scene(np.random.default_rng(5))
-    clean = solve_map(problem, prior, prior.T_cam_body, 1.0)
+    clean = solve_map(problem, prior, prior.T_cam_body, np.eye(40))
     wrong_px = problem.uv_px.copy()
     wrong_px[:6] += 25.0
     wrong = PoseProblem(problem.points_body_m, wrong_px, problem.information_px2, CAMERA)
-    found = solve_map(wrong, prior, prior.T_cam_body, 1.0)
+    found = solve_map(wrong, prior, prior.T_cam_body, np.eye(40))
     sigma = np.sqrt(np.diag(clean.covariance))
     shift = Prior(clean.T_cam_body, clean.covariance).offset(found.T_cam_body)
     assert np.abs(shift / sigma).max() < 1.5
     assert found.d2[:6].min() > 20.0 * found.d2[6:].max()
 
 
-def test_redundancy_divides_the_information():
+def test_windows_share_what_their_pixels_share():
+    first = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 5.0], [20.0, 0.0], [0.0, 0.0]])
+    last = first + np.array([[10.0, 10.0]] * 4 + [[20.0, 10.0]])
+    shared = shared_pixels(first, last)
+    expected = [1.0, 0.5, 0.25, 0.0, 100.0 / np.sqrt(100.0 * 200.0)]
+    np.testing.assert_allclose(shared[0], expected)
+    np.testing.assert_allclose(np.diag(shared), 1.0)
+    # Of white noise in the pixels, means over the windows correlate just so.
+    noise = np.random.default_rng(1).normal(size=(10_000, 30, 20))
+    corners = np.concatenate([first, last], axis=1).astype(int)
+    means = [noise[:, left:right, top:bottom].mean(axis=(1, 2)) for left, top, right, bottom in corners]
+    np.testing.assert_allclose(np.corrcoef(means), shared, atol=0.04)
+
+
+def test_observations_that_are_one_count_once():
     problem, prior = scene(np.random.default_rng(6))
     vague = Prior(prior.T_cam_body, 1e6 * PRIOR_COVARIANCE)
-    once, twice = (solve_map(problem, vague, TRUE, redundancy).covariance for redundancy in (1.0, 2.0))
-    np.testing.assert_allclose(np.diag(twice) / np.diag(once), 2.0, rtol=1e-3)
+    doubled = PoseProblem(*(np.repeat(part, 2, axis=0) for part in parts_of(problem)), CAMERA)
+    pairs = np.kron(np.eye(40), np.ones((2, 2)))
+    once, twice = solve_map(problem, vague, TRUE, np.eye(40)), solve_map(doubled, vague, TRUE, pairs)
+    np.testing.assert_allclose(np.diag(twice.covariance), np.diag(once.covariance), rtol=1e-3)
+    np.testing.assert_allclose(np.diag(twice.bound), np.diag(once.bound), rtol=1e-3)
+    np.testing.assert_allclose(twice.T_cam_body.translation_m, once.T_cam_body.translation_m, atol=1e-3)
+
+
+def test_the_covariance_is_consistent_where_errors_hold_together():
+    """Neighbours on the body, with the errors of windows that overlap."""
+    squares = []
+    for seed in range(150):
+        rng = np.random.default_rng(300 + seed)
+        problem, prior = scene(rng)
+        exact_px = CAMERA.project(TRUE.transform(problem.points_body_m))
+        shared = shared_pixels(exact_px - 12.0, exact_px + 12.0)
+        white = np.linalg.cholesky(shared + 1e-9 * np.eye(40)) @ rng.normal(size=(40, 2))
+        root = np.linalg.cholesky(np.linalg.inv(problem.information_px2))
+        held = PoseProblem(
+            problem.points_body_m, exact_px + np.einsum("nij,nj->ni", root, white), problem.information_px2, CAMERA
+        )
+        found = solve_map(held, prior, prior.T_cam_body, shared)
+        error = Prior(TRUE, PRIOR_COVARIANCE).offset(found.T_cam_body)
+        squares.append(error @ np.linalg.solve(found.covariance, error))
+    low, high = chi2.ppf([0.0005, 0.9995], 6 * len(squares)) / len(squares)
+    assert low < np.mean(squares) < 1.2 * high

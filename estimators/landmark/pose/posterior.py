@@ -62,7 +62,7 @@ class Posterior:
     scale2: float
 
 
-def solve_map(problem: PoseProblem, prior: Prior, start: Pose, redundancy: float) -> Posterior:
+def solve_map(problem: PoseProblem, prior: Prior, start: Pose, shared: FloatArray) -> Posterior:
     """Maximise the posterior under a Gaussian prior and Student's t for the observations.
 
     Iteratively reweighted Gauss-Newton: of nu degrees of freedom, an observation whose weighted square is x counts
@@ -76,14 +76,17 @@ def solve_map(problem: PoseProblem, prior: Prior, start: Pose, redundancy: float
         Points and where they are seen.
     prior, start
         What is known beforehand, and where to begin.
-    redundancy
-        How many observations tell the same, because they rest on the same pixels: divides their information.
+    shared
+        (N, N) share of the pixels that each two observations rest on together, 1 on the diagonal: the correlation of
+        their errors. The information of all is divided by the number that tell the same.
     """
+    redundancy = float(shared.sum()) / len(shared)
+    independent = len(shared) / redundancy
     pose, known = start, np.linalg.inv(prior.covariance)
     for _ in range(_MAX_STEPS):
         residuals = problem.residuals_px(pose)
         d2 = np.einsum("ni,nij,nj->n", residuals, problem.information_px2, residuals)
-        scale2 = _scale2(d2)
+        scale2 = _scale2(d2, independent)
         jacobian = minimal_jacobian(problem, pose)
         share = _weights(d2 / scale2) / (scale2 * redundancy)
         matrix, vector = _weighted(problem, share).normal_equations(jacobian, residuals)
@@ -93,36 +96,47 @@ def solve_map(problem: PoseProblem, prior: Prior, start: Pose, redundancy: float
             break
     full, _ = problem.normal_equations(jacobian, residuals)
     best = full / (scale2 * redundancy)
-    covariance = np.linalg.inv(best / _spread(d2 / scale2) + known)
-    return Posterior(pose, covariance, np.linalg.inv(best + known), d2, scale2)
+    influence, slope = _moments(d2 / scale2, independent)
+    scatter = influence / (scale2 * redundancy**2) * _scores_covariance(problem.information_px2, jacobian, shared)
+    gain = np.linalg.inv(slope * best + known)
+    return Posterior(pose, gain @ (scatter + known) @ gain, np.linalg.inv(best + known), d2, scale2)
 
 
 def _weights(x: FloatArray) -> FloatArray:
     return (_NU + 2.0) / (_NU + x)
 
 
-def _free(x: FloatArray) -> float:
-    """Observations over those that the unknowns leave free."""
-    return len(x) / max(1.0, len(x) - _UNKNOWN_POINTS)
+def _free(n: float) -> float:
+    """Independent observations over those that the unknowns leave free."""
+    return n / max(1.0, n - _UNKNOWN_POINTS)
 
 
-def _scale2(d2: FloatArray) -> float:
+def _scale2(d2: FloatArray, independent: float) -> float:
     """Scale of the weighted squares (N,): their variance where they are Gaussian, hardly moved by outliers."""
     scale2 = max(float(np.median(d2)) / 2.0, _LEAST_SCALE2)
     for _ in range(_MAX_STEPS):
         mean = float((_weights(d2 / scale2) * d2).mean()) / 2.0
-        previous, scale2 = scale2, max(_free(d2) * mean / _GAUSSIAN_MEAN, _LEAST_SCALE2)
+        previous, scale2 = scale2, max(_free(independent) * mean / _GAUSSIAN_MEAN, _LEAST_SCALE2)
         if abs(scale2 - previous) < 1e-9 * scale2:
             break
     return scale2
 
 
-def _spread(x: FloatArray) -> float:
-    """Variance of the estimator over that of the best one for Gaussian noise: E[psi^2] / E[psi']^2."""
+def _moments(x: FloatArray, independent: float) -> tuple[float, float]:
+    """E[psi^2] and E[psi'], a component, of the influence psi over the weighted squares (N,)."""
     weights = _weights(x)
-    influence = _free(x) * float((weights**2 * x).mean()) / 2.0
+    influence = _free(independent) * float((weights**2 * x).mean()) / 2.0
     slope = float((weights - (_NU + 2.0) * x / (_NU + x) ** 2).mean())
-    return influence / slope**2
+    return influence, slope
+
+
+def _scores_covariance(information: FloatArray, jacobian: FloatArray, shared: FloatArray) -> FloatArray:
+    """Covariance (P, P) of J^T S^-1/2 e for errors e, of unit variance, that are correlated as ``shared`` says."""
+    values, vectors = np.linalg.eigh(information)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    white = root @ jacobian
+    covariance: FloatArray = np.einsum("nip,niq->pq", white, np.einsum("nm,miq->niq", shared, white))
+    return covariance
 
 
 def _weighted(problem: PoseProblem, weights: FloatArray) -> PoseProblem:
