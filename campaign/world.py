@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from campaign.image_store import ImageStore
 from campaign.images import images_digest, open_images
 from renderers.detector import Detector
-from renderers.images import ImageSet
+from renderers.images import ImageSet, reach
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.beliefs import believed_spec
 from scenarios.bodies import Body, body_digest, load_body
@@ -21,6 +21,8 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View
 from scenarios.load import LoadedScenario
 from scenarios.spec.world import ViewpointSpec
+
+_MOST_DRAWS = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +77,7 @@ class RenderedSource:
 
     def sight(self, seed: int, trial: int) -> Sight:
         """Draw a view, render it and expose the detector."""
-        view = draw_view(self.scenario.spec, self.camera, generator(seed, Stream.TRUTH, trial))
+        view = self._view(seed, trial)
         image, from_store = self.store.image(seed, trial, view, self.renderer.render)
         if self.detector is not None:
             image = self.detector.expose(image, generator(seed, Stream.DETECTOR, trial))
@@ -84,6 +86,19 @@ class RenderedSource:
     def flush(self) -> None:
         """Keep what was rendered."""
         self.store.flush()
+
+    def _view(self, seed: int, trial: int) -> View:
+        """Draw views until one has the body clear of the parts of the detector that are to stay clear."""
+        rng, viewpoint = generator(seed, Stream.TRUTH, trial), self.scenario.spec.viewpoint
+        clear = () if viewpoint is None else viewpoint.keep_clear_px
+        for _ in range(_MOST_DRAWS):
+            view = draw_view(self.scenario.spec, self.camera, rng)
+            if not clear or not reach(view, self.renderer.outline_m, clear):
+                return view
+        raise BoresightError(
+            f"{self.scenario.path}: viewpoint.keep_clear_px: the body reached into it in {_MOST_DRAWS} views of trial"
+            f" {trial}: make it smaller, or the range larger"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from campaign.world import open_world, typical_range_m
 from scenarios.draw import Stream, draw_lit_view, generator
 from scenarios.geometry import View
 from scenarios.load import LoadedScenario
+from scenarios.spec.camera import CameraSpec
 from scenarios.spec.distribution import Uniform
 from scenarios.spec.world import LightingSpec, ViewpointSpec
 
@@ -35,12 +36,19 @@ class DatabaseImage:
 
 
 def database_images(
-    scenario: LoadedScenario, images: Sequence[int], phase_deg_max: float, seed: int, variant: str
+    scenario: LoadedScenario,
+    images: Sequence[int],
+    phase_deg_max: float,
+    seed: int,
+    variant: str,
+    range_m: float | None = None,
+    camera: CameraSpec | None = None,
 ) -> Iterator[DatabaseImage]:
-    """Yield noise-free images of the scenario's own body, BRDF and camera (without distortion).
+    """Yield noise-free images of the scenario's own body and BRDF.
 
-    From random directions at the scenario's range, with the Sun anywhere within the largest phase angle (Rowell et al.
-    2015, section 4.1). They are kept, so that another data base of the same views renders nothing again.
+    From random directions, at a range and by a camera of their own (without distortion), with the Sun anywhere within
+    the largest phase angle (Rowell et al. 2015, section 4.1). They are kept, so that another data base of the same
+    views renders nothing again.
 
     Parameters
     ----------
@@ -52,14 +60,17 @@ def database_images(
         Of their Suns and of their views.
     variant
         The Mitsuba variant.
+    range_m, camera
+        Those of the scenario where they are left out.
     """
-    world = open_world(scenario, variant)
-    viewpoint = ViewpointSpec(range_m=typical_range_m(scenario))
+    world, camera = open_world(scenario, variant), camera or scenario.spec.camera
+    viewpoint = ViewpointSpec(range_m=range_m or typical_range_m(scenario))
     lighting = LightingSpec(phase_deg=Uniform(uniform=(0.0, phase_deg_max)))
-    store = ImageStore.open(scenario, variant, Stream.DATABASE, viewpoint, lighting)
+    pictured = replace(scenario, spec=scenario.spec.model_copy(update={"camera": camera}))
+    store = ImageStore.open(pictured, variant, Stream.DATABASE, viewpoint, lighting)
     for image in images:
         rng = generator(seed, Stream.DATABASE, image)
-        view = draw_lit_view(viewpoint, lighting, world.camera.pinhole, rng)
+        view = draw_lit_view(viewpoint, lighting, camera.camera().pinhole, rng)
         pixels, stored = store.image(seed, image, view, world.renderer.render)
         yield DatabaseImage(pixels, view, scenario, variant, stored)
     store.flush()

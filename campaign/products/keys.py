@@ -30,7 +30,7 @@ def content_key(scenario: LoadedScenario, kind: str, options: SpecModel, version
     spec = scenario.spec
     parts = {
         "kind": kind,
-        "options": json.loads(options.model_dump_json()),
+        "options": json.loads(options.model_dump_json(exclude_none=True)),
         "body": body_digest(spec.body, scenario.search_dirs),
         "scenario": [canonical_json(part) for part in (spec.camera, spec.brdf, spec.rendering)],
         "shading": spec.body.shading,

@@ -88,7 +88,7 @@ def _of_images(
     scenario: LoadedScenario, options: CandidateOptions, images: Sequence[int], variant: str
 ) -> list[tuple[FloatArray, bool]]:
     """Find the candidates of some images, and whether each image came from the store."""
-    return [
-        (extract_candidates(image.pixels, image.deproject, options), image.from_store)
-        for image in database_images(scenario, images, options.phase_deg_max, options.seed, variant)
-    ]
+    pictured = database_images(
+        scenario, images, options.phase_deg_max, options.seed, variant, options.range_m, options.camera
+    )
+    return [(extract_candidates(image.pixels, image.deproject, options), image.from_store) for image in pictured]

@@ -18,6 +18,7 @@ from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.hull import concave_hull
 from scenarios.errors import BoresightError
 from scenarios.spec.base import SpecModel
+from scenarios.spec.camera import CameraSpec
 
 FloatArray = NDArray[np.float64]
 
@@ -32,7 +33,9 @@ class NoDatabaseError(BoresightError):
 class CandidateOptions(SpecModel):
     """How candidate landmarks are found."""
 
-    images: int = Field(500, ge=1, le=100_000, description="Images rendered, at the range and camera of the scenario")
+    images: int = Field(500, ge=1, le=100_000, description="Images rendered")
+    range_m: float | None = Field(None, gt=0, description="Their range; left out: that of the scenario")
+    camera: CameraSpec | None = Field(None, description="Their camera; left out: that of the scenario")
     phase_deg_max: float = Field(60.0, gt=0, le=180, description="Largest phase angle of those images")
     seed: int = Field(0, ge=0, description="Seed of their views")
     corners: CornerOptions = CornerOptions()

@@ -5,7 +5,7 @@ from renderers.images.metadata import ImageMetadata
 from renderers.images.pixels import read_image
 from renderers.images.posed_set import PosedImageSet
 from renderers.images.product import Product, open_product
-from renderers.images.selection import keep_clear
+from renderers.images.selection import keep_clear, reach
 from renderers.images.table import PoseTable, read_table
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "Product",
     "keep_clear",
     "open_product",
+    "reach",
     "read_image",
     "read_table",
 ]

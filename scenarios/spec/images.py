@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel
-
-NonNegative = Annotated[float, Field(ge=0)]
+from scenarios.spec.rectangle import Rectangle
 
 
 class SpiceSpec(SpecModel):
@@ -46,7 +45,7 @@ class ImageSetSpec(SpecModel):
     )
     also_score: tuple[str, ...] = Field((), description="Prefixes of further poses to score against")
     noise_realisations: int = Field(1, ge=1, description="Pose errors drawn for each image")
-    keep_clear_px: tuple[tuple[NonNegative, NonNegative, NonNegative, NonNegative], ...] = Field(
+    keep_clear_px: tuple[Rectangle, ...] = Field(
         (),
         description="Rectangles [left, top, right, bottom] of the detector; images with the body in one are left out",
     )
@@ -68,11 +67,4 @@ class ImageSetSpec(SpecModel):
             senseless = [key for key, is_given in given.items() if is_given]
             if senseless:
                 raise ValueError(f"{', '.join(senseless)} has no meaning beside spice; leave it out")
-        return self
-
-    @model_validator(mode="after")
-    def _rectangles(self) -> Self:
-        for left, top, right, bottom in self.keep_clear_px:
-            if not (left < right and top < bottom):
-                raise ValueError(f"keep_clear_px: [{left:g}, {top:g}, {right:g}, {bottom:g}] has no area")
         return self

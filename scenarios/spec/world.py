@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel
 from scenarios.spec.distribution import Scalar, Uniform, Uniform3, Vector3
+from scenarios.spec.rectangle import Rectangle
 
 
 def _check_within(key: str, bounds: tuple[float, float], low: float, high: float) -> None:
@@ -24,6 +25,10 @@ class ViewpointSpec(SpecModel):
     latitude_deg: Uniform = Field(
         Uniform(uniform=(-90.0, 90.0)),
         description="Body-fixed latitudes of the camera, within -90 to 90; uniform over the area",
+    )
+    keep_clear_px: tuple[Rectangle, ...] = Field(
+        (),
+        description="Rectangles [left, top, right, bottom] of the detector; a view with the body in one is drawn anew",
     )
 
     @model_validator(mode="after")

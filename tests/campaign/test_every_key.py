@@ -137,6 +137,7 @@ CHANGES: dict[str, tuple[str, str]] = {
     "viewpoint.range_m": (RENDERED, "2100"),
     "viewpoint.roll_deg.uniform": (RENDERED, "[0, 10]"),
     "viewpoint.latitude_deg.uniform": (RENDERED, "[-5, 5]"),
+    "viewpoint.keep_clear_px": (RENDERED, "[[0, 0, 48, 5]]"),
     "lighting.phase_deg.uniform": (RENDERED, "[30, 80]"),
     "lighting.measure": (RENDERED, "angle"),
     "pose_error.position_cam_m.uniform": (RENDERED, "[[-5, 5], [-5, 5], [-1, 1]]"),

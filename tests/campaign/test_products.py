@@ -12,6 +12,7 @@ import trimesh
 from tiny_campaign import DATABASE, SCENE, assert_same_results, compute, files, write_campaign
 
 from campaign.products import Shelf, landmark_database, product_key
+from campaign.products.landmark_candidates import IN_THIS_PROCESS, candidates_of
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.database import LandmarkDatabase
 from renderers.mitsuba3 import choose_variant
@@ -22,6 +23,7 @@ from scenarios.load import LoadedScenario, load_scenario
 
 KIND = landmark_database.KIND
 OPTIONS = DatabaseOptions.model_validate(DATABASE)
+CAMERA_20 = {"width_px": 128, "height_px": 128, "fov_deg": 20.0}
 CONTENT = ("landmarks.csv", "facets.csv", "database.json")
 
 
@@ -62,13 +64,36 @@ def test_what_only_trials_see_leaves_the_key_alone(tmp_path, change):
     "change",
     [
         {"images": 41}, {"seed": 1}, {"phase_deg_max": 50.0}, {"min_observations": 7},
-        {"clusters": {"seed_radius_m": 14.0}}, {"corners": {"k": 0.05}},
+        {"clusters": {"seed_radius_m": 14.0}}, {"corners": {"k": 0.05}}, {"range_m": 1500.0},
+        {"camera": {"fov_deg": 20.0}},
     ],
     ids=lambda change: next(iter(change)),
 )  # fmt: skip
 def test_every_option_of_the_data_base_changes_the_key(tmp_path, change):
     changed = DatabaseOptions.model_validate({**DATABASE, **change})
     assert key(scene(tmp_path), changed) != key(scene(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("option", "override"),
+    [({"range_m": 1500.0}, "viewpoint.range_m=1500"), ({"camera": CAMERA_20}, "camera.fov_deg=20")],
+    ids=["range", "camera"],
+)
+def test_range_and_camera_of_the_data_base_stand_for_those_of_the_scenario(tmp_path, option, override):
+    """The corners found are those of a scenario with that range or camera."""
+    variant = choose_variant().name
+    few = {**DATABASE, "images": 2}
+
+    def candidates(loaded, options):
+        options = DatabaseOptions.model_validate(options)
+        return candidates_of(loaded, options, IN_THIS_PROCESS, variant).by_image
+
+    ours = candidates(scene(tmp_path), {**few, **option})
+    theirs = candidates(scene(tmp_path, override), few)
+    plain = candidates(scene(tmp_path), few)
+    for one, other, before in zip(ours, theirs, plain, strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert len(one) != len(before) or not np.array_equal(one, before)
 
 
 def test_the_variant_and_the_shape_file_change_the_key(tmp_path):
