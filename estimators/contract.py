@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal, Protocol, Self
+from typing import ClassVar, Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,23 @@ class ImageRenderer(Protocol):
 
     def render(self, view: View) -> NDArray[np.float32]:
         """(H, W) radiance factor of the mesh seen from ``view``; 0 off the body and in shadow."""
+        ...
+
+
+@runtime_checkable
+class DifferentiableRenderer(ImageRenderer, Protocol):
+    """A renderer that also tells how its images change with the pose, where its ``differentiable`` says so."""
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether `render_with_derivatives` works on this machine."""
+        ...
+
+    def render_with_derivatives(self, view: View) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(H, W) as ``render`` but for rounding, and (6, H, W) its derivatives by the pose.
+
+        The parameters are [rotation_rad, translation_m] of ``Pose.perturbed``; the Sun stands still in the camera.
+        """
         ...
 
 

@@ -59,6 +59,7 @@ _MEASURES = {
     "landmarks": "landmarks in the data base",
     "facets": "facets of the data base",
     "centroid_offset_px": "offset of the brightness centroid",
+    "centroid_du_px": "offset of the centroid along the columns",
     "extent_px": "extent of the body, longer side",
     "diameter_px": "extent of the body, disc of equal area",
     "pixel_scale_m": "a pixel on the surface",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from estimators.dense.linearisation import available_gradient, linearised, parameter_steps
 from estimators.dense.options import LevelOptions, RegistrationOptions
 from estimators.dense.pyramid import band, reduced_camera, reduced_image
 from estimators.landmark.centroid import MeshView
@@ -22,6 +22,8 @@ _ROBUST_SIGMA = 1.4826
 _REWEIGHTINGS = 3
 _DARK = 1e-3
 _MARGIN_PX = 5
+# Derivatives are taken again where the body has moved farther than this since, in pixels of the level.
+_STALE_PX = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,8 +68,7 @@ def fit_level(
     """Fit the pose at one level of the pyramid.
 
     The observed image is taken as gain x rendering; the gain is a seventh parameter, so that the unit of the image has
-    no part. Derivatives are central differences of renderings, twelve for a step: they hold for silhouettes, cast
-    shadows and facets alike, where the derivative of the shading alone is blind. Residuals are weighted after Huber
+    no part. Derivatives are those of `linearised`, kept while the body hardly moves. Residuals are weighted after Huber
     with a robust sigma. As they come from the shape's errors and not from noise, ``independent_px`` neighbouring ones
     count as one.
 
@@ -84,46 +85,31 @@ def fit_level(
     """
     camera = reduced_camera(view.camera, level.reduction)
     reduced = MeshView(camera, view.renderer, view.sun_dir_cam)
+    gradient = available_gradient(options.gradient, view.renderer)
     target = band(reduced_image(observed, level.reduction), level)
-    differences = _differences(start, camera.pixel_angle_rad, size_m, options.difference_px)
-
-    def render(pose: Pose) -> Image:
-        return band(reduced.render(pose), level)
-
-    pose, fit = start, None
+    steps = parameter_steps(start, camera.pixel_angle_rad, size_m, options.difference_px)
+    pose, fit, jacobian, moved_px = start, None, None, 0.0
     for count in range(1, level.iterations + 1):
-        rendered = render(pose)
-        jacobian = _central_differences(render, pose, differences)
+        if jacobian is None or moved_px > _STALE_PX:
+            image, derivatives = linearised(reduced, pose, gradient, steps)
+            jacobian, moved_px = [band(derivative, level) for derivative in derivatives], 0.0
+        else:
+            image = reduced.render(pose)
+        rendered = band(image, level)
         compared = _compared(target, rendered)
         normal, vector, correlation = _normal_equations(target, rendered, jacobian, compared, options)
         normal += prior.information
         vector -= prior.information @ prior.error(pose)
-        fit = Fit(pose, normal, correlation, count)
         step = _solve(normal, vector)
         pose = pose.perturbed(step[:3], step[3:])
-        if np.abs(step / differences).max() * options.difference_px < options.tolerance_px:
+        fit = Fit(pose, normal, correlation, count)
+        step_px = float(np.abs(step / steps).max()) * options.difference_px
+        moved_px += step_px
+        if step_px < options.tolerance_px:
             break
     if fit is None:
         raise ValueError("a level has at least one iteration")
-    return Fit(pose, fit.information, fit.correlation, fit.steps)
-
-
-def _differences(pose: Pose, pixel_rad: float, size_m: float, motion_px: float) -> FloatArray:
-    """Return steps (6,) of the parameters that each move the body's edge in the image by about ``motion_px``."""
-    range_m = float(np.linalg.norm(pose.translation_m))
-    across_m = motion_px * pixel_rad * range_m
-    turn_rad = across_m / size_m
-    return np.array([turn_rad, turn_rad, turn_rad, across_m, across_m, across_m * range_m / size_m])
-
-
-def _central_differences(render: Callable[[Pose], Image], pose: Pose, differences: FloatArray) -> list[Image]:
-    columns = []
-    for index, difference in enumerate(differences):
-        step = np.zeros(6)
-        step[index] = difference
-        ahead, behind = render(pose.perturbed(step[:3], step[3:])), render(pose.perturbed(-step[:3], -step[3:]))
-        columns.append((ahead - behind) / np.float32(2.0 * difference))
-    return columns
+    return fit
 
 
 def _compared(target: Image, rendered: Image) -> NDArray[np.bool_]:

@@ -34,8 +34,13 @@ class RegistrationOptions(SpecModel):
         ),
         min_length=1,
     )
+    gradient: Literal["autodiff", "differences"] | None = Field(
+        None,
+        description="Derivatives through the renderer, or from twelve renderings; left out: the first where the Mitsuba"
+        " variant has it",
+    )
     difference_px: float = Field(
-        0.5, gt=0, le=10, description="Motion by which derivatives are taken, pixels of a level"
+        0.5, gt=0, le=10, description="Motion by which differences are taken, pixels of a level"
     )
     huber_sigma: float = Field(1.5, gt=0, description="Residuals beyond this many robust sigmas count linearly")
     independent_px: float = Field(

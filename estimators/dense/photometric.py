@@ -9,6 +9,7 @@ import numpy as np
 
 from estimators.contract import Assets, Estimate, ImageRenderer, Stage
 from estimators.dense.gauss_newton import inverse
+from estimators.dense.linearisation import available_gradient
 from estimators.dense.options import PhotometricOptions
 from estimators.dense.registration import Registration, register
 from estimators.landmark.centroid import MeshView
@@ -25,7 +26,7 @@ class PhotometricEstimator:
     """Aligns renderings of the onboard shape with the image, coarse to fine, maximum a posteriori."""
 
     name: ClassVar[str] = "photometric"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     def __init__(self, renderer: ImageRenderer, size_m: float, options: PhotometricOptions) -> None:
         self._renderer = renderer
@@ -38,7 +39,9 @@ class PhotometricEstimator:
         parsed = parse_options(PhotometricOptions, options, cls.name)
         mesh = assets.shape() if parsed.shape == "onboard" else _landmark_mesh(parsed, assets)
         size_m = float(np.median(np.linalg.norm(mesh.vertices_m, axis=1)))
-        return cls(assets.mesh_renderer(mesh, parsed.samples_per_pixel), size_m, parsed)
+        renderer = assets.mesh_renderer(mesh, parsed.samples_per_pixel)
+        available_gradient(parsed.gradient, renderer)
+        return cls(renderer, size_m, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate the pose of each frame on its own; the first frame that fails fails the whole.

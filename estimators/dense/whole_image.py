@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from estimators.contract import Assets
+from estimators.dense.linearisation import available_gradient
 from estimators.dense.options import LevelOptions, RegistrationOptions
 from estimators.dense.registration import STAGE, register
 from estimators.landmark.centroid import Alignment, MeshView
@@ -49,7 +50,7 @@ class WholeImageRecognizer(LandmarkRecognizer):
     """
 
     name: ClassVar[str] = "whole-image"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
@@ -59,6 +60,7 @@ class WholeImageRecognizer(LandmarkRecognizer):
         mesh = database.mesh()
         size_m = float(np.median(np.linalg.norm(mesh.vertices_m, axis=1)))
         renderer = assets.mesh_renderer(mesh, _SAMPLES_PER_PIXEL)
+        available_gradient(parsed.registration.gradient, renderer)
         return cls(database, renderer, parsed, registering(parsed.registration, size_m))
 
 

@@ -89,10 +89,13 @@ class MeshView:
     renderer: ImageRenderer
     sun_dir_cam: FloatArray
 
+    def at(self, T_cam_body: Pose) -> View:
+        """Return the view of a pose; the Sun stays where it is in the camera."""
+        return View(self.camera, T_cam_body, T_cam_body.rotation.T @ self.sun_dir_cam)
+
     def render(self, T_cam_body: Pose) -> Image:
-        """Render the mesh; the Sun stays where it is in the camera."""
-        sun_dir_body = T_cam_body.rotation.T @ self.sun_dir_cam
-        return np.asarray(self.renderer.render(View(self.camera, T_cam_body, sun_dir_body)), dtype=np.float32)
+        """Render the mesh."""
+        return np.asarray(self.renderer.render(self.at(T_cam_body)), dtype=np.float32)
 
 
 def align_translation(

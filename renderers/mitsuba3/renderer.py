@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from renderers.mitsuba3.derivatives import image_and_derivatives
 from renderers.mitsuba3.rays import body_window, outline_points, ray_bundle
 from renderers.mitsuba3.scalar import ScalarTracer
 from renderers.mitsuba3.surface import check_outside, corner_weights, interpolate, vertex_normals
@@ -89,6 +90,34 @@ class MitsubaRenderer:
             for strip in window.strips(max(1, _MAX_SAMPLES // (window.width * self._samples_per_pixel))):
                 image[strip.slices] = self._tracer.image(view, strip)
         return image
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether `render_with_derivatives` works: Dr.Jit differentiates in the LLVM and CUDA variants alone."""
+        return self.variant.is_wavefront
+
+    def render_with_derivatives(self, view: View) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Render (H, W) as `render` does but for rounding, with the derivatives (6, H, W) by the pose.
+
+        The parameters are [rotation_rad, translation_m] of ``Pose.perturbed``, camera axes; the Sun stands still in the
+        camera. See `renderers.mitsuba3.derivatives` for what they hold for.
+
+        Raises
+        ------
+        BoresightError
+            If the camera is inside the body or has distortion, or the variant does not differentiate.
+        """
+        if not isinstance(self._tracer, WavefrontTracer):
+            raise BoresightError(f"the Mitsuba variant {self.variant.name} gives no derivatives: {self.variant.advice}")
+        check_outside(self._mesh, view.T_cam_body.camera_position_m)
+        image = np.zeros((view.camera.height_px, view.camera.width_px), dtype=np.float32)
+        derivatives = np.zeros((6, *image.shape), dtype=np.float32)
+        window = body_window(view, self._outline_m)
+        if window is not None:
+            for strip in window.strips(max(1, _MAX_SAMPLES // (6 * window.width * self._samples_per_pixel))):
+                rows, columns = strip.slices
+                image[rows, columns], derivatives[:, rows, columns] = image_and_derivatives(self._tracer, view, strip)
+        return image, derivatives
 
     def surface(self, view: View, uv_px: NDArray[np.float64]) -> SurfaceHits:
         """De-project pixel positions (N, 2): the first points of the body on their lines of sight.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.brdf import ArrayMath, brdf_value
+from renderers.mitsuba3.arguments import opaque
 from renderers.mitsuba3.rays import RayBundle, Window, grid_positions, ray_bundle
 from renderers.mitsuba3.scene import build_shape
 from renderers.mitsuba3.variant import Variant, load_mitsuba
@@ -49,29 +50,30 @@ class WavefrontTracer:
         vertex_normals: NDArray[np.float64] | None,
     ) -> None:
         mi = load_mitsuba(variant)
-        self._variant = variant
+        self.variant = variant
         self._brdf = brdf
-        self._radius_m = mesh.radius_m
+        self.radius_m = mesh.radius_m
         self._scene = mi.load_dict({"type": "scene", "body": build_shape(mi, mesh)})
         self._facet_normals = mi.Float(mesh.normals.astype(np.float32).ravel())
         self._vertex_normals = None if vertex_normals is None else mi.Float(vertex_normals.astype(np.float32).ravel())
         self._albedo = None if mesh.albedo is None else mi.Float(mesh.albedo.astype(np.float32))
         self._faces = mi.UInt32(mesh.faces.astype(np.uint32).ravel())
         grid = grid_positions(samples_per_pixel)
-        self._samples = samples_per_pixel
+        self.samples_per_pixel = samples_per_pixel
         self._grid_u, self._grid_v = (mi.Float(axis.astype(np.float32)) for axis in grid.T)
 
     def image(self, view: View, window: Window) -> NDArray[np.float32]:
         """Radiance factor (height, width) of the pixels of a window."""
         import drjit as dr
 
-        mi = load_mitsuba(self._variant)
-        rays = ray_bundle(view, self._radius_m, (window.column, window.row))
-        sun = _opaque(mi, view.sun_dir_body)
-        origin, direction = self._camera_rays(mi, rays, window)
-        hit, normal, lit = self._trace(mi, origin, direction, sun)
-        value = self._radiance_factor(mi, hit, normal, direction, sun)
-        value = dr.block_sum(dr.select(lit, value, 0.0), self._samples) / self._samples
+        mi = load_mitsuba(self.variant)
+        rays = ray_bundle(view, self.radius_m, (window.column, window.row))
+        sun = opaque(mi, view.sun_dir_body)
+        origin, direction = self.camera_rays(mi, rays, window)
+        hit, normal, lit = self.trace(mi, origin, direction, sun)
+        normal, albedo = self.shading(mi, hit, normal)
+        value = albedo * self.radiance_factor(normal, direction, sun)
+        value = dr.block_sum(dr.select(lit, value, 0.0), self.samples_per_pixel) / self.samples_per_pixel
         pixels: NDArray[np.float32] = value.numpy()
         return pixels.reshape(window.height, window.width)
 
@@ -79,31 +81,38 @@ class WavefrontTracer:
         self, view: View, origins_m: NDArray[np.float64], directions: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Facets (N,), -1 where missed, and whether the Sun shines on the hits, for rays (N, 3) in the body frame."""
-        mi = load_mitsuba(self._variant)
+        mi = load_mitsuba(self.variant)
         origin = mi.Point3f(origins_m.T.astype(np.float32))
         direction = mi.Vector3f(directions.T.astype(np.float32))
-        hit, _, lit = self._trace(mi, origin, direction, _opaque(mi, view.sun_dir_body))
+        hit, _, lit = self.trace(mi, origin, direction, opaque(mi, view.sun_dir_body))
         facets = np.where(hit.is_valid().numpy(), hit.prim_index.numpy().astype(np.int64), -1)
         return facets, lit.numpy()
 
-    def _camera_rays(self, mi: Any, rays: RayBundle, window: Window) -> tuple[Any, Any]:
+    def camera_rays(self, mi: Any, rays: RayBundle, window: Window) -> tuple[Any, Any]:
         """Origins and unit directions of all samples: pixel by pixel, the samples of a pixel together."""
         import drjit as dr
 
-        index = dr.arange(mi.UInt32, window.width * window.height * self._samples)
-        pixel = index // self._samples
-        sample = index - pixel * self._samples
+        index = dr.arange(mi.UInt32, window.width * window.height * self.samples_per_pixel)
+        pixel = index // self.samples_per_pixel
+        sample = index - pixel * self.samples_per_pixel
         width = dr.opaque(mi.UInt32, window.width)
         row = pixel // width
-        u = mi.Float(pixel - row * width) + dr.gather(mi.Float, self._grid_u, sample)
-        v = mi.Float(row) + dr.gather(mi.Float, self._grid_v, sample)
+        within_u, within_v = self.grid(sample)
+        u, v = mi.Float(pixel - row * width) + within_u, mi.Float(row) + within_v
         if rays.camera.distortion is not None:
             u, v = _undistorted(mi, rays, u, v)
-        origin = _opaque(mi, rays.origin_m) + u * _opaque(mi, rays.origin_u_m) + v * _opaque(mi, rays.origin_v_m)
-        direction = _opaque(mi, rays.direction) + u * _opaque(mi, rays.direction_u) + v * _opaque(mi, rays.direction_v)
+        origin = opaque(mi, rays.origin_m) + u * opaque(mi, rays.origin_u_m) + v * opaque(mi, rays.origin_v_m)
+        direction = opaque(mi, rays.direction) + u * opaque(mi, rays.direction_u) + v * opaque(mi, rays.direction_v)
         return mi.Point3f(origin), dr.normalize(direction)
 
-    def _trace(self, mi: Any, origin: Any, direction: Any, sun: Any) -> tuple[Any, Any, Any]:
+    def grid(self, sample: Any) -> tuple[Any, Any]:
+        """Positions of samples, by their numbers, within their pixels."""
+        import drjit as dr
+
+        mi = load_mitsuba(self.variant)
+        return dr.gather(mi.Float, self._grid_u, sample), dr.gather(mi.Float, self._grid_v, sample)
+
+    def trace(self, mi: Any, origin: Any, direction: Any, sun: Any) -> tuple[Any, Any, Any]:
         """First hits, normals of their facets, and whether the Sun shines on them."""
         import drjit as dr
 
@@ -111,23 +120,26 @@ class WavefrontTracer:
         valid = hit.is_valid()
         normal = dr.gather(mi.Vector3f, self._facet_normals, hit.prim_index, valid)
         facing = valid & (dr.dot(normal, sun) > 0.0)
-        start = origin + direction * hit.t + normal * (_SHADOW_OFFSET * self._radius_m)
+        start = origin + direction * hit.t + normal * (_SHADOW_OFFSET * self.radius_m)
         shadowed = self._scene.ray_test(mi.Ray3f(start, sun), coherent=True, active=facing)
         return hit, normal, facing & ~shadowed
 
-    def _radiance_factor(self, mi: Any, hit: Any, normal: Any, direction: Any, sun: Any) -> Any:
-        """I/F = pi f_r cos(i), times the local albedo."""
+    def shading(self, mi: Any, hit: Any, normal: Any) -> tuple[Any, Any]:
+        """Return normals that the shading uses and factors on the reflectance, at hits on facets of given normals."""
         import drjit as dr
 
         if self._vertex_normals is not None:
             normal = dr.normalize(self._interpolate(mi, mi.Vector3f, self._vertex_normals, hit))
+        return normal, 1.0 if self._albedo is None else self._interpolate(mi, mi.Float, self._albedo, hit)
+
+    def radiance_factor(self, normal: Any, direction: Any, sun: Any) -> Any:
+        """I/F = pi f_r cos(i) where a ray of unit ``direction`` meets a surface of albedo factor 1."""
+        import drjit as dr
+
         cos_i = dr.maximum(dr.dot(normal, sun), 0.0)
         cos_e = -dr.dot(normal, direction)
         phase_rad = 2.0 * dr.atan2(dr.norm(sun + direction), dr.norm(sun - direction))
-        value = dr.pi * brdf_value(self._brdf, cos_i, cos_e, phase_rad, drjit_math(dr)) * cos_i
-        if self._albedo is not None:
-            value *= self._interpolate(mi, mi.Float, self._albedo, hit)
-        return value
+        return dr.pi * brdf_value(self._brdf, cos_i, cos_e, phase_rad, drjit_math(dr)) * cos_i
 
     def _interpolate(self, mi: Any, kind: Any, values: Any, hit: Any) -> Any:
         """Values of the vertices at the hits."""
@@ -152,10 +164,3 @@ def _undistorted(mi: Any, rays: RayBundle, u: Any, v: Any) -> tuple[Any, Any]:
     squared = (from_axis_u / fx) ** 2 + (from_axis_v / fy) ** 2
     factor = squared * (k1 + squared * k2)
     return u + from_axis_u * factor, v + from_axis_v * factor
-
-
-def _opaque(mi: Any, vector: NDArray[np.float64]) -> Any:
-    """Turn a 3-vector into data of a kernel rather than literals, which would compile a kernel for every pose."""
-    import drjit as dr
-
-    return mi.Vector3f(*(dr.opaque(mi.Float, float(x)) for x in vector))

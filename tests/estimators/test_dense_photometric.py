@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from estimators.dense.gauss_newton import PriorTerm, inverse
+from estimators.dense.linearisation import available_gradient
 from estimators.dense.options import LevelOptions, PhotometricOptions
 from estimators.dense.photometric import PhotometricEstimator
 from estimators.dense.pyramid import band, reduced_camera, reduced_image
@@ -14,6 +15,7 @@ from estimators.landmark.centroid import MeshView
 from estimators.landmark.stopwatch import Stopwatch
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.bodies.embedded import EMBEDDED
+from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, View, look_at
 from scenarios.observation import Frame, Observation
 from scenarios.spec.brdf import LambertSpec
@@ -72,6 +74,30 @@ def test_the_mesh_is_brought_into_place_for_recognition(renderer, image, seed):
     assert found.steps[0].T_cam_body is start.prior_T_cam_body
     assert errors(found.T_cam_body)[1] < min(0.15, 0.5 * errors(start.prior_T_cam_body)[1])
     assert clock.seconds["registration"] > 0.0
+
+
+@pytest.mark.skipif(
+    not choose_variant().is_wavefront, reason="the Mitsuba variant of this machine gives no derivatives"
+)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_both_gradients_lead_to_the_same_pose(renderer, image, seed):
+    """Twelve renderings hold for every shadow; the renderer's derivatives must not lead elsewhere."""
+    poses = [
+        estimate(renderer, frame(image, seed), OPTIONS.model_copy(update={"gradient": gradient})).poses[0]
+        for gradient in ("autodiff", "differences")
+    ]
+    assert np.linalg.norm(poses[0].translation_m[:2] - poses[1].translation_m[:2]) < 0.5
+    assert np.degrees(poses[0].angle_to(poses[1])) < 0.1
+
+
+def test_a_gradient_that_the_renderer_lacks_is_refused_and_otherwise_replaced(renderer):
+    slow = MitsubaRenderer(EMBEDDED["contact-binary"](), LambertSpec(), 1, variant=choose_variant("scalar_rgb"))
+    assert available_gradient(None, slow) == "differences"
+    with pytest.raises(BoresightError, match="autodiff"):
+        available_gradient("autodiff", slow)
+    if renderer.differentiable:
+        assert available_gradient(None, renderer) == "autodiff"
+        assert available_gradient("differences", renderer) == "differences"
 
 
 def test_the_unit_of_the_image_has_no_part(renderer, image):

@@ -64,6 +64,9 @@ CENTROID = {
     ("itokawa-2km-oren-nayar", "centroid_offset_px", "95th percentile"): 4,
     ("itokawa-2km-hapke", "centroid_offset_px", "95th percentile"): 4,
     ("itokawa-2km-hapke-1981", "centroid_offset_px", "95th percentile"): 4,
+    ("itokawa-2km-lambert", "centroid_du_px", "RMS"): 1.5,
+    ("itokawa-2km-oren-nayar", "centroid_du_px", "RMS"): 4,
+    ("itokawa-2km-hapke", "centroid_du_px", "RMS"): 4,
     ("itokawa-2km-lambert", "extent_px", "median"): 250,
     ("itokawa-2km-lambert", "diameter_px", "median"): 250,
 }

@@ -1,0 +1,219 @@
+"""How an image changes with the pose: derivatives through the renderer by Dr.Jit's automatic differentiation.
+
+What a ray hits jumps at silhouettes, shadows and the edges of facets, and the derivative of a sample's shading alone
+sees nothing of the jumps. So samples are bound to the body: as the pose changes they move in the image, jumps and all,
+and a pixel is the mean of the samples about it, weighted by a filter that is continuous. That is the
+reparameterisation of G. Loubet, N. Holzschuch and W. Jakob (Reparameterizing discontinuous integrands for
+differentiable rendering, ACM Trans. Graphics 38, 2019), with a motion that a rigid body gives in closed form.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from renderers.mitsuba3.arguments import opaque
+from renderers.mitsuba3.rays import Window, ray_bundle
+from renderers.mitsuba3.variant import load_mitsuba
+from scenarios.errors import BoresightError
+from scenarios.geometry import View
+
+if TYPE_CHECKING:
+    from renderers.mitsuba3.wavefront import WavefrontTracer
+
+Image = NDArray[np.float32]
+
+_PARAMETERS = 6
+# Samples of the neighbouring pixels take part in a pixel, and those next to them in their motion.
+_MARGIN_PX = 3
+_MOTION_PX = 1.5
+_SKY_M = np.float32(1e30)
+
+
+def image_and_derivatives(tracer: WavefrontTracer, view: View, window: Window) -> tuple[Image, Image]:
+    """Radiance factor (height, width) of the pixels of a window, and its derivatives (6, height, width).
+
+    The parameters are [rotation_rad, translation_m] of ``Pose.perturbed``, in camera axes, and the Sun stands still in
+    the camera. Two motions are left out: cast shadows move with the surface that they fall on, though a turning body
+    casts them elsewhere; and where one part of the body hides another, what is seen of the far one moves by itself, and
+    not with the edge in front of it. The derivatives are those of the image smoothed by a tent of two pixels, and not
+    by the pixel's square.
+
+    Raises
+    ------
+    BoresightError
+        If the camera has distortion.
+    """
+    import drjit as dr
+
+    if view.camera.distortion is not None:
+        raise BoresightError("derivatives of images are worked out for a pinhole camera: take camera.pinhole")
+    mi = load_mitsuba(tracer.variant)
+    grown = Window(
+        window.column - _MARGIN_PX,
+        window.row - _MARGIN_PX,
+        window.width + 2 * _MARGIN_PX,
+        window.height + 2 * _MARGIN_PX,
+    )
+    samples = _Samples(mi, tracer, view, grown)
+    u, v, value = samples.tangents()
+    tangent = _filtered(mi, samples, (u, v, value), window)
+    inner = (slice(_MARGIN_PX, -_MARGIN_PX), slice(_MARGIN_PX, -_MARGIN_PX))
+    pixels = dr.block_sum(samples.value, tracer.samples_per_pixel) / tracer.samples_per_pixel
+    image = np.asarray(pixels.numpy(), dtype=np.float32).reshape(grown.height, grown.width)[inner]
+    return image, tangent.numpy().reshape(_PARAMETERS, window.height, window.width)
+
+
+class _Samples:
+    """The samples of a window: what they hit, and how they would move."""
+
+    def __init__(self, mi: Any, tracer: WavefrontTracer, view: View, window: Window) -> None:
+        import drjit as dr
+
+        self.mi, self.tracer, self.view, self.window = mi, tracer, view, window
+        self.count = window.width * window.height * tracer.samples_per_pixel
+        self.sun = opaque(mi, view.sun_dir_body)
+        rays = ray_bundle(view, tracer.radius_m, (window.column, window.row))
+        origin, direction = tracer.camera_rays(mi, rays, window)
+        hit, normal, lit = tracer.trace(mi, origin, direction, self.sun)
+        self.normal, albedo = tracer.shading(mi, hit, normal)
+        self.point = mi.Vector3f(origin + direction * hit.t)
+        self.albedo = dr.select(lit, albedo, 0.0)
+        self.value = self.albedo * tracer.radiance_factor(self.normal, direction, self.sun)
+        self.value = dr.select(lit, self.value, 0.0)
+        forward = opaque(mi, view.T_cam_body.rotation[2])
+        depth = dr.select(hit.is_valid(), dr.dot(forward, self.point), float(_SKY_M))
+        dr.eval(self.normal, self.point, self.albedo, self.value, depth)
+        self.depth = mi.Float(self._surface_about(depth.numpy()))
+
+    def _surface_about(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Depth beyond the body's origin, along the boresight, of the surface that each sample moves with.
+
+        Where a sample sees the body it is that, and just off the body the farthest surface about it, which is the
+        limb. Farther off there is none, and nothing moves.
+        """
+        n, window = round(self.tracer.samples_per_pixel**0.5), self.window
+        pixels = depth_m.reshape(window.height, window.width, n, n)
+        raster = pixels.transpose(0, 2, 1, 3).reshape(window.height * n, window.width * n)
+        sky = raster >= _SKY_M
+        side = 2 * round(_MOTION_PX * n) + 1
+        limb = cv2.dilate(np.where(sky, -_SKY_M, raster), np.ones((side, side), dtype=np.uint8))
+        raster = np.where(sky & (limb > -_SKY_M), limb, raster)
+        blocks = raster.reshape(window.height, n, window.width, n).transpose(0, 2, 1, 3)
+        return np.ascontiguousarray(blocks).ravel()
+
+    def tangents(self) -> tuple[Any, Any, Any]:
+        """Differentiate each sample's position (u, v), px, and its value: six runs of all samples, one each."""
+        import drjit as dr
+
+        mi = self.mi
+        index = dr.arange(mi.UInt32, _PARAMETERS * self.count)
+        parameter = index // dr.opaque(mi.UInt32, self.count)
+        sample = index - parameter * dr.opaque(mi.UInt32, self.count)
+        size = dr.opaque(mi.Float, 0.0)
+        dr.enable_grad(size)
+        rotation = mi.Vector3f(*(dr.select(parameter == k, size, 0.0) for k in range(3)))
+        translation = mi.Vector3f(*(dr.select(parameter == k, size, 0.0) for k in range(3, 6)))
+        u, v = self._position(sample, rotation, translation)
+        value = self._value(sample, rotation, translation)
+        dr.set_grad(size, 1.0)
+        forward_to: Any = dr.forward_to  # its type hints want arrays one by one
+        tangents: tuple[Any, Any, Any] = forward_to((u, v, value))
+        dr.eval(*tangents)
+        return tangents
+
+    def _position(self, sample: Any, rotation: Any, translation: Any) -> tuple[Any, Any]:
+        """Where the body's points of the samples' depth lie in the image after a small change of the pose."""
+        import drjit as dr
+
+        mi, camera, window = self.mi, self.view.camera, self.window
+        pixel, within = sample // self.tracer.samples_per_pixel, sample % self.tracer.samples_per_pixel
+        row = pixel // dr.opaque(mi.UInt32, window.width)
+        column = pixel - row * dr.opaque(mi.UInt32, window.width)
+        grid = self.tracer.grid(within)
+        slope_u = (mi.Float(column) + grid[0] + _number(mi, window.column - camera.cx_px)) / _number(mi, camera.fx_px)
+        slope_v = (mi.Float(row) + grid[1] + _number(mi, window.row - camera.cy_px)) / _number(mi, camera.fy_px)
+        depth = dr.gather(mi.Float, self.depth, sample)
+        body = depth < 0.5 * float(_SKY_M)
+        origin = opaque(mi, self.view.T_cam_body.translation_m)
+        distance = dr.select(body, depth, 0.0) + origin.z
+        arm = mi.Vector3f(slope_u * distance, slope_v * distance, distance) - origin
+        moved = origin + arm + dr.cross(rotation, arm) + translation
+        still = dr.select(body, 1.0, 0.0)
+        u, v = _number(mi, camera.fx_px) * moved.x / moved.z, _number(mi, camera.fy_px) * moved.y / moved.z
+        return still * u, still * v
+
+    def _value(self, sample: Any, rotation: Any, translation: Any) -> Any:
+        """Radiance factor of the samples' points of the body after a small change of the pose.
+
+        In body axes it is the Sun and the camera that move: with R' = exp(w) R and t' = t + d the camera stands at
+        -R'^T t', to first order -R^T (t + d - w x t), and the Sun at R^T (s - w x s).
+        """
+        import drjit as dr
+
+        mi, pose = self.mi, self.view.T_cam_body
+        to_body = [opaque(mi, row) for row in pose.rotation.T]
+        t, sun = opaque(mi, pose.translation_m), opaque(mi, pose.rotation @ self.view.sun_dir_body)
+        moved_t, moved_sun = t + translation - dr.cross(rotation, t), sun - dr.cross(rotation, sun)
+        from_camera = mi.Vector3f(*(dr.dot(row, moved_t) for row in to_body))
+        sun_body = mi.Vector3f(*(dr.dot(row, moved_sun) for row in to_body))
+        point, normal = (dr.gather(mi.Vector3f, field, sample) for field in (self.point, self.normal))
+        value = self.tracer.radiance_factor(normal, dr.normalize(point + from_camera), sun_body)
+        albedo = dr.gather(mi.Float, self.albedo, sample)
+        return dr.select(albedo > 0.0, albedo * value, 0.0)
+
+
+def _filtered(mi: Any, samples: _Samples, tangents: tuple[Any, Any, Any], window: Window) -> Any:
+    """Combine the derivatives of the samples to those of the pixels, six runs.
+
+    With weights K of the samples about a pixel that add up to S, I = sum(K f) / S has the derivative
+    (sum(K f' + K' f) - I sum(K')) / S.
+    """
+    import drjit as dr
+
+    n = round(samples.tracer.samples_per_pixel**0.5)
+    pixels = dr.opaque(mi.UInt32, window.width * window.height)
+    index = dr.arange(mi.UInt32, _PARAMETERS * window.width * window.height)
+    parameter = index // pixels
+    pixel = index - parameter * pixels
+    row = pixel // dr.opaque(mi.UInt32, window.width)
+    column = pixel - row * dr.opaque(mi.UInt32, window.width)
+    wide = dr.opaque(mi.UInt32, samples.window.width)
+    run = parameter * dr.opaque(mi.UInt32, samples.count)
+    total, moved, spread, mass = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0), 0.0
+    for dv, (weight_v, slope_v) in _tent(n).items():
+        for du, (weight_u, slope_u) in _tent(n).items():
+            neighbour = (row + (_MARGIN_PX + dv // n)) * wide + column + (_MARGIN_PX + du // n)
+            sample = neighbour * n * n + (dv % n) * n + du % n
+            f = dr.gather(mi.Float, samples.value, sample)
+            f_u, f_v, f_value = (dr.gather(mi.Float, tangent, run + sample) for tangent in tangents)
+            weight, change = weight_u * weight_v, slope_u * weight_v * f_u + weight_u * slope_v * f_v
+            mass += weight
+            total += weight * f
+            moved += weight * f_value + change * f
+            spread += change
+    return (moved - total * spread / mass) / mass
+
+
+def _tent(n: int) -> dict[int, tuple[float, float]]:
+    """Weight of each row of samples about a pixel in a tent of two pixels, and its slope; n rows to a pixel.
+
+    Rows are counted from the pixel's first. At the tent's kinks the slope is the mean of both sides.
+    """
+    result = {}
+    for row in range(-n, 2 * n):
+        x = (row + 0.5) / n - 0.5
+        if abs(x) > 1.0 + 1e-9:
+            continue
+        at_kink = abs(abs(x) - 1.0) < 1e-9
+        result[row] = (max(1.0 - abs(x), 0.0), -float(np.sign(x)) * (0.5 if at_kink else 1.0))
+    return result
+
+
+def _number(mi: Any, value: float) -> Any:
+    import drjit as dr
+
+    return dr.opaque(mi.Float, float(value))
