@@ -33,7 +33,7 @@ from reports.measures import CONTROL, Record, errors_by_stage, final_stage, meas
 from reports.paired import paired_records
 from reports.published import Comparison, load_published
 from reports.run_data import RunData, read_run, select
-from reports.sensitivity import sensitivity_grid
+from reports.sensitivity import mesh_variants, sensitivity_grid
 from reports.statistics import LARGE, MEDIAN, FloatArray
 from reports.tables import (
     Grid,
@@ -100,17 +100,12 @@ class Content:
             detail_grid(self.records),
             diagnostic_grid(self.records),
             paired_grid(self.records),
-            sensitivity_grid(self.records, self.labels()),
+            sensitivity_grid(self.records, mesh_variants(self.run)),
             outlier_grid(self.records),
             timing_grid(self.records),
             failures,
         )
         return [*pose_grids(self.records), *(grid for grid in optional if grid is not None)]
-
-    def labels(self) -> list[str]:
-        """List the labels of the estimators in the order of the campaign."""
-        named = [entry if isinstance(entry, str) else "" for entry in self.run.manifest.estimators]
-        return [label for label in named if label]
 
     def table(self) -> pd.DataFrame:
         """Every measured number, beside the published one where there is one."""

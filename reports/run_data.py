@@ -33,7 +33,8 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
 class Product(BaseModel):
     """What is known of a product that was built before the trials, such as a landmark data base.
 
-    ``scenario`` and ``estimator`` say whose it is; empty where it is not said.
+    ``scenario`` and ``estimator`` say whose it is, ``folder`` which it is: what several share has one folder. Empty
+    where it is not said.
     """
 
     model_config = ConfigDict(frozen=True, extra="allow")
@@ -41,6 +42,7 @@ class Product(BaseModel):
     kind: str
     scenario: str = ""
     estimator: str = ""
+    folder: str = ""
     n_landmarks: int | None = None
     n_facets: int | None = None
     bytes: int | None = None

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from reports.measures import CONTROL, Record, find
+from reports.measures import Record, find
 from reports.paired import DIFFERENCES, FAILURE_RATE, OWN, PAIRED
 from reports.published import Comparison
+from reports.run_data import RunData
 from reports.statistics import MEDIAN
 from reports.tables import NO_VALUE, Grid, counts, value_of
 
@@ -38,21 +39,31 @@ _NOTE = (
 )
 
 
-def sensitivity_grid(records: Sequence[Record], order: Sequence[str], paper: Comparison | None = None) -> Grid | None:
-    """Tabulate the estimators that have a data base of their own; None where there are not at least two lines.
+def mesh_variants(run: RunData) -> list[tuple[str, str]]:
+    """List the scenario and estimator of each landmark mesh, in the order of the campaign, where there are several."""
+    meshes = [product for product in run.manifest.products if product.n_facets is not None]
+    several = [
+        scenario
+        for scenario in dict.fromkeys(product.scenario for product in meshes)
+        if len({product.folder for product in meshes if product.scenario == scenario}) > 1
+    ]
+    return [(product.scenario, product.estimator) for product in meshes if product.scenario in several]
+
+
+def sensitivity_grid(
+    records: Sequence[Record], pairs: Sequence[tuple[str, str]], paper: Comparison | None = None
+) -> Grid | None:
+    """Tabulate the size of several data bases and the errors that follow; None where there are not at least two.
 
     Parameters
     ----------
     records
         Of one run.
-    order
-        Labels of the estimators, in the order of the lines.
+    pairs
+        Scenario and estimator of each line, in their order.
     paper
         Its values make the first line.
     """
-    sized = {(r.scenario, r.estimator) for r in records if r.measure == "database_landmarks"}
-    scenarios = dict.fromkeys(r.scenario for r in records)
-    pairs = [(s, label) for s in scenarios for label in order if (s, label) in sized and label != CONTROL]
     if len(pairs) < 2:
         return None
     rows = [_line(records, scenario, label) for scenario, label in pairs]

@@ -29,8 +29,8 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the commands to the parser."""
     run = commands.add_parser("run", help="run a campaign, or continue it where it stopped")
     run.add_argument("name", help="a campaign from the list, or a YAML file")
-    run.add_argument("--trials", type=_positive, help="trials of each scenario (default: what the campaign says)")
-    run.add_argument("--jobs", type=_positive, default=cores(), help="worker processes (default: the cores)")
+    run.add_argument("--trials", type=positive, help="trials of each scenario (default: what the campaign says)")
+    run.add_argument("--jobs", type=positive, default=cores(), help="worker processes (default: the cores)")
     run.add_argument("--seed", type=_not_negative, help="seed (default: what the campaign says)")
     run.add_argument("--out", type=Path, help="run folder (default: runs/NAME-DIGEST)")
     run.add_argument("--variant", help="Mitsuba variant (default: the fastest that works; see boresight doctor)")
@@ -46,7 +46,8 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     report.set_defaults(handler=_report)
 
 
-def _positive(text: str) -> int:
+def positive(text: str) -> int:
+    """Read a whole number above 0 from the command line."""
     return _integer(text, 1)
 
 

@@ -10,9 +10,10 @@ from campaign.paper.gather import FinishedRun, newest_finished, run_folders
 from campaign.paper.rowell2015 import FIGURES, METHODS, PaperFigure
 from campaign.resolve import CATALOG, campaign_names
 from reports.content import NamedFigure
+from reports.designs import design_grids
 from reports.paper import PaperLine, PaperPage, paper_lines
 from reports.published import load_published
-from reports.sensitivity import sensitivity_grid
+from reports.sensitivity import mesh_variants, sensitivity_grid
 from reports.tables import Grid
 from scenarios.errors import BoresightError
 from scenarios.load import load_campaign
@@ -26,7 +27,7 @@ def paper_campaigns() -> list[str]:
     """List the campaigns of the paper in the catalogue, in the order of its sections."""
     order = ("database", "centroid", "convergence", "simulated", "real", "real-like")
     known = [f"rowell2015-{name}" for name in order]
-    others = [n for n in campaign_names() if n.startswith("rowell2015-") and n not in known]
+    others = [name for name in campaign_names() if name.startswith(_SENSITIVITY)]
     return [name for name in (*known, *_ALSO, *others) if name in campaign_names()]
 
 
@@ -96,11 +97,12 @@ def _lines(name: str, run: FinishedRun | None) -> list[PaperLine]:
 
 
 def _sensitivity(run: FinishedRun) -> list[Grid]:
-    """Return the table of a run that tries several data bases."""
+    """Return the tables of a run that varies what the paper leaves open."""
     if not run.manifest["name"].startswith(_SENSITIVITY):
         return []
-    grid = sensitivity_grid(run.content.records, run.content.labels(), load_published("rowell2015-simulated"))
-    return [replace(grid, title=f"{grid.title}: {run.manifest['name']}")] if grid else []
+    content, paper = run.content, load_published("rowell2015-simulated")
+    grids = [*design_grids(content.run), sensitivity_grid(content.records, mesh_variants(content.run), paper)]
+    return [replace(grid, title=f"{run.manifest['name']}: {grid.title}") for grid in grids if grid]
 
 
 def _how(run: FinishedRun) -> str:

@@ -68,4 +68,5 @@ def one_sigma_ellipse(sample: FloatArray) -> Ellipse:
         fill=False,
         edgecolor=VERMILION,
         linewidth=1.5,
+        zorder=3.0,  # above the points, of which a dense cloud would hide it
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 from dataclasses import replace
@@ -12,6 +13,7 @@ import pytest
 from tiny_campaign import SCENE, compute, write_campaign
 
 from campaign.cli import main
+from campaign.cli.figures import run_or_finish
 from campaign.paper.gather import newest_finished, run_folders
 from campaign.paper.page import drawn, gather, paper_campaigns
 from campaign.paper.rowell2015 import FIGURES
@@ -121,6 +123,32 @@ def test_a_second_call_without_runs_leaves_no_old_figures(page, runs, tmp_path, 
     said = capsys.readouterr().out
     assert said.count("no finished run") == len(paper_campaigns())
     assert set(pd.read_csv(out / "table.csv")["verdict"]) == {"not measured"}
+
+
+def test_what_is_missing_is_run_on_request_with_no_more_trials_than_the_campaign_says(cache, tmp_path):
+    name = "rowell2015-centroid"
+    file = write_campaign(tmp_path / "files", f"name: {name}\ntitle: T\n{HEAD}{CAMPAIGNS[name]}", SCENE)
+    for asked, stored in ((1, 1), (None, 4), (100, 4)):
+        run_or_finish(str(file), argparse.Namespace(runs=tmp_path / "runs", trials=asked, jobs=1))
+        (folder,) = run_folders(tmp_path / "runs")
+        assert RunFolder(folder).table("rows")["trial"].nunique() == stored
+    assert newest_finished([folder], name) is not None
+
+
+def test_campaigns_without_their_data_are_told_and_left_out(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("BORESIGHT_DATA", str(tmp_path))
+    out = tmp_path / "figures"
+    words = ["figures", "rowell2015", "--run", "--trials", "1", "--runs", str(tmp_path / "runs"), "--out", str(out)]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    for name in paper_campaigns():
+        assert len(re.findall(rf"^{name}: .* was not found", said, re.M)) == 1, name
+    assert (out / "index.html").exists()
+
+
+def test_trials_without_run_are_refused(tmp_path, capsys):
+    assert main(["figures", "rowell2015", "--runs", str(tmp_path), "--trials", "3"]) == 2
+    assert "--run" in capsys.readouterr().err
 
 
 def test_another_paper_is_refused(capsys):

@@ -1,8 +1,13 @@
 """Data bases beside each other, from hand-made records."""
 
+from pathlib import Path
+
+import pandas as pd
+
 from reports.measures import Record
 from reports.published import load_published
-from reports.sensitivity import sensitivity_grid
+from reports.run_data import Manifest, Product, RunData
+from reports.sensitivity import mesh_variants, sensitivity_grid
 
 
 def records(label, landmarks, position, against=""):
@@ -27,7 +32,7 @@ def records(label, landmarks, position, against=""):
 
 def test_each_data_base_has_a_line_in_the_order_of_the_campaign():
     both = [*records("z-first", 400, 20.0), *records("a-second", 300, 25.0, "z-first")]
-    grid = sensitivity_grid(both, ["prior", "z-first", "a-second"], load_published("rowell2015-simulated"))
+    grid = sensitivity_grid(both, [("s", "z-first"), ("s", "a-second")], load_published("rowell2015-simulated"))
     assert [row[1] for row in grid.rows] == ["the paper", "z-first", "a-second"]
     assert grid.rows[0][2:7] == ("409", "814", "59", "20.9 m", "0.58 deg")
     assert grid.rows[1][2:8] == ("400", "796", "55.0", "20.0 [19.0, 21.0]", "1.50 [0.500, 2.50]", "9/10")
@@ -37,4 +42,22 @@ def test_each_data_base_has_a_line_in_the_order_of_the_campaign():
 
 
 def test_one_data_base_needs_no_table():
-    assert sensitivity_grid(records("only", 400, 20.0), ["only"]) is None
+    assert sensitivity_grid(records("only", 400, 20.0), [("s", "only")]) is None
+
+
+def run_with(*products):
+    manifest = Manifest(
+        name="c", seed=0, trials=1, scenarios={"s": {}}, estimators=(), versions={}, machine={}, credits=(),
+        products=[
+            Product(kind="k", scenario="s", estimator=estimator, folder=folder, n_landmarks=4, n_facets=facets)
+            for estimator, folder, facets in products
+        ],
+    )  # fmt: skip
+    return RunData(Path(), manifest, *(pd.DataFrame() for _ in range(6)))
+
+
+def test_estimators_with_one_data_base_are_no_variants_of_it():
+    assert mesh_variants(run_with(("harris", "a", 4), ("ransac", "a", 4))) == []
+    assert mesh_variants(run_with(("harris", "a", 4), ("sift", "b", None))) == []
+    variants = mesh_variants(run_with(("first", "b", 4), ("second", "a", 4), ("sift", "c", None)))
+    assert variants == [("s", "first"), ("s", "second")]
