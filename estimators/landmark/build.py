@@ -22,7 +22,7 @@ from scenarios.spec.camera import CameraSpec
 
 FloatArray = NDArray[np.float64]
 
-METHOD = "rowell2015-harris"
+METHOD = "rowell2015-{detector}"
 METHOD_VERSION = 1
 
 
@@ -136,7 +136,7 @@ def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -
         np.array([len(np.unique(image_of[cluster.members])) for cluster in kept]),
         hull.facets.astype(np.int32),
         {
-            "method": METHOD,
+            "method": METHOD.format(detector=options.corners.detector),
             "method_version": METHOD_VERSION,
             "options": options.model_dump(mode="json"),
             "images": len(candidates),

@@ -1,4 +1,4 @@
-"""Harris corners, and the purge of those that look like their own surroundings (sections 2.2 and 3.3)."""
+"""Corners after Harris or blobs as of SURF, without those that look like their surroundings (sections 2.2, 3.3)."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from estimators.landmark.fast_hessian import fast_hessian
 from estimators.landmark.signal import extract_signal
 from scenarios.geometry import pixel_from_opencv
 from scenarios.spec.base import SpecModel
@@ -20,7 +21,10 @@ FloatArray = NDArray[np.float64]
 class CornerOptions(SpecModel):
     """How corners are found in an image."""
 
-    detector: Literal["harris"] = "harris"
+    detector: Literal["harris", "surf"] = Field(
+        "harris",
+        description="Corners by first derivatives, or blobs by SURF's detector, to which k and windows are nothing",
+    )
     count: int = Field(100, ge=4, le=100_000, description="At most this many corners an image, the strongest first")
     block_px: int = Field(3, ge=2, le=31, description="Side of the window over which gradients are summed")
     aperture_px: Literal[1, 3, 5, 7] = Field(3, description="Aperture of the Sobel derivative")
@@ -53,7 +57,7 @@ class Corners:
     uv_px
         (M, 2) positions, centre of the first pixel at (0.5, 0.5).
     strength
-        (M,) Harris response on an image scaled to 0..1.
+        (M,) response of the detector on an image scaled to 0..1.
     """
 
     uv_px: FloatArray
@@ -77,14 +81,41 @@ def detect_corners(image: NDArray[np.float32], options: CornerOptions) -> Corner
     if signal.empty:
         return Corners(np.empty((0, 2)), np.empty(0))
     smooth = cv2.GaussianBlur(signal.image, (0, 0), options.blur_px) if options.blur_px > 0.0 else signal.image
-    response = harris_response(smooth, options)
-    peaks = response_peaks(response, options)
-    kept = distinct_peaks(smooth, peaks, options)
-    rows, columns = kept[:, 0], kept[:, 1]
-    positions = kept[:, ::-1].astype(np.float64)
+    found = _blobs(smooth, options) if options.detector == "surf" else _corners(smooth, options)
+    kept = distinct_peaks(smooth, found.peaks, options)
+    positions = found.peaks[kept, ::-1].astype(np.float64)
     if options.subpixel:
-        positions += _parabola_offset(response, kept)
-    return Corners(pixel_from_opencv(positions), response[rows, columns].astype(np.float64))
+        positions += found.offsets_px[kept]
+    return Corners(pixel_from_opencv(positions), found.strength[kept])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """Rows and columns (M, 2) of peaks, the strongest first, their offsets (M, 2) in (u, v) and strengths (M,)."""
+
+    peaks: NDArray[np.intp]
+    offsets_px: FloatArray
+    strength: FloatArray
+
+
+def _corners(image: NDArray[np.float32], options: CornerOptions) -> _Found:
+    response = harris_response(image, options)
+    peaks = response_peaks(response, options)
+    strength = response[peaks[:, 0], peaks[:, 1]].astype(np.float64)
+    return _Found(peaks, _parabola_offset(response, peaks), strength)
+
+
+def _blobs(image: NDArray[np.float32], options: CornerOptions) -> _Found:
+    """Blobs of all scales; of those at one place the strongest."""
+    blobs = fast_hessian(image)
+    order = np.argsort(blobs.strength, kind="stable")
+    rows, columns = blobs.peaks[order, 0], blobs.peaks[order, 1]
+    strongest = np.zeros(image.shape, dtype=np.float32)
+    number = np.zeros(image.shape, dtype=np.intp)
+    strongest[rows, columns], number[rows, columns] = blobs.strength[order], order
+    peaks = response_peaks(strongest, options)
+    chosen = number[peaks[:, 0], peaks[:, 1]]
+    return _Found(peaks, blobs.offsets_px[chosen], blobs.strength[chosen])
 
 
 def harris_response(image: NDArray[np.float32], options: CornerOptions) -> NDArray[np.float32]:
@@ -109,8 +140,8 @@ def response_peaks(response: NDArray[np.float32], options: CornerOptions) -> NDA
     return np.stack([rows, columns], axis=1)[order]
 
 
-def distinct_peaks(image: NDArray[np.float32], peaks: NDArray[np.intp], options: CornerOptions) -> NDArray[np.intp]:
-    """Keep the first ``count`` peaks whose surroundings do not repeat them.
+def distinct_peaks(image: NDArray[np.float32], peaks: NDArray[np.intp], options: CornerOptions) -> list[int]:
+    """Return the numbers of the first ``count`` peaks whose surroundings do not repeat them.
 
     Corners on the limb look alike all along the limb; they mark the horizon and no place on the body.
     """
@@ -120,7 +151,7 @@ def distinct_peaks(image: NDArray[np.float32], peaks: NDArray[np.intp], options:
             break
         if self_similarity(image, int(row), int(column), options) <= options.self_similarity_max:
             kept.append(index)
-    return peaks[kept]
+    return kept
 
 
 def self_similarity(image: NDArray[np.float32], row: int, column: int, options: CornerOptions) -> float:
