@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from reports.measures import Record, find
-from reports.paired import DIFFERENCES, FAILURE_RATE, OWN, PAIRED
+from reports.paired import DIFFERENCES, FAILURE_RATE, OWN, PAIRED, THEIRS
 from reports.published import Comparison
 from reports.run_data import RunData
 from reports.statistics import MEDIAN
@@ -82,6 +82,9 @@ def _line(records: Sequence[Record], scenario: str, label: str) -> tuple[str, ..
     against = {r.reference for r in paired}
     key = {"reference": next(iter(against), "")}
     rates = find(paired, **key, measure=FAILURE_RATE, statistic=OWN)
+    if rates is None:  # the first line, which the others are held against
+        others = [r for r in records if (r.scenario, r.stage, r.reference) == (scenario, PAIRED, label)]
+        rates = find(others, reference=label, measure=FAILURE_RATE, statistic=THEIRS)
     differences = [find(paired, **key, measure=name, statistic=MEDIAN.name) for name in DIFFERENCES]
     return (
         scenario,

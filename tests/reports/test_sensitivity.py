@@ -26,6 +26,7 @@ def records(label, landmarks, position, against=""):
         found += [
             record("paired", "position_difference_m", "median", position - 20.0, against),
             record("paired", "failure_rate", "rate", 0.1, against),
+            record("paired", "failure_rate", "rate of the other", 0.2, against),
         ]
     return found
 
@@ -36,7 +37,7 @@ def test_each_data_base_has_a_line_in_the_order_of_the_campaign():
     assert [row[1] for row in grid.rows] == ["the paper", "z-first", "a-second"]
     assert grid.rows[0][2:7] == ("409", "814", "59", "20.9 m", "0.58 deg")
     assert grid.rows[1][2:8] == ("400", "796", "55.0", "20.0 [19.0, 21.0]", "1.50 [0.500, 2.50]", "9/10")
-    assert grid.rows[1][8:] == ("-", "-", "-")
+    assert grid.rows[1][8:] == ("0.200", "-", "-")
     assert grid.rows[2][8:] == ("0.100", "5.00 [4.00, 6.00]", "-")
     assert all(len(row) == len(grid.columns) for row in grid.rows)
 
