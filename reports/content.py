@@ -12,6 +12,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from reports.comparison import ComparedClaim, ComparedValue, compare, compare_claims
+from reports.consistency import consistency_grid, consistency_records
 from reports.derived import derived_records
 from reports.design_figures import design_figures
 from reports.designs import design_grids
@@ -100,6 +101,7 @@ class Content:
             detail_grid(self.records),
             diagnostic_grid(self.records),
             paired_grid(self.records),
+            consistency_grid(self.records),
             sensitivity_grid(self.records, mesh_variants(self.run)),
             outlier_grid(self.records),
             timing_grid(self.records),
@@ -134,7 +136,7 @@ def read_content(folder: Path) -> Content:
     run = read_run(folder)
     comparison = load_published(run.manifest.report) if run.manifest.report else None
     derived = derived_records(run, comparison.radius_m) if comparison and comparison.radius_m else ()
-    records = (*measure_run(run), *derived, *outlier_records(run), *paired_records(run))
+    records = (*measure_run(run), *derived, *outlier_records(run), *paired_records(run), *consistency_records(run))
     compared = compare(records, comparison) if comparison else ()
     claims = compare_claims(records, comparison) if comparison else ()
     return Content(run, records, comparison, compared, claims, tuple(_notes(run, comparison)))

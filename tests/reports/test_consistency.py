@@ -1,0 +1,99 @@
+"""Covariances and bounds held against errors whose distribution is known."""
+
+import numpy as np
+import pytest
+from conftest import RunBuilder, pose_error
+from scipy.stats import chi2, kstest
+
+from reports.consistency import (
+    BAND,
+    INSIDE,
+    NEES,
+    RATIO,
+    consistency_grid,
+    consistency_records,
+    consistent_mean,
+    rms_ratio,
+)
+from reports.measures import find
+from reports.run_data import read_run
+
+TRIALS = 400
+
+
+def store(builder: RunBuilder, scale: float, known: bool = True):
+    """Store trials whose errors are ``scale`` times what their covariance says; the first one failed."""
+    rng = np.random.default_rng(11)
+    for trial in range(TRIALS):
+        error = rng.normal(size=6) * scale
+        sigma_m = float(rng.uniform(1.0, 3.0))
+        final = pose_error(error[:3] * sigma_m / np.sqrt(3.0), 0.5)
+        prior = {f"prior_{key}": value for key, value in pose_error(np.array([50.0, 0.0, 0.0]), 2.0).items()}
+        told = {
+            "nees": float(error @ error) if known else np.nan,
+            "position_sigma_m": sigma_m if known else np.nan,
+            "attitude_sigma_deg": 0.25 if known else np.nan,
+            "position_bound_m": np.nan,
+            "attitude_bound_deg": 0.5 if known else np.nan,
+        }
+        builder.add(
+            "rows", trial=trial, scenario="rock", estimator="landmark-harris", reason="", image="", n_landmarks=9,
+            status="ok" if trial else "failed", **prior, **final, **told,
+        )  # fmt: skip
+    builder.write(scenarios={"rock": {}}, report=None)
+    return read_run(builder.folder)
+
+
+def value(records, measure, statistic):
+    found = find(records, scenario="rock", estimator="landmark-harris", measure=measure, statistic=statistic)
+    assert found is not None
+    return found
+
+
+def test_a_true_covariance_is_found_true(builder):
+    records = consistency_records(store(builder, 1.0))
+    mean, band = value(records, NEES, "mean"), value(records, NEES, BAND)
+    assert band.low < mean.value < band.high
+    assert mean.n_ok == TRIALS - 1
+    assert mean.n == TRIALS
+    assert value(records, NEES, INSIDE).value == pytest.approx(0.95, abs=0.03)
+    assert value(records, "position_over_sigma", RATIO).value == pytest.approx(1.0, rel=0.1)
+
+
+def test_a_covariance_that_is_too_small_shows(builder):
+    records = consistency_records(store(builder, 2.0))
+    assert value(records, NEES, "mean").low > value(records, NEES, BAND).high
+    assert value(records, NEES, "mean").value == pytest.approx(24.0, rel=0.1)
+    assert value(records, "position_over_sigma", RATIO).value == pytest.approx(2.0, rel=0.1)
+    assert value(records, "attitude_over_sigma", RATIO).value == pytest.approx(2.0)
+    assert value(records, "attitude_over_bound", RATIO).value == pytest.approx(1.0)
+
+
+def test_what_is_not_told_is_not_tabulated(builder):
+    assert consistency_grid(consistency_records(store(builder, 1.0, known=False))) is None
+
+
+def test_the_table_has_a_line_and_no_invented_bound(builder):
+    grid = consistency_grid(consistency_records(store(builder, 1.0)))
+    [row] = grid.rows
+    assert row[grid.columns.index("position, RMS over bound")] == "-"
+    assert row[grid.columns.index("band")] == "5.66 to 6.34"
+
+
+def test_the_band_holds_the_means_of_many_samples():
+    """Against drawn sums of squares: 95 % of the means of 50 lie in the band."""
+    means = (np.random.default_rng(2).normal(size=(4000, 50, 6)) ** 2).sum(axis=2).mean(axis=1)
+    low, high = consistent_mean(50)
+    assert np.mean((means > low) & (means < high)) == pytest.approx(0.95, abs=0.015)
+    assert kstest(50 * means, chi2(300).cdf).pvalue > 1e-3
+
+
+def test_the_interval_of_a_ratio_is_that_of_resampled_ratios():
+    """Against the plain bootstrap of the ratio itself."""
+    rng = np.random.default_rng(5)
+    sigma = rng.uniform(1.0, 2.0, 500)
+    error = sigma * np.abs(rng.normal(size=500))
+    found = rms_ratio(error, sigma, np.arange(500))
+    draws = rng.integers(0, 500, (4000, 500))
+    ratios = np.sqrt((error[draws] ** 2).mean(axis=1) / (sigma[draws] ** 2).mean(axis=1))
+    assert (found.low, found.high) == pytest.approx(tuple(np.percentile(ratios, [2.5, 97.5])), abs=0.01)
