@@ -85,7 +85,8 @@ def _ratio_records(subject: _Subject) -> Iterator[Record]:
         for name, column in (FORETOLD | BOUNDED).items():
             if name.startswith(what):
                 pair = subject.rows[[error, f"{column}_{_UNITS[what]}"]].to_numpy(dtype=np.float64)
-                known = np.isfinite(pair).all(axis=1)
+                # A prior without error foretells none: there is nothing to hold against it.
+                known = np.isfinite(pair).all(axis=1) & (pair[:, 1] > 0.0)
                 if known.any():
                     measured = rms_ratio(pair[known, 0], pair[known, 1], subject.clusters[known])
                     yield subject.record(name, RATIO, measured, int(known.sum()))

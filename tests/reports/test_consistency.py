@@ -69,6 +69,13 @@ def test_a_covariance_that_is_too_small_shows(builder):
     assert value(records, "attitude_over_bound", RATIO).value == pytest.approx(1.0)
 
 
+def test_errors_that_are_known_to_be_none_have_no_ratio(builder):
+    run = store(builder, 1.0)
+    run.rows[["position_sigma_m", "attitude_sigma_deg"]] = 0.0
+    names = {record.measure for record in consistency_records(run)}
+    assert names == {NEES, "attitude_over_bound"}
+
+
 def test_what_is_not_told_is_not_tabulated(builder):
     assert consistency_grid(consistency_records(store(builder, 1.0, known=False))) is None
 
