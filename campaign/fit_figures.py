@@ -18,7 +18,7 @@ from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.projection import project_landmarks
 from estimators.landmark.recognizer import LandmarkRecognizer, Recognition
 from estimators.landmark.visibility import visible_landmarks
-from reports.content import NamedFigure
+from reports.content import NamedFigure, file_stem
 from reports.figures import Fit, Overlay, draw_fit_panels
 from scenarios.geometry import Camera, Pose, TriangleMesh
 from scenarios.spec.scenario import ScenarioSpec
@@ -82,7 +82,8 @@ def fit_figures(campaign: ResolvedCampaign, run: Path, rows: pd.DataFrame) -> It
             if look is None or fit is None or trial is None:
                 continue
             what = f"{scenario.spec.name}, {label}, trial {trial} {look.image_name}".strip()
-            yield _named(fit, what, trial, credit_lines(scenario.spec))
+            stem = file_stem("fit", scenario.spec.name, label, str(trial))
+            yield NamedFigure(stem, draw_fit_panels(fit, what, credit_lines(scenario.spec)), *_words(what))
 
 
 def credit_lines(spec: ScenarioSpec) -> list[str]:
@@ -96,15 +97,14 @@ def median_trial(rows: pd.DataFrame) -> int | None:
     return None if solved.empty else int(solved.iloc[(len(solved) - 1) // 2]["trial"])
 
 
-def _named(fit: Fit, what: str, trial: int, credit: list[str]) -> NamedFigure:
+def _words(what: str) -> tuple[str, str]:
+    """Return the caption of the panels, and what they show for those who cannot see them."""
     caption = (
         f"{what}: the trial of median position error. Left, the prior pose: mesh of the data base, 6-sigma search"
         " ellipses and both brightness centroids. Middle, the mesh rendered for the first iteration. Right, the"
         " converged fit with the corners of the image."
     )
-    alt = "Three images of the body: with the mesh misplaced, the rendered mesh, and with the mesh in place."
-    stem = "fit_" + what.split(",")[0] + f"_{trial}"
-    return NamedFigure(stem, draw_fit_panels(fit, what, credit), caption, alt)
+    return caption, "Three images of the body: with the mesh misplaced, the rendered mesh, and with the mesh in place."
 
 
 def fit_of(look: SecondLook) -> Fit | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,6 +94,9 @@ def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure]) -> 
     """Write all files into ``folder`` and list their names, the page last so that it never shows what is not there."""
     names = _write_tables(content, folder)
     figures = [*draw_figures(content), *extra]
+    twice = [stem for stem, count in Counter(figure.stem for figure in figures).items() if count > 1]
+    if twice:
+        raise ValueError(f"two figures are called {twice[0]}: one would take the place of the other")
     for figure in figures:
         names += [path.name for path in save_figure(figure.figure, folder / figure.stem)]
     (folder / "report.md").write_text(markdown(content, figures), encoding="utf-8")

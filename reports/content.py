@@ -184,7 +184,7 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
     run = content.run
     if run.manifest.grid is not None:
         for stem, figure, caption, alt in design_figures(run):
-            yield NamedFigure(_stem(stem), figure, caption, alt)
+            yield NamedFigure(file_stem(stem), figure, caption, alt)
         return
     for scenario in dict.fromkeys(scenario for scenario, _ in run.posed_pairs()):
         for _, estimator in (pair for pair in run.posed_pairs() if pair[0] == scenario and pair[1] != CONTROL):
@@ -216,7 +216,7 @@ def pose_figure(content: Content, scenario: str, estimator: str) -> NamedFigure:
     title = f"Pose error, {scenario}, {estimator}"
     triangles = " Open triangles on the axis: medians of the paper." if published else ""
     return NamedFigure(
-        _stem("pose_errors", scenario, estimator),
+        file_stem("pose_errors", scenario, estimator),
         draw_pose_errors(errors, title, published, run.manifest.credits),
         f"{title}: attitude and translation error before and after each stage, normalised; dotted lines: medians."
         f"{triangles}",
@@ -233,7 +233,7 @@ def landmark_figures(content: Content, scenario: str, estimator: str) -> Iterato
     if len(error) and len(chi_square):
         title = f"Landmark recognition error, {scenario}, {estimator}"
         yield NamedFigure(
-            _stem("landmark_errors", scenario, estimator),
+            file_stem("landmark_errors", scenario, estimator),
             draw_landmark_errors(error, chi_square, title, credit_lines),
             f"{title}: distance from the landmark of the data base to the surface point that was matched with it, and"
             " the same weighted by the landmark's covariance, with the distribution that a Gaussian error would give.",
@@ -246,7 +246,7 @@ def landmark_figures(content: Content, scenario: str, estimator: str) -> Iterato
         medians = published_medians(content, scenario, estimator)
         median = medians.get((final_stage(run, scenario, estimator), "n_landmarks"))
         yield NamedFigure(
-            _stem("landmark_counts", scenario, estimator),
+            file_stem("landmark_counts", scenario, estimator),
             draw_landmark_counts(counts, title, median, credit_lines),
             f"{title}: number of recognised landmarks in each image with an estimate.",
             "Histogram of the number of recognised landmarks in each image.",
@@ -259,7 +259,7 @@ def _outlier_figures(content: Content, scenario: str, estimator: str) -> Iterato
     if found:
         title = f"What tells bad solutions, {scenario}, {estimator}"
         yield NamedFigure(
-            _stem("outliers", scenario, estimator),
+            file_stem("outliers", scenario, estimator),
             draw_roc(_curves(found), title, run.manifest.credits),
             f"{title}: share of the bad solutions against that of the good ones beyond a threshold on a number that the"
             " estimator reports; the diagonal is chance.",
@@ -288,7 +288,7 @@ def _method_figures(content: Content, scenario: str) -> Iterator[NamedFigure]:
         errors = {label: select(run.rows, scenario, label) for label in labels}
         title = f"Final pose error by estimator, {scenario}"
         yield NamedFigure(
-            _stem("method_errors", scenario),
+            file_stem("method_errors", scenario),
             draw_method_errors({"": errors}, title, run.manifest.credits),
             f"{title}: normalised histograms over the trials with an estimate; what lies beyond the axis is said in the"
             " legend.",
@@ -309,7 +309,7 @@ def _trade_figures(content: Content, scenario: str) -> Iterator[NamedFigure]:
     if marks:
         title = f"Accuracy and its cost, {scenario}"
         yield NamedFigure(
-            _stem("trade_off", scenario),
+            file_stem("trade_off", scenario),
             draw_trade_off(marks, prior_medians(run, scenario), title, run.manifest.credits),
             f"{title}: median errors with their 95 % intervals against time and size of the data base; dashed: the"
             " prior. What reads no data base stands in the panels of time alone.",
@@ -333,7 +333,7 @@ def _centroid_figures(content: Content) -> Iterator[NamedFigure]:
     for estimator in dict.fromkeys(run.diagnostics.loc[run.diagnostics["name"] == "centroid_du_px", "estimator"]):
         title = f"Offset of the brightness centroid, observed minus rendered, {estimator}"
         yield NamedFigure(
-            _stem("centroid_offsets", str(estimator)),
+            file_stem("centroid_offsets", str(estimator)),
             draw_centroid_offsets(centroid_offsets(run, str(estimator)), title),
             f"{title}: one point a trial; ellipses: one standard deviation of the sample.",
             "Scatter of the offsets of the brightness centroid along the columns and rows of the image.",
@@ -348,7 +348,7 @@ def _cumulative_figure(content: Content, scenario: str) -> NamedFigure:
         found[estimator] = (rows[rows["status"] == "ok"], len(rows))
     title = f"Cumulative error, {scenario}"
     return NamedFigure(
-        _stem("cumulative_errors", scenario),
+        file_stem("cumulative_errors", scenario),
         draw_cumulative_errors(found, title, run.manifest.credits),
         f"{title}: share of all trials with an error below the abscissa; a curve ends at the share of trials with an"
         " estimate.",
@@ -360,6 +360,6 @@ def _finite(values: pd.Series) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     return np.asarray(values.dropna(), dtype=np.float64)
 
 
-def _stem(*parts: str) -> str:
+def file_stem(*parts: str) -> str:
     """Make a file name that is valid on every system."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", "_".join(parts))

@@ -35,6 +35,8 @@ _PANELS = (
 
 
 _CURVE_POINTS = 2000
+_LEGEND_INSIDE = 8
+_LINE_IN = 0.17
 
 
 @styled
@@ -143,7 +145,8 @@ def draw_cumulative_errors(
     credit_lines
         Credits of real images.
     """
-    figure, panels = new_figure(2)
+    below = len(estimators) > _LEGEND_INSIDE
+    figure, panels = new_figure(2, height_in=3.4 + (_LINE_IN * -(-len(estimators) // 2) if below else 0.0))
     for axes, (column, label, _, _) in zip(panels, _PANELS, strict=True):
         samples = {name: np.sort(_finite(errors[column])) for name, (errors, _) in estimators.items()}
         limit = float(shared_edges(list(samples.values()))[-1])
@@ -160,7 +163,10 @@ def draw_cumulative_errors(
                 label=f"{name} ({len(sample)} of {n} ok)",
             )
         axes.set(xlabel=label, ylabel="share of all trials", xlim=(0, limit), ylim=(0, 1.02))
-    panels[1].legend(loc="lower right")
+    if below:
+        figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    else:
+        panels[1].legend(loc="lower right")
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
     return figure

@@ -86,6 +86,9 @@ FIGURES = {
     "pose": lambda: draw_pose_errors(
         {"prior": _errors(40), "after recognition": _errors(20, 150, 1)}, "T", {}, [CREDIT]
     ),
+    "cumulative of many": lambda: draw_cumulative_errors(
+        {f"a rather long label {i}": (_errors(i), 200) for i in range(20)}, "T", [CREDIT]
+    ),
     "cumulative": lambda: draw_cumulative_errors({"prior": (_errors(40), 200), "a": (_errors(20), 250)}, "T", [CREDIT]),
     "methods": lambda: draw_method_errors(
         {"A": {"a": _errors(40), "b": _errors(20)}, "B": {"a": _errors(40)}}, "T", [CREDIT]

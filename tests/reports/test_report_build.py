@@ -145,6 +145,13 @@ def test_further_figures_are_shown_after_those_of_the_tables(builder):
     assert "![Three panels with the stages of a fit.](fit_image7.png)" in files.markdown.read_text()
 
 
+def test_no_figure_takes_the_place_of_another(builder):
+    builder.trial(0, ([3, 4, 0], 1), ([1, 1, 0], 1))
+    again = NamedFigure("fit_image7", draw_landmark_counts(np.arange(5.0), "T"), "", "")
+    with pytest.raises(ValueError, match="two figures are called fit_image7"):
+        write_report(builder.write(), extra=[again, again])
+
+
 def test_same_rows_give_the_same_bytes(report, tmp_path):
     first, second = report, write_report(report.folder.parent, tmp_path / "b")
     names = sorted(p.name for p in first.folder.iterdir())
