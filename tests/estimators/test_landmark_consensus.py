@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from estimators.landmark.robust.mixture import Mixture, PosePrior, Poses
 from estimators.landmark.robust.options import MixtureOptions, SearchOptions
+from estimators.landmark.robust.sampling import sampled_hypotheses
 from estimators.landmark.robust.search import best_hypotheses, corner_map, refined, turns_within
 from scenarios.geometry import Camera, look_at
 
@@ -112,3 +113,48 @@ def test_the_corner_map_counts_every_corner():
     density = corner_map(corners, CAMERA, 1.5)
     assert density.sum() == pytest.approx(3.0, rel=1e-4)
     assert np.unravel_index(density.argmax(), density.shape) == (50, 100)
+
+
+def sampled(mixture: Mixture, corners: np.ndarray, prior: PosePrior, seed: int = 5):
+    search = SearchOptions(hypotheses="minimal-sets", draws=4000)
+    rng = np.random.default_rng(seed)
+    return sampled_hypotheses(mixture, prior, prior.mean, corners, CAMERA, search, rng), search
+
+
+def test_minimal_sets_lead_to_the_pose_that_the_whole_prior_does():
+    """Two searches that share no hypothesis end at one optimum."""
+    for seed in range(6):
+        mixture, corners, prior = scene(seed)
+        hypotheses, search = sampled(mixture, corners, prior)
+        found = refined(mixture, hypotheses, SEEN.corner_sigma_px, search)
+        expected = solve(mixture, corners, prior)
+        difference = PosePrior(expected, np.eye(6)).errors(one(found))[0]
+        assert (np.abs(difference) < 0.02 * PRIOR_SIGMAS).all()
+
+
+def test_minimal_sets_are_those_of_their_seed():
+    given = scene(3)
+    first, again, other = (sampled(*given, seed=seed)[0].translations_m for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_a_minimal_set_of_true_corners_gives_the_true_pose():
+    """Without noise and clutter every set is true, so every hypothesis is the pose but for the linearisation."""
+    mixture, _, prior = scene(4)
+    near = PosePrior(TRUE.perturbed(np.full(3, 1e-4), np.full(3, 0.05)), prior.information)
+    points = mixture.points_m[::12]
+    corners = CAMERA.project(TRUE.transform(points))
+    sure = np.repeat(1e-6 * np.eye(3)[None], len(points), axis=0)
+    exact = Mixture(points, sure, corners, 6e4, CAMERA, near, SEEN)
+    search = SearchOptions(hypotheses="minimal-sets", draws=400, anneal_px=(0.001,))
+    poses = sampled_hypotheses(exact, near, near.mean, corners, CAMERA, search, np.random.default_rng(0))
+    errors = PosePrior(TRUE, np.eye(6)).errors(poses)
+    assert np.median(np.abs(errors[:, :3])) < 1e-6, "but for sets that nearly lie on a line"
+    assert np.median(np.abs(errors[:, 3:5])) < 1e-3
+
+
+def test_without_a_match_there_is_no_hypothesis():
+    mixture, _, prior = scene(1)
+    hypotheses, _ = sampled(mixture, np.array([[3.0, 3.0], [5.0, 3.0]]), prior)
+    assert len(hypotheses) == 0

@@ -19,6 +19,7 @@ from estimators.landmark.matched import MatchedFrame, matched_table
 from estimators.landmark.recognizer import MEASURES, borrow_database
 from estimators.landmark.robust.mixture import Mixture, PosePrior, Poses, Step
 from estimators.landmark.robust.options import ConsensusOptions
+from estimators.landmark.robust.sampling import sampled_hypotheses
 from estimators.landmark.robust.search import best_hypotheses, refined
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
@@ -73,20 +74,19 @@ class ConsensusRecognizer:
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate the pose of each frame on its own; the first frame that fails fails the whole.
 
-        Stages, diagnostics and timings are those of the last frame; nothing is drawn at random.
+        Stages, diagnostics and timings are those of the last frame. Only minimal sets, where asked for, need ``rng``.
         """
-        del rng
         if not observation.frames:
             return Estimate("failed", "the observation holds no image")
         clock = Stopwatch()
         solutions: list[_Solution] = []
         for frame in observation.frames:
-            solutions.append(self._solve(frame, observation.camera, clock))
+            solutions.append(self._solve(frame, observation.camera, clock, rng))
             if solutions[-1].failure:
                 return Estimate("failed", solutions[-1].failure, timings_s=clock.seconds)
         return self._estimate(solutions, observation.camera, clock)
 
-    def _solve(self, frame: Frame, camera: Camera, clock: Stopwatch) -> _Solution:
+    def _solve(self, frame: Frame, camera: Camera, clock: Stopwatch, rng: np.random.Generator) -> _Solution:
         options, prior = self._options, frame.prior_T_cam_body
         if frame.image.shape != (camera.height_px, camera.width_px):
             expected = (camera.height_px, camera.width_px)
@@ -105,7 +105,7 @@ class ConsensusRecognizer:
         with clock("feature_extraction"):
             corners_px = detect_corners(frame.image, options.corners).uv_px
         with clock("recognition"):
-            solution = self._recognise(frame, camera, alignment, corners_px)
+            solution = self._recognise(frame, camera, alignment, corners_px, rng)
         if solution.pose is None:
             return solution
         with clock("consistency"):
@@ -113,7 +113,9 @@ class ConsensusRecognizer:
         failure = inconsistency(residual_px, options.consistency_max_px)
         return replace(solution, failure=failure, centroid_residual_px=residual_px)
 
-    def _recognise(self, frame: Frame, camera: Camera, alignment: Alignment, corners_px: FloatArray) -> _Solution:
+    def _recognise(
+        self, frame: Frame, camera: Camera, alignment: Alignment, corners_px: FloatArray, rng: np.random.Generator
+    ) -> _Solution:
         options, start = self._options, alignment.T_cam_body
         visible = np.flatnonzero(visible_landmarks(self._mesh, camera, start))
         if min(len(visible), len(corners_px)) < _FEWEST:
@@ -121,12 +123,18 @@ class ConsensusRecognizer:
             return _Solution(found, alignment)
         sigma_px = options.mixture.corner_sigma_px
         turn_sigma_rad = float(np.sqrt(np.diag(frame.prior_covariance)[:3].max()))
-        first = self._mixture(visible, corners_px, camera, _prior_after_alignment(frame, start, camera, options))
-        hypotheses = best_hypotheses(first, start, turn_sigma_rad, corners_px, camera, options.search)
+        prior = _prior_after_alignment(frame, start, camera, options)
+        first = self._mixture(visible, corners_px, camera, prior)
+        if options.search.hypotheses == "prior":
+            hypotheses = best_hypotheses(first, start, turn_sigma_rad, corners_px, camera, options.search)
+        else:
+            hypotheses = sampled_hypotheses(first, prior, start, corners_px, camera, options.search, rng)
+        if not len(hypotheses):
+            return _Solution("no three landmarks have a corner within their matching radius", alignment)
         pose = refined(first, hypotheses, sigma_px, options.search)
         # A turn of some degrees brings other landmarks into view.
         visible = np.flatnonzero(visible_landmarks(self._mesh, camera, pose))
-        last = self._mixture(visible, corners_px, camera, _prior_after_alignment(frame, start, camera, options))
+        last = self._mixture(visible, corners_px, camera, prior)
         poses = last.climb(_single(pose), sigma_px, options.search.max_iterations, 1e-3)
         return _Solution("", alignment, poses.pose(0), last.step(poses, sigma_px), visible, corners_px)
 

@@ -24,8 +24,14 @@ class MixtureOptions(SpecModel):
 
 
 class SearchOptions(SpecModel):
-    """Hypotheses over the prior: turns about the body's origin, each with shifts across the line of sight."""
+    """Hypotheses, of which the best are refined.
 
+    Either turns about the body's origin over the whole prior, each with shifts across the line of sight, or the poses
+    of random minimal sets of landmarks and corners, as in RANSAC.
+    """
+
+    hypotheses: Literal["prior", "minimal-sets"] = Field("prior", description="Where hypotheses come from")
+    draws: int = Field(20_000, ge=1, le=1_000_000, description="Minimal sets that are drawn")
     reach_sigma: float = Field(3.45, gt=0, le=10, description="Radius of the ball of turns, in the prior's sigmas")
     step_px: float = Field(1.7, gt=0, le=20, description="Step of a turn at the farthest landmark, in pixel sizes")
     max_turns: int = Field(4000, ge=1, le=100_000, description="The step grows until there are no more turns than this")

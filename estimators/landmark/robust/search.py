@@ -47,15 +47,28 @@ def best_hypotheses(
     turns = turns_within(options.reach_sigma * turn_sigma_rad, options.step_px * pixel_m / size_m, options.max_turns)
     rotations = Rotation.from_rotvec(turns).as_matrix() @ start.rotation
     poses = Poses(rotations, np.repeat(start.translation_m[None], len(turns), axis=0))
-    log_density = np.log1p(mixture.odds_px2 * corner_map(corners_px, camera, options.blur_px))
     shifts = np.arange(-options.shift_px, options.shift_px + 1)
     du, dv = (grid.ravel() for grid in np.meshgrid(shifts, shifts))
     prior = -0.5 * np.square(turns).sum(axis=1) / turn_sigma_rad**2
-    scores = _scores(log_density, mixture.project(poses), du, dv) + prior[:, None]
+    scores = map_scores(mixture, poses, corners_px, camera, options.blur_px, du, dv) + prior[:, None]
     best = np.argsort(-scores.ravel(), kind="stable")[: options.refined]
     turn, shift = np.divmod(best, len(du))
     across_m = np.stack([du[shift], dv[shift], np.zeros(len(best))], axis=1) * pixel_m
     return Poses(rotations[turn], start.translation_m + across_m)
+
+
+def map_scores(
+    mixture: Mixture,
+    poses: Poses,
+    corners_px: FloatArray,
+    camera: Camera,
+    blur_px: float,
+    du: NDArray[np.int_],
+    dv: NDArray[np.int_],
+) -> FloatArray:
+    """Log likelihoods (H, S) of poses, shifted by whole pixels, on a blurred map of the corners."""
+    log_density = np.log1p(mixture.odds_px2 * corner_map(corners_px, camera, blur_px))
+    return _scores(log_density, mixture.project(poses), du, dv)
 
 
 def _scores(
