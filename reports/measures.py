@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -45,6 +45,7 @@ UNITS = {
     "seconds": "s",
 }
 # Units of numbers that estimators report, by the end of their names.
+_REDUCTIONS = {"position_reduction_m": POSE_COLUMNS[0], "attitude_reduction_deg": POSE_COLUMNS[1]}
 _SUFFIXES = {"_px": "px", "_m": "m", "_deg": "deg", "_s": "s", "_bytes": "bytes"}
 _MAGNITUDE = (MEDIAN, RMS, P75, P95)
 _COMPONENT = (ROOT_MEDIAN_SQUARE, RMS)
@@ -221,16 +222,32 @@ def reference_measures(run: RunData) -> list[Record]:
 
 
 def improvement_measures(run: RunData) -> list[Record]:
-    """Measure prior error minus final error, trial by trial, over the trials that are ok (positive is better)."""
+    """Measure prior error minus final error, trial by trial, over the trials that are ok (positive is better).
+
+    Against the truth, and for real images against each further reference pose as well.
+    """
     records = []
     for scenario, estimator in run.posed_pairs():
         if estimator == CONTROL:
             continue
         rows = select(run.rows, scenario, estimator)
         ok = rows[rows["status"] == "ok"]
+        prior = ok.assign(**{name: ok[f"prior_{name}"] for name in _REDUCTIONS.values()})
         subject = _Subject(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
-        for name, error in (("position_reduction_m", POSE_COLUMNS[0]), ("attitude_reduction_deg", POSE_COLUMNS[1])):
-            records += subject.records(name, ok[f"prior_{error}"] - ok[error], clusters_of(run, ok), (MEDIAN, MEAN))
+        records += _reductions(run, subject, prior, ok)
+        mine, control = (select(run.references, scenario, name) for name in (estimator, CONTROL))
+        for reference in sorted(set(mine["reference"]) - {run.truth_name(scenario)}):
+            final, before = (table[table["reference"] == reference] for table in (mine, control))
+            records += _reductions(run, replace(subject, reference=str(reference)), before, final)
+    return records
+
+
+def _reductions(run: RunData, subject: _Subject, before: pd.DataFrame, after: pd.DataFrame) -> list[Record]:
+    """Measure how much smaller the errors of ``after`` are than those of ``before`` in the same trials."""
+    records, prior = [], before.set_index("trial")
+    for name, error in _REDUCTIONS.items():
+        reduction = prior[error].reindex(after["trial"]).to_numpy() - after[error]
+        records += subject.records(name, reduction, clusters_of(run, after), (MEDIAN, MEAN))
     return records
 
 

@@ -307,10 +307,12 @@ def detail_grid(records: Sequence[Record]) -> Grid | None:
     names = [name for name in _MEASURES if not name.startswith(("position_error", "attitude_error", "seconds"))]
     chosen = [r for r in records if r.measure in names and r.stage != DIAGNOSTICS]
     heads = ("scenario", "estimator", "quantity", "statistic", "value [95 %]", "unit", "ok")
-    rows = tuple(
-        (r.scenario, r.estimator, measure_label(r.measure), r.statistic, value_of(r, interval=True), r.unit, counts(r))
-        for r in chosen
-    )
+
+    def cells(r: Record) -> tuple[str, ...]:
+        quantity = measure_label(r.measure) + (f" against {r.reference}" if r.reference else "")
+        return (r.scenario, r.estimator, quantity, r.statistic, value_of(r, interval=True), r.unit, counts(r))
+
+    rows = tuple(cells(r) for r in chosen)
     note = "A reduction is the prior's error minus the final error of the same trial: positive where the pose improved."
     return Grid("Improvement, landmarks and data base", heads, rows, frozenset({0, 1, 2, 3, 5}), note) if rows else None
 

@@ -91,6 +91,22 @@ def test_references_are_measured_apart_from_the_truth(builder):
     assert find(records, **wanted, reference="label").value == 10.0
 
 
+def test_the_gain_over_the_prior_is_told_for_each_reference(builder):
+    """Errors of 10 m and 4 deg fall to 7 m and 1 deg in every trial against the label, to 5 m against the truth."""
+    zero = dict.fromkeys(("position_error_x_m", "position_error_y_m", "position_error_z_m"), 0.0)
+    for trial in range(3):
+        builder.trial(trial, ([6, 8, 0], 4), ([3, 4, 0], 1))
+        for estimator, position, attitude in (("prior", 10.0, 4.0), (ITOKAWA["estimator"], 7.0, 1.0)):
+            key = {"trial": trial, "scenario": ITOKAWA["scenario"], "estimator": estimator, "reference": "label"}
+            builder.add("references", **key, position_error_m=position + trial, attitude_error_deg=attitude, **zero)
+    records = measure_run(read_run(builder.write()))
+    wanted = {**ITOKAWA, "measure": "position_reduction_m", "statistic": "median"}
+    assert find(records, **wanted).value == 5.0
+    assert find(records, **wanted, reference="label").value == 3.0
+    wanted["measure"] = "attitude_reduction_deg"
+    assert find(records, **wanted, reference="label").value == 3.0
+
+
 def test_times_of_a_stage_that_ran_twice_in_a_trial_are_added(builder):
     builder.trial(0, ([1, 0, 0], 1), ([1, 0, 0], 1))
     for _ in range(2):
