@@ -8,9 +8,11 @@ from scipy.optimize import approx_fprime
 from scipy.stats import chi2
 
 from estimators.landmark.robust.mixture import Mixture, PosePrior, Poses
-from estimators.landmark.robust.options import MixtureOptions, SearchOptions
+from estimators.landmark.robust.options import ConsensusOptions, MixtureOptions, SearchOptions
 from estimators.landmark.robust.sampling import sampled_hypotheses
 from estimators.landmark.robust.search import best_hypotheses, corner_map, refined, turns_within
+from estimators.options import parse_options
+from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, look_at
 
 CAMERA = Camera.from_fov(512, 512, np.radians(18.3))
@@ -158,3 +160,9 @@ def test_without_a_match_there_is_no_hypothesis():
     mixture, _, prior = scene(1)
     hypotheses, _ = sampled(mixture, np.array([[3.0, 3.0], [5.0, 3.0]]), prior)
     assert len(hypotheses) == 0
+
+
+@pytest.mark.parametrize("anneal_px", [(), (1.5, 0.0), (-1.0,)])
+def test_the_refinement_goes_through_corner_errors_above_zero(anneal_px):
+    with pytest.raises(BoresightError, match=r"estimator landmark-ransac: search\.anneal_px"):
+        parse_options(ConsensusOptions, {"search": {"anneal_px": anneal_px}}, "landmark-ransac")

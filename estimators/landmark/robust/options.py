@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -38,7 +38,9 @@ class SearchOptions(SpecModel):
     shift_px: int = Field(2, ge=0, le=20, description="Shifts up to this many pixels along rows and columns")
     blur_px: float = Field(1.8, gt=0, le=20, description="Blur of the corner map on which hypotheses are scored")
     refined: int = Field(25, ge=1, le=1000, description="Best hypotheses that are refined")
-    anneal_px: tuple[float, ...] = Field((1.5, 0.8), description="Corner errors that the refinement goes through")
+    anneal_px: tuple[Annotated[float, Field(gt=0, le=20)], ...] = Field(
+        (1.5, 0.8), min_length=1, description="Corner errors that the refinement goes through"
+    )
     iterations: int = Field(4, ge=1, le=100, description="Steps at each of them")
     finalists: int = Field(4, ge=1, le=100, description="Hypotheses that are brought to convergence")
     max_iterations: int = Field(30, ge=1, le=1000, description="Steps to convergence at most")
