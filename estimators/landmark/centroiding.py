@@ -15,6 +15,7 @@ from estimators.landmark.recognizer import borrow_database
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
+from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose
 from scenarios.observation import Frame, Observation
 from scenarios.spec.base import SpecModel
@@ -71,8 +72,16 @@ class CentroidAligner:
         )
 
     def align(self, frame: Frame, camera: Camera, clock: Stopwatch) -> tuple[Alignment, dict[str, float]]:
-        """Align one frame; also return how large the observed body is."""
-        prior = frame.prior_T_cam_body
+        """Align one frame; also return how large the observed body is.
+
+        Raises
+        ------
+        BoresightError
+            If the image is not of the camera's size.
+        """
+        prior, expected = frame.prior_T_cam_body, (camera.height_px, camera.width_px)
+        if frame.image.shape != expected:
+            raise BoresightError(f"the image has shape {frame.image.shape}, but the camera's is {expected}")
         if not np.isfinite(frame.image).all():
             return Alignment(prior, (), "the image holds NaN or infinite pixels"), {}
         with clock("centroid"):

@@ -6,6 +6,7 @@ from test_landmark_centroid import CAMERA, RADIUS_M, Ball, disc
 
 from estimators.landmark.centroiding import CentroidAligner, CentroidOptions
 from estimators.registry import estimator_class
+from scenarios.errors import BoresightError
 from scenarios.geometry import Pose
 from scenarios.observation import Frame, Observation
 
@@ -84,3 +85,8 @@ def test_a_mesh_out_of_view_is_a_failure_with_a_reason():
 
 def test_an_observation_without_an_image_is_a_failure():
     assert estimate(Observation(CAMERA, ())).reason == "the observation holds no image"
+
+
+def test_an_image_of_another_size_is_refused():
+    with pytest.raises(BoresightError, match="the image has shape"):
+        estimate(observed(image=np.ones((100, 256), np.float32)))
