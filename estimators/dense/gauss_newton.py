@@ -37,7 +37,7 @@ class Fit:
     information
         (6, 6) of [rotation_rad, translation_m] in camera axes, prior included.
     correlation
-        Of the two images over the pixels that were compared.
+        Of the two images over the pixels that were compared; NaN where the rendering is empty.
     steps
         Steps taken in all.
     """
@@ -96,6 +96,8 @@ def fit_level(
         else:
             image = reduced.render(pose)
         rendered = band(image, level)
+        if not rendered.any():
+            return Fit(pose, prior.information, float("nan"), count)
         compared = _compared(target, rendered)
         normal, vector, correlation = _normal_equations(target, rendered, jacobian, compared, options)
         normal += prior.information

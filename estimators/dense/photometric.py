@@ -88,7 +88,7 @@ class PhotometricEstimator:
     def _stages(self, result: Registration) -> tuple[Stage, ...]:
         if result.shift.failure:
             return ()
-        levels = zip(self._options.levels, result.fits, strict=True)
+        levels = zip(self._options.levels, result.fits, strict=False)  # a failure may have ended it early
         fitted = (Stage(f"level-{level.reduction}", fit.T_cam_body) for level, fit in levels)
         return (Stage("alignment", result.shift.T_cam_body), *fitted)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.certainty import invertible
 from estimators.dense.gauss_newton import Fit, PriorTerm, fit_level, inverse
 from estimators.dense.options import RegistrationOptions
 from estimators.landmark.alignment import correlation_pair
@@ -27,7 +28,7 @@ class Registration:
     shift
         The first shift across the line of sight.
     fits
-        Of each level, from coarse to fine.
+        Of each level, from coarse to fine; none after one at which the shape went out of sight.
     failure
         Why the pose is none; empty where it is one.
     """
@@ -71,16 +72,20 @@ def register(
     shift = align_translation(observed, start, view, correlation_pair, options.alignment_loop, clock)
     if shift.failure:
         return Registration(shift, failure=shift.failure)
-    prior = PriorTerm(start, inverse(frame.prior_covariance))
+    prior = PriorTerm(start, inverse(invertible(frame.prior_covariance)))
     fits: list[Fit] = []
     for level in options.levels:
         with clock(STAGE):
             begin = fits[-1].T_cam_body if fits else shift.T_cam_body
             fits.append(fit_level(observed, begin, view, prior, size_m, level, options))
+        if not np.isfinite(fits[-1].correlation):
+            break
     return Registration(shift, tuple(fits), _verdict(fits[-1].correlation, options.correlation_min))
 
 
 def _verdict(correlation: float, least: float) -> str:
+    if not np.isfinite(correlation):
+        return "the rendered mesh went out of view or into the dark"
     if correlation >= least:
         return ""
     return f"the rendering does not look like the image: correlation {correlation:.2f}"

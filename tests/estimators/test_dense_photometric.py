@@ -153,3 +153,32 @@ def test_the_prior_term_measures_what_perturbed_does():
     step = np.array([0.01, -0.02, 0.005, 3.0, -4.0, 1.0])
     np.testing.assert_allclose(PriorTerm(TRUE, np.eye(6)).error(TRUE.perturbed(step[:3], step[3:])), step, atol=1e-12)
     np.testing.assert_allclose(inverse(np.diag([1e8, 1e-3, 2.0])) @ np.diag([1e8, 1e-3, 2.0]), np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize("sure_of", [(5,), (0, 1, 2), (0, 1, 2, 3, 4, 5)], ids=["range", "attitude", "all"])
+def test_what_the_prior_knows_without_error_stays(renderer, image, sure_of):
+    """A variance of 0 has no inverse, but a meaning."""
+    sigmas = PRIOR_SIGMAS.copy()
+    sigmas[list(sure_of)] = 0.0
+    error = np.random.default_rng(1).normal(0.0, sigmas)
+    prior = TRUE.perturbed(error[:3], error[3:])
+    found = estimate(renderer, Frame(image, SUN_CAM, prior, np.diag(sigmas**2)))
+    assert found.status == "ok"
+    moved = PriorTerm(prior, np.eye(6)).error(found.poses[0])
+    np.testing.assert_allclose(moved[list(sure_of)], 0.0, atol=1e-6)
+    assert np.isfinite(found.covariances[0]).all()
+    assert errors(found.poses[0])[0] < 2.5
+
+
+def test_a_shape_that_goes_out_of_sight_on_the_way_is_a_failure_with_a_reason(renderer, image):
+    class OnlyWhole:
+        """Shows the body to the first shift, and nothing to the levels, which are smaller."""
+
+        def render(self, view: View) -> np.ndarray:
+            whole = view.camera.width_px == CAMERA.width_px
+            return renderer.render(view) if whole else np.zeros((view.camera.height_px, view.camera.width_px), "f4")
+
+    found = estimate(OnlyWhole(), frame(image))
+    assert found.status == "failed"
+    assert "out of view" in found.reason
+    assert [stage.name for stage in found.stages] == ["alignment", "level-2"]

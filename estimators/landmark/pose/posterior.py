@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import exp1
 
+from estimators.certainty import invertible
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
 from estimators.landmark.pose.problem import PoseProblem
 from scenarios.geometry import Pose
@@ -82,7 +83,7 @@ def solve_map(problem: PoseProblem, prior: Prior, start: Pose, shared: FloatArra
     """
     redundancy = float(shared.sum()) / len(shared)
     independent = len(shared) / redundancy
-    pose, known = start, np.linalg.inv(prior.covariance)
+    pose, known = start, np.linalg.inv(invertible(prior.covariance))
     for _ in range(_MAX_STEPS):
         residuals = problem.residuals_px(pose)
         d2 = np.einsum("ni,nij,nj->n", residuals, problem.information_px2, residuals)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.certainty import invertible
 from estimators.contract import Assets, Estimate, ImageRenderer, Stage
 from estimators.landmark.centroid import Alignment, MeshView, align_translation
 from estimators.landmark.consistency import centroid_residual_px, inconsistency
@@ -122,7 +123,7 @@ class ConsensusRecognizer:
             found = f"{len(visible)} landmarks in view and {len(corners_px)} corners, {_FEWEST} of each needed"
             return _Solution(found, alignment)
         sigma_px = options.mixture.corner_sigma_px
-        turn_sigma_rad = float(np.sqrt(np.diag(frame.prior_covariance)[:3].max()))
+        turn_sigma_rad = float(np.sqrt(np.diag(invertible(frame.prior_covariance))[:3].max()))
         prior = _prior_after_alignment(frame, start, camera, options)
         first = self._mixture(visible, corners_px, camera, prior)
         if options.search.hypotheses == "prior":
@@ -172,7 +173,7 @@ def _prior_after_alignment(frame: Frame, aligned: Pose, camera: Camera, options:
     The prior's own information is kept: the aligned translation is a measurement of x and y with the error
     ``alignment_sigma_px``; along the boresight and in attitude the prior stands alone.
     """
-    prior_information = np.linalg.inv(frame.prior_covariance)
+    prior_information = np.linalg.inv(invertible(frame.prior_covariance))
     sigma_m = options.alignment_sigma_px * camera.pixel_angle_rad * float(np.linalg.norm(aligned.translation_m))
     measured = np.zeros((6, 6))
     measured[3, 3] = measured[4, 4] = sigma_m**-2
