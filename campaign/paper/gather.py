@@ -49,7 +49,10 @@ class FinishedRun:
         """
         campaign = reload(self.manifest)
         if campaign is None:
-            raise BoresightError(f"{self.folder.path}: was made by another version of boresight or of its data")
+            raise BoresightError(
+                f"{self.folder.path}: was made by another version of boresight or of its data: "
+                f"to draw this, run `boresight run {self.manifest['campaign']['name']}` again"
+            )
         return campaign
 
 
