@@ -51,7 +51,7 @@ class FinishedRun:
         if campaign is None:
             raise BoresightError(
                 f"{self.folder.path}: was made by another version of boresight or of its data: "
-                f"to draw this, run `boresight run {self.manifest['campaign']['name']}` again"
+                f"to draw this, run `boresight run {self.manifest['name']}` again"
             )
         return campaign
 
