@@ -85,7 +85,8 @@ def parse_label(content: bytes, path: Path) -> Label:
     text = content[: end.end()].decode("latin-1")
     try:
         values = pvl.loads(text, decoder=OmniDecoder(real_cls=Decimal))
-    except (LexerError, ParseError, QuantityError, ValueError) as error:
+    except (LexerError, ParseError, QuantityError, ValueError, TypeError) as error:
+        # pvl raises TypeError for a date that it takes for a date with a time zone, such as 2005-10-0.
         raise BoresightError(f"{path}: not a readable PDS3 label: {' '.join(str(error).split())[:200]}") from error
     return Label(path, _flattened(values))
 

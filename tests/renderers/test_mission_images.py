@@ -207,6 +207,13 @@ def test_other_files_are_refused(tmp_path):
         open_product(tmp_path / "b.lbl")
 
 
+def test_a_date_that_looks_like_a_time_zone_is_refused_in_one_line(tmp_path):
+    (tmp_path / "a.img").write_bytes(packed(">h"))
+    (tmp_path / "a.lbl").write_bytes(label().replace(b"END\r\n", b"A_DATE = 2005-10-0\r\nEND\r\n"))
+    with pytest.raises(BoresightError, match="not a readable PDS3 label"):
+        open_product(tmp_path / "a.lbl")
+
+
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_a_damaged_label_gives_pixels_or_one_line(tmp_path, data):
