@@ -1,0 +1,1 @@
+"""Simultaneous localisation and mapping from tracks of points (Delpech et al. 2015, and beyond)."""
