@@ -28,6 +28,10 @@ class Stream(IntEnum):
     KNOWLEDGE = 5
     ALTIMETER = 6
     LANDMARKS = 7
+    TRACK_FIELD = 8
+    TRACK_NOISE = 9
+    MOTION = 10
+    MISMATCH = 11
 
 
 def generator(seed: int, stream: Stream, trial: int) -> np.random.Generator:

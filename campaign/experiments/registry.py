@@ -63,6 +63,7 @@ _KINDS: Mapping[str, str] = MappingProxyType(
         "single-image": "campaign.experiments.single_image:SingleImage",
         "landmark-database": "campaign.experiments.landmark_database:DatabaseTrials",
         "pose-convergence": "campaign.experiments.pose_convergence:PoseConvergence",
+        "sequence": "campaign.experiments.sequence:SequenceTrials",
     }
 )
 

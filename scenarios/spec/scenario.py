@@ -13,6 +13,7 @@ from scenarios.spec.camera import CameraSpec, DetectorSpec, RenderingSpec
 from scenarios.spec.images import ImageSetSpec
 from scenarios.spec.onboard import OnboardSpec
 from scenarios.spec.sensors import SensorsSpec
+from scenarios.spec.sequence import SequenceSpec
 from scenarios.spec.world import PAPER_POSE_ERROR, LightingSpec, PoseErrorSpec, ViewpointSpec
 
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
@@ -21,10 +22,10 @@ NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
 class ScenarioSpec(SpecModel):
     """What the YAML says. Its digest is part of every result's key.
 
-    Images are either rendered from a ``viewpoint`` or read from ``images``.
+    Images are either rendered from a ``viewpoint`` or read from ``images``; a ``sequence`` has tracks in their place.
     """
 
-    alternatives: ClassVar = (("viewpoint", "images"),)
+    alternatives: ClassVar = (("viewpoint", "images", "sequence"),)
     prose: ClassVar = frozenset({"name", "description"})
     own: ClassVar = frozenset({"name", "description"})
 
@@ -38,6 +39,7 @@ class ScenarioSpec(SpecModel):
     viewpoint: ViewpointSpec | None = Field(None, description="Where rendered images are seen from")
     lighting: LightingSpec = LightingSpec()
     images: ImageSetSpec | None = Field(None, description="Real images, instead of viewpoint")
+    sequence: SequenceSpec | None = Field(None, description="Tracks along an orbit, instead of viewpoint")
     pose_error: PoseErrorSpec = PAPER_POSE_ERROR
     sensors: SensorsSpec = Field(SensorsSpec(), description="What is measured beside the image")
     onboard: OnboardSpec = Field(OnboardSpec(), description="What the spacecraft believes, where it is wrong")

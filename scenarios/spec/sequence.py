@@ -1,0 +1,88 @@
+"""Sequence section: an orbit, landmarks, and a vision layer that tracks them from frame to frame."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from scenarios.spec.base import SpecModel
+
+
+class OrbitSpec(SpecModel):
+    """A circular orbit about the body's origin; the boresight stays on the origin and x along the velocity."""
+
+    radius_m: float = Field(790.0, gt=0, description="Radius: 600 m above a sphere of 190 m in Delpech et al. (2015)")
+    normal_body: tuple[float, float, float] = Field(
+        (0.0, 0.0, 1.0), description="Normal of the orbit, body axes; over the terminator it points to the Sun"
+    )
+    start_deg: float = Field(0.0, description="Anomaly of the first frame, from where the orbit comes nearest body x")
+    step_deg: float = Field(2.0, gt=0, le=90, description="Anomaly between frames")
+    revolutions: float = Field(2.0, gt=0, le=1000)
+    gm_m3_s2: float = Field(3.54, gt=0, description="Gravity of the body, which sets the times; 5.3e10 kg by default")
+
+    @model_validator(mode="after")
+    def _has_a_plane(self) -> Self:
+        if not any(self.normal_body):
+            raise ValueError("normal_body is zero: give the direction of the orbit's normal")
+        if self.frames < 2:
+            raise ValueError(f"{self.revolutions:g} revolutions in steps of {self.step_deg:g} deg are less than a step")
+        return self
+
+    @property
+    def frames(self) -> int:
+        """Number of frames, the first included."""
+        return int(self.revolutions * 360.0 / self.step_deg + 1e-9) + 1
+
+
+class VisionSpec(SpecModel):
+    """A simulated vision layer: section 4 of Delpech et al. (2015)."""
+
+    landmarks_per_frame: float = Field(15.0, gt=0, le=5000, description="N; the density is adapted to it")
+    count: Literal["average", "constant"] = Field(
+        "average", description="N on average over a field that is uniform by chance, or filled up to N in every frame"
+    )
+    lit_only: bool = Field(False, description="Only landmarks that the Sun, along the orbit's normal, shines on")
+    noise_px: float = Field(2.0 / 3.0, ge=0, description="Standard deviation of a coordinate; the paper's 2 px are 3 of")
+    repeatability: float = Field(
+        0.9, gt=0, le=1, description="k: share of the landmarks still visible that are tracked over a change of view"
+    )
+    repeatability_step_deg: float = Field(2.0, gt=0, description="The change of view that k belongs to")
+    min_connection: int = Field(3, ge=0, description="Tracks that live on from frame to frame, if as many are visible")
+    mismatch_share: float = Field(0.0, ge=0, lt=1, description="Tracked points seen where the nearest other one is")
+    outlier_share: float = Field(0.0, ge=0, lt=1, description="Tracked points seen anywhere in the image")
+
+    def survival(self, change_deg: float) -> float:
+        """Return the share of the visible tracks that live through a change of view: k^(change / step)."""
+        return float(self.repeatability ** (change_deg / self.repeatability_step_deg))
+
+
+class KnowledgeSpec(SpecModel):
+    """What the spacecraft knows beside its images, and how well."""
+
+    motion_error: float = Field(
+        0.5, ge=0, description="lambda: length of the error of a predicted displacement over the displacement's"
+    )
+    ranges: int = Field(1, ge=0, le=100, description="Landmarks of the first frame whose distance is measured")
+    range_sigma_m: float = Field(0.1, gt=0, description="Standard deviation of such a distance")
+    position_sigma_m: float = Field(0.0, ge=0, description="Of each coordinate of the first camera position")
+    attitude_sigma_deg: float = Field(0.0, ge=0, description="Of a frame's attitude about each camera axis")
+
+
+class SequenceSpec(SpecModel):
+    """Frames along an orbit instead of single images."""
+
+    sphere_radius_m: float | None = Field(
+        None, gt=0, description="Landmarks on an ideal sphere of this radius; left out: on the scenario's body"
+    )
+    orbit: OrbitSpec = OrbitSpec()
+    vision: VisionSpec = VisionSpec()
+    knowledge: KnowledgeSpec = KnowledgeSpec()
+
+    @model_validator(mode="after")
+    def _orbit_clears_the_sphere(self) -> Self:
+        if self.sphere_radius_m is not None and self.orbit.radius_m <= self.sphere_radius_m:
+            raise ValueError(
+                f"orbit.radius_m {self.orbit.radius_m:g} is not above the sphere of {self.sphere_radius_m:g} m"
+            )
+        return self
