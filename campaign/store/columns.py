@@ -39,6 +39,14 @@ def _pose_error() -> tuple[Column, ...]:
     )
 
 
+def _landmark_errors(over: str) -> tuple[Column, ...]:
+    what = f"{over} the estimator's landmarks whose tracks are seen in the frame, of |l_est - l_true| in body axes"
+    return (
+        Column("landmark_rmse_m", pa.float64(), what),
+        Column("settled_landmark_rmse_m", pa.float64(), "the same without tracks that the frame is the first of"),
+    )
+
+
 TABLES: dict[str, tuple[Column, ...]] = {
     "rows": (
         *_key(),
@@ -55,12 +63,31 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("image", pa.string(), "file name of a real image; empty when rendered"),
         Column("range_m", pa.float64(), "true distance of the camera from the body's origin"),
         Column("phase_deg", pa.float64(), "true phase angle at the body's origin"),
+        Column("error_after_1_m", pa.float64(), "of a sequence: position error at the frame that ends revolution 1"),
+        Column("error_after_2_m", pa.float64(), "the same of revolution 2"),
+        *_landmark_errors("root mean square over all frames of a sequence and"),
+        Column("mean_position_nees", pa.float64(), "of a sequence: mean over the frames of nees in epochs"),
     ),
     "stages": (*_key(), Column("stage", pa.string(), "prior, or a stage of the estimator"), *_pose_error()),
     "references": (
         *_key(),
         Column("reference", pa.string(), "name of the pose that is scored against"),
         *_pose_error(),
+    ),
+    "epochs": (
+        *_key(),
+        Column("frame", pa.int64(), "number of the frame in its sequence, from 0"),
+        Column("anomaly_deg", pa.float64(), "anomaly gone through since the first frame"),
+        Column("position_error_m", pa.float64(), "length of c_est - c_true right after the frame, body frame"),
+        Column("radial_m", pa.float64(), "component of the same away from the body's origin"),
+        Column("along_m", pa.float64(), "component along the true motion, at a right angle to the radial one"),
+        Column("cross_m", pa.float64(), "component along radial x along: the orbit's normal"),
+        Column("nees", pa.float64(), "that error weighted by the estimator's covariance (3 degrees of freedom)"),
+        Column("position_sigma_m", pa.float64(), "RMS position error that the covariance foretells"),
+        *_landmark_errors("root mean square over"),
+        Column("n_tracks", pa.int64(), "tracks that are seen in the frame"),
+        Column("n_landmarks", pa.int64(), "landmarks of the estimator among them"),
+        Column("n_settled", pa.int64(), "those of them that the frame before saw too"),
     ),
     "landmarks": (
         *_key(),

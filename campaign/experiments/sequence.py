@@ -1,0 +1,164 @@
+"""The sequence experiment: follow a camera along an orbit by the tracks of a vision layer, score every frame."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from campaign.experiments.registry import Bench, Record, Records
+from campaign.products import BuiltProduct, Shelf
+from campaign.resolve import ResolvedCampaign
+from campaign.score import no_consistency, no_pose_error
+from campaign.sequence_score import check_sequence, no_summary, score_epochs, summary
+from estimators.slam.contract import SequenceEstimate, SequenceEstimator
+from estimators.slam.registry import sequence_estimator_class
+from scenarios.bodies import load_body
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera
+from scenarios.load import LoadedScenario
+from scenarios.sequences import Ground, MeshGround, SequenceTruth, SphereGround, draw_sequence
+from scenarios.spec.sequence import SequenceSpec
+from scenarios.tracks import TrackSequence
+
+
+@dataclass(frozen=True, eq=False)
+class SequenceTrials:
+    """Trials of one scenario with a set of labelled estimators of sequences; all see the same tracks.
+
+    Parameters
+    ----------
+    name
+        Of the scenario.
+    spec
+        Its sequence section.
+    camera
+        An ideal pinhole: tracks come after the correction of a lens.
+    ground
+        What the landmarks lie on.
+    estimators
+        Label to estimator.
+    seed
+        Seed of the campaign.
+    """
+
+    name: str
+    spec: SequenceSpec
+    camera: Camera
+    ground: Ground
+    estimators: Mapping[str, SequenceEstimator]
+    seed: int
+
+    kind: ClassVar[str] = "sequence"
+    version: ClassVar[int] = 1
+    block_trials: ClassVar[int] = 5
+
+    @classmethod
+    def method_version(cls, name: str) -> int:
+        """Return the version of an estimator of sequences."""
+        return sequence_estimator_class(name).version
+
+    @classmethod
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+        """Refuse wrong options and a scenario without a sequence; there is nothing to build."""
+        del shelf
+        _section(scenario)
+        _estimators(campaign)
+        return []
+
+    @classmethod
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> SequenceTrials:
+        """Lay the ground and build the estimators."""
+        del bench
+        section = _section(scenario)
+        camera = scenario.spec.camera.camera().pinhole
+        name = scenario.spec.name
+        return cls(name, section, camera, _ground(scenario, section), _estimators(campaign), campaign.seed)
+
+    def run(self, trials: range) -> Records:
+        """Run trials, in the order of trials and estimators."""
+        records: Records = {}
+        for trial in trials:
+            truth, sequence = draw_sequence(self.spec, self.camera, self.ground, self.seed, trial)
+            for label, estimator in self.estimators.items():
+                key: Record = {"trial": trial, "scenario": self.name, "estimator": label}
+                for table, added in _judged(estimator, sequence, truth).items():
+                    records.setdefault(table, []).extend({**key, **record} for record in added)
+        return records
+
+
+def _judged(estimator: SequenceEstimator, sequence: TrackSequence, truth: SequenceTruth) -> Records:
+    """Let an estimator follow and score what it returns: records without their key, whatever goes wrong."""
+    circumstances = _circumstances(truth)
+    try:
+        estimate = estimator.follow(sequence)
+        check_sequence(estimate, sequence)
+        return _scored(estimate, sequence, truth, circumstances)
+    except Exception:  # noqa: BLE001  an estimator's fault is a result, recorded with its trace
+        reason = "the estimator raised or returned rubbish: see the table tracebacks"
+        row = {**circumstances, **no_summary(), "status": "error", "reason": reason, "n_landmarks": 0}
+        return {"rows": [row], "tracebacks": [{"traceback": traceback.format_exc()}]}
+
+
+def _scored(
+    estimate: SequenceEstimate, sequence: TrackSequence, truth: SequenceTruth, circumstances: Record
+) -> Records:
+    epochs = score_epochs(estimate, sequence, truth)
+    row: Record = {
+        **circumstances,
+        **summary(epochs),
+        "status": estimate.status,
+        "reason": estimate.reason,
+        "n_landmarks": epochs[-1]["n_landmarks"] if epochs else 0,
+    }
+    if estimate.status == "ok":
+        row["position_error_m"] = epochs[-1]["position_error_m"]
+    seconds = [frame.seconds for frame in estimate.frames]
+    return {
+        "rows": [row],
+        "epochs": epochs,
+        "diagnostics": [{"name": str(name), "value": float(v)} for name, v in estimate.diagnostics.items()],
+        "timings": [{"stage": "cycle", "seconds": float(np.mean(seconds))}] if seconds else [],
+    }
+
+
+def _circumstances(truth: SequenceTruth) -> Record:
+    """Fill the columns of a row that no estimator can change, or that a sequence has no number for."""
+    errors = no_pose_error()
+    return {
+        **errors,
+        **{f"prior_{name}": None for name in errors},
+        **no_consistency(),
+        "image": "",
+        "range_m": float(np.linalg.norm(truth.poses[-1].translation_m)),
+        "phase_deg": None,
+    }
+
+
+def _section(scenario: LoadedScenario) -> SequenceSpec:
+    if scenario.spec.sequence is None:
+        raise BoresightError(f"{scenario.path}: sequence: missing, but the experiment sequence needs it")
+    return scenario.spec.sequence
+
+
+def _estimators(campaign: ResolvedCampaign) -> dict[str, SequenceEstimator]:
+    return {
+        entry.label: sequence_estimator_class(entry.name).from_options(entry.options)
+        for entry in campaign.spec.estimators
+    }
+
+
+def _ground(scenario: LoadedScenario, section: SequenceSpec) -> Ground:
+    """Take the ideal sphere, or the scenario's body; refuse an orbit that leads into it."""
+    if section.sphere_radius_m is not None:
+        return SphereGround(section.sphere_radius_m)
+    mesh = load_body(scenario.spec.body, scenario.search_dirs).mesh
+    if section.orbit.radius_m <= mesh.radius_m:
+        raise BoresightError(
+            f"{scenario.path}: sequence.orbit.radius_m: {section.orbit.radius_m:g} m is not above the body, which"
+            f" reaches {mesh.radius_m:.6g} m from its origin: choose a larger radius"
+        )
+    return MeshGround(mesh)

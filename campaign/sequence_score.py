@@ -1,0 +1,174 @@
+"""Where truth and estimate of a sequence meet: the errors of every frame, and what they come to in a trial."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from scenarios.sequences import SequenceTruth
+from scenarios.tracks import TrackSequence
+
+FloatArray = NDArray[np.float64]
+Epoch = dict[str, object]
+
+REVOLUTIONS = (1, 2)
+_FULL_TURN_DEG = 360.0
+_SAME_FRAME_DEG = 1e-6
+
+
+def check_sequence(estimate: SequenceEstimate, sequence: TrackSequence) -> None:
+    """Refuse an estimate that does not keep the contract.
+
+    Raises
+    ------
+    ValueError
+        If the status or the reason is none, frames are too many or missing, or a number is not finite.
+    """
+    if estimate.status not in {"ok", "failed"}:
+        raise ValueError(f"status is {estimate.status!r}, not ok or failed")
+    if not isinstance(estimate.reason, str) or (estimate.status == "failed" and not estimate.reason):
+        raise ValueError(f"a {estimate.status} estimate gives as its reason {estimate.reason!r}")
+    given, there = len(estimate.frames), len(sequence.frames)
+    if given > there or (estimate.status == "ok" and given < there):
+        raise ValueError(f"{given} frames of {estimate.status} for {there} of the sequence")
+    if not np.isfinite(list(estimate.diagnostics.values())).all():
+        raise ValueError("diagnostics are not finite")
+    known: set[int] = set()
+    for index, (frame, seen) in enumerate(zip(estimate.frames, sequence.frames, strict=False)):
+        known.update(seen.tracks.tolist())
+        _check_frame(frame, index, known)
+
+
+def _check_frame(frame: FrameEstimate, index: int, known: set[int]) -> None:
+    n = len(frame.tracks)
+    wanted: tuple[tuple[str, FloatArray | None, tuple[int, ...]], ...] = (
+        ("position_m", frame.position_m, (3,)),
+        ("covariance_m2", frame.covariance_m2, (3, 3)),
+        ("points_m", frame.points_m, (n, 3)),
+    )
+    for name, array, shape in wanted:
+        if array is not None and (np.shape(array) != shape or not np.isfinite(array).all()):
+            raise ValueError(f"frame {index}: {name} of shape {np.shape(array)} is not {shape} of finite numbers")
+    tracks = set(frame.tracks.tolist())
+    if len(tracks) != n or not tracks <= known:
+        raise ValueError(f"frame {index}: its landmarks are of tracks not seen so far, or of one twice")
+
+
+def score_epochs(estimate: SequenceEstimate, sequence: TrackSequence, truth: SequenceTruth) -> list[Epoch]:
+    """Score every frame that there is an estimate for: the columns of the table ``epochs`` without its key."""
+    older = np.empty(0, dtype=np.int64)
+    epochs = []
+    for index, (frame, seen) in enumerate(zip(estimate.frames, sequence.frames, strict=False)):
+        epochs.append(
+            {
+                "frame": index,
+                "anomaly_deg": float(truth.anomaly_deg[index]),
+                **_position(frame, index, truth),
+                **_landmarks(frame, seen.tracks, older, truth.points_m),
+                "n_tracks": len(seen.tracks),
+            }
+        )
+        older = seen.tracks
+    return epochs
+
+
+def _position(frame: FrameEstimate, index: int, truth: SequenceTruth) -> Epoch:
+    pose = truth.poses[index]
+    error = frame.position_m - pose.camera_position_m
+    axes = orbit_frame(truth, index)
+    radial, along, cross = axes @ error
+    covariance = frame.covariance_m2
+    return {
+        "position_error_m": float(np.linalg.norm(error)),
+        "radial_m": float(radial),
+        "along_m": float(along),
+        "cross_m": float(cross),
+        "nees": _weighted_square(error, covariance),
+        "position_sigma_m": None if covariance is None else float(np.sqrt(max(np.trace(covariance), 0.0))),
+    }
+
+
+def orbit_frame(truth: SequenceTruth, index: int) -> FloatArray:
+    """(3, 3) rows, body axes, at a frame of the true path: radial, along-track and cross-track.
+
+    The direction of motion is taken from the frames on both sides, made orthogonal to the radial one.
+    """
+    at = truth.poses[index].camera_position_m
+    after = truth.poses[min(index + 1, len(truth.poses) - 1)].camera_position_m
+    before = truth.poses[max(index - 1, 0)].camera_position_m
+    radial = at / np.linalg.norm(at)
+    cross = np.cross(radial, after - before)
+    cross /= np.linalg.norm(cross)
+    return np.stack([radial, np.cross(cross, radial), cross])
+
+
+def _weighted_square(error: FloatArray, covariance: FloatArray | None) -> float | None:
+    """e^T P^-1 e; None where P is missing or not positive definite, as where the position is known perfectly."""
+    if covariance is None:
+        return None
+    try:
+        white = np.linalg.solve(np.linalg.cholesky(covariance), error)
+    except np.linalg.LinAlgError:
+        return None
+    return float(white @ white)
+
+
+def _landmarks(frame: FrameEstimate, seen: NDArray[np.int64], older: NDArray[np.int64], points_m: FloatArray) -> Epoch:
+    """Score the landmarks of the tracks that are seen in this frame, all of them and without the new ones."""
+    current = np.isin(frame.tracks, seen)
+    settled = current & np.isin(frame.tracks, older)
+    squares = np.sum((frame.points_m - points_m[frame.tracks]) ** 2, axis=1)
+    return {
+        "landmark_rmse_m": _root_mean(squares[current]),
+        "settled_landmark_rmse_m": _root_mean(squares[settled]),
+        "n_landmarks": int(current.sum()),
+        "n_settled": int(settled.sum()),
+    }
+
+
+def _root_mean(squares: FloatArray) -> float | None:
+    return float(np.sqrt(squares.mean())) if len(squares) else None
+
+
+def summary(epochs: Sequence[Epoch]) -> dict[str, float | None]:
+    """Sum up a trial: errors after whole revolutions, RMS of its landmarks, mean NEES of its positions."""
+    return {
+        **{f"error_after_{n}_m": _after(epochs, n) for n in REVOLUTIONS},
+        "landmark_rmse_m": _over_frames(epochs, "landmark_rmse_m", "n_landmarks"),
+        "settled_landmark_rmse_m": _over_frames(epochs, "settled_landmark_rmse_m", "n_settled"),
+        "mean_position_nees": _mean([epoch["nees"] for epoch in epochs]),
+    }
+
+
+def no_summary() -> dict[str, float | None]:
+    """Return the same keys without a value."""
+    return summary(())
+
+
+def _after(epochs: Sequence[Epoch], revolutions: int) -> float | None:
+    """Position error of the frame that ends a revolution; None where there is none or the estimate ended before."""
+    wanted = revolutions * _FULL_TURN_DEG
+    found = [e for e in epochs if abs(_number(e["anomaly_deg"]) - wanted) < _SAME_FRAME_DEG]
+    return _number(found[0]["position_error_m"]) if found else None
+
+
+def _over_frames(epochs: Sequence[Epoch], name: str, count: str) -> float | None:
+    """Root of the mean square over all (frame, landmark) pairs."""
+    pairs = [(_number(e[name]), _number(e[count])) for e in epochs if e[name] is not None]
+    if not pairs:
+        return None
+    rmse, weights = np.array(pairs).T
+    return float(np.sqrt(weights @ rmse**2 / weights.sum()))
+
+
+def _mean(values: Sequence[object]) -> float | None:
+    known = [_number(value) for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _number(value: object) -> float:
+    assert isinstance(value, int | float)  # noqa: S101  the columns are made above
+    return float(value)

@@ -1,0 +1,45 @@
+"""The control of estimators of sequences: where the predicted motion alone leads."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from estimators.options import parse_options
+from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from scenarios.spec.base import SpecModel
+from scenarios.tracks import TrackSequence
+
+
+class DeadReckoningOptions(SpecModel):
+    """There are none."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeadReckoning:
+    """Sums the predicted displacements and the covariances of their errors; it looks at no image."""
+
+    name: ClassVar[str] = "dead-reckoning"
+    version: ClassVar[int] = 1
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Refuse any option."""
+        parse_options(DeadReckoningOptions, options, cls.name)
+        return cls()
+
+    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
+        """Sum, frame by frame."""
+        position, covariance = sequence.position_m, sequence.position_covariance_m2
+        nothing, no_points = np.empty(0, dtype=np.int64), np.empty((0, 3))
+        frames = []
+        for frame in sequence.frames:
+            started = time.perf_counter()
+            position, covariance = position + frame.motion_m, covariance + frame.motion_covariance_m2
+            seconds = time.perf_counter() - started
+            frames.append(FrameEstimate(position, covariance, nothing, no_points, seconds))
+        return SequenceEstimate("ok", tuple(frames))
