@@ -35,6 +35,7 @@ from reports.paired import paired_records
 from reports.published import Comparison, load_published
 from reports.run_data import RunData, read_run, select
 from reports.sensitivity import mesh_variants, sensitivity_grid
+from reports.sequences import sequence_figures, sequence_grid
 from reports.statistics import LARGE, MEDIAN, FloatArray
 from reports.tables import (
     Grid,
@@ -98,6 +99,7 @@ class Content:
             comparison_grid(self.compared),
             claim_grid(self.claims),
             trade_grid(self.run),
+            sequence_grid(self.records),
             detail_grid(self.records),
             diagnostic_grid(self.records),
             paired_grid(self.records),
@@ -195,6 +197,8 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
         yield from _trade_figures(content, scenario)
         yield _cumulative_figure(content, scenario)
     yield from _centroid_figures(content)
+    for scenario, figure, caption, alt in sequence_figures(run):
+        yield NamedFigure(_stem("traces", scenario), figure, caption, alt)
 
 
 def published_medians(content: Content, scenario: str, estimator: str) -> dict[tuple[str, str], float]:

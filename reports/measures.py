@@ -23,6 +23,20 @@ DERIVED = "derived"
 DIAGNOSTICS = "diagnostics"
 """Stage of the numbers that an estimator reports beside its pose."""
 
+SEQUENCE = "sequence"
+"""Stage of what a trial of a sequence comes to."""
+
+DEVIATION = "deviation"
+"""Statistic of the scatter about the mean; it has no interval."""
+
+SEQUENCE_COLUMNS = (
+    "error_after_1_m",
+    "error_after_2_m",
+    "landmark_rmse_m",
+    "settled_landmark_rmse_m",
+    "mean_position_nees",
+)
+
 MIN_LANDMARKS = 4
 """Landmarks that fix a pose."""
 
@@ -147,6 +161,7 @@ def measure_run(run: RunData) -> tuple[Record, ...]:
         database_measures,
         diagnostic_measures,
         timing_measures,
+        sequence_measures,
     )
     return tuple(record for part in parts for record in part(run))
 
@@ -300,6 +315,23 @@ def diagnostic_measures(run: RunData) -> list[Record]:
         n = len(select(run.rows, str(scenario), str(estimator)))
         subject = _Subject(str(scenario), str(estimator), DIAGNOSTICS, n)
         records += subject.records(str(name), table["value"], clusters_of(run, table), (MEDIAN, MEAN, RMS, P95))
+    return records
+
+
+def sequence_measures(run: RunData) -> list[Record]:
+    """Measure what the trials of sequences come to, under the stage ``sequence``."""
+    records: list[Record] = []
+    if run.epochs.empty:
+        return records
+    for scenario, estimator in run.pairs():
+        rows = select(run.rows, scenario, estimator)
+        subject = _Subject(scenario, estimator, SEQUENCE, len(rows))
+        for name in SEQUENCE_COLUMNS:
+            known = rows[name].dropna()
+            if len(known):
+                records += subject.records(name, rows[name], clusters_of(run, rows), (MEDIAN, MEAN, RMS, P95))
+                spread = float(known.std(ddof=1)) if len(known) > 1 else None
+                records.append(subject.record(name, DEVIATION, Measured(spread), len(known)))
     return records
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "landmarks": (*_KEY, "landmark", "error_m", "chi_square"),
     "diagnostics": (*_KEY, "name", "value"),
     "timings": (*_KEY, "stage", "seconds"),
+    "epochs": (*_KEY, "frame", "anomaly_deg", "position_error_m", "landmark_rmse_m", "settled_landmark_rmse_m"),
 }
 
 
@@ -124,6 +125,8 @@ class RunData:
     stages, references, landmarks, diagnostics, timings
         Detail tables: errors after each stage, errors against further reference poses, recognised
         landmarks, numbers that estimators report, wall times.
+    epochs
+        Of sequences: the errors of every frame.
     """
 
     folder: Path
@@ -134,6 +137,7 @@ class RunData:
     landmarks: pd.DataFrame
     diagnostics: pd.DataFrame
     timings: pd.DataFrame
+    epochs: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     def pairs(self) -> list[tuple[str, str]]:
         """List (scenario, estimator) in the order in which the rows name them."""

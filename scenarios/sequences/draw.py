@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -120,7 +121,7 @@ def _predicted_moves(
     The error has a random direction and the length lambda |displacement|: lambda^2 |d|^2 / 3 on each axis.
     """
     moves = [(np.zeros(3), np.zeros((3, 3)))]
-    for before, after in zip(path, path[1:], strict=False):
+    for before, after in itertools.pairwise(path):
         true = after.camera_position_m - before.camera_position_m
         length = knowledge.motion_error * float(np.linalg.norm(true))
         error = length * draw_direction(_ALL_LATITUDES_RAD, rng)

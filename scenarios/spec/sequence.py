@@ -36,14 +36,17 @@ class OrbitSpec(SpecModel):
 
 
 class VisionSpec(SpecModel):
-    """A simulated vision layer: section 4 of Delpech et al. (2015)."""
+    """A simulated vision layer: section 4 of Delpech et al. (2015).
+
+    The paper prints no image size: its 2 px at 3 sigma are read as those of 1024 px across 30 deg.
+    """
 
     landmarks_per_frame: float = Field(15.0, gt=0, le=5000, description="N; the density is adapted to it")
     count: Literal["average", "constant"] = Field(
         "average", description="N on average over a field that is uniform by chance, or filled up to N in every frame"
     )
     lit_only: bool = Field(False, description="Only landmarks that the Sun, along the orbit's normal, shines on")
-    noise_px: float = Field(2.0 / 3.0, ge=0, description="Standard deviation of a coordinate; the paper's 2 px are 3 of")
+    noise_px: float = Field(2.0 / 3.0, ge=0, description="Standard deviation of a coordinate: 2 px at 3 sigma")
     repeatability: float = Field(
         0.9, gt=0, le=1, description="k: share of the landmarks still visible that are tracked over a change of view"
     )

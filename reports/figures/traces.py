@@ -1,0 +1,60 @@
+"""Errors along a sequence of frames (figures 3.1, 3.2, 5.1 and 5.2 of Delpech et al. 2015)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from reports.figures.style import LINE_STYLES, SERIES_COLOURS, add_credits, new_figure, styled
+
+_PANELS = (
+    ("position_error_m", "camera position error, m"),
+    ("landmark_rmse_m", "RMS error of the frame's landmarks, m"),
+)
+_BAND = (0.05, 0.95)
+_FULL_TURN_DEG = 360.0
+
+
+@styled
+def draw_traces(epochs: Mapping[str, pd.DataFrame], title: str, credit_lines: Sequence[str] = ()) -> Figure:
+    """Draw the median error over trials against the anomaly, with the band of 5 to 95 % of them.
+
+    Parameters
+    ----------
+    epochs
+        Label of each estimator to its frames: columns ``trial``, ``anomaly_deg`` and the errors.
+    title
+        Printed above the panels.
+    credit_lines
+        Credits of real images.
+    """
+    figure, panels = new_figure(len(_PANELS), width_in=8.5)
+    for axes, (name, label) in zip(panels, _PANELS, strict=True):
+        for i, (estimator, table) in enumerate(epochs.items()):
+            _draw(axes, table, name, estimator, i)
+        last = max((float(table["anomaly_deg"].max()) for table in epochs.values()), default=0.0)
+        for turn in range(1, int(last / _FULL_TURN_DEG) + 1):
+            axes.axvline(turn * _FULL_TURN_DEG, color="black", linewidth=0.6, linestyle=":")
+        axes.set(xlabel="anomaly, deg", ylabel=label)
+        axes.set_ylim(bottom=0.0)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
+    figure.suptitle(title, fontsize=9.5)
+    add_credits(figure, credit_lines)
+    return figure
+
+
+def _draw(axes: Axes, table: pd.DataFrame, name: str, label: str, index: int) -> None:
+    known = table.dropna(subset=[name])
+    if known.empty:
+        return
+    over_trials = known.groupby("anomaly_deg")[name]
+    colour = SERIES_COLOURS[index % len(SERIES_COLOURS)]
+    middle = over_trials.median()
+    low, high = (over_trials.quantile(q).to_numpy() for q in _BAND)
+    anomaly = middle.index.to_numpy(dtype=float)
+    axes.fill_between(anomaly, low, high, color=colour, alpha=0.18, linewidth=0)
+    axes.plot(anomaly, middle.to_numpy(), color=colour, linestyle=LINE_STYLES[index % len(LINE_STYLES)], label=label)
