@@ -1,0 +1,162 @@
+"""The sequence experiment: scores against scipy and closed forms, faults recorded, the smoke campaign end to end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.distance import mahalanobis
+
+from campaign.cli.main import main
+from campaign.experiments.sequence import SequenceTrials
+from campaign.sequence_score import check_sequence, score_epochs, summary
+from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from estimators.slam.dead_reckoning import DeadReckoning
+from estimators.slam.registry import sequence_estimator_class
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera
+from scenarios.sequences import SphereGround, draw_sequence
+from scenarios.spec.sequence import SequenceSpec
+
+CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
+SPEC = SequenceSpec.model_validate({"sphere_radius_m": 190, "orbit": {"revolutions": 1.0, "step_deg": 6}})
+GROUND = SphereGround(190.0)
+SHIFT_M = np.array([1.0, -2.0, 2.0])
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return draw_sequence(SPEC, CAMERA, GROUND, 7, 0)
+
+
+def shifted(truth, sequence, landmark_error_m=3.0):
+    """Return an estimate whose every error is known."""
+    covariance = np.diag([1.0, 4.0, 9.0])
+    away = np.array([0.0, 0.0, landmark_error_m])
+    frames = tuple(
+        FrameEstimate(
+            pose.camera_position_m + SHIFT_M, covariance, frame.tracks, truth.points_m[frame.tracks] + away, 0.01
+        )
+        for pose, frame in zip(truth.poses, sequence.frames, strict=True)
+    )
+    return SequenceEstimate("ok", frames)
+
+
+def test_a_known_error_is_scored_as_what_it_is(drawn):
+    truth, sequence = drawn
+    epochs = score_epochs(shifted(truth, sequence), sequence, truth)
+    for pose, epoch in zip(truth.poses, epochs, strict=True):
+        assert epoch["position_error_m"] == pytest.approx(3.0)
+        # The camera's axes: x along the velocity, y against the normal, z towards the body.
+        along, minus_cross, minus_radial = pose.rotation @ SHIFT_M
+        assert [epoch["along_m"], epoch["cross_m"], epoch["radial_m"]] == pytest.approx(
+            [along, -minus_cross, -minus_radial], abs=1e-9
+        )
+        assert epoch["nees"] == pytest.approx(mahalanobis(SHIFT_M, np.zeros(3), np.diag([1, 1 / 4, 1 / 9])) ** 2)
+        assert epoch["landmark_rmse_m"] == pytest.approx(3.0)
+    assert epochs[0]["n_settled"] == 0
+    assert epochs[0]["settled_landmark_rmse_m"] is None
+    told = summary(epochs)
+    assert told["error_after_1_m"] == pytest.approx(3.0)
+    assert told["error_after_2_m"] is None
+    assert told["landmark_rmse_m"] == pytest.approx(3.0)
+
+
+def test_new_landmarks_are_left_out_of_the_settled_error(drawn):
+    truth, sequence = drawn
+    good = shifted(truth, sequence, 0.0)
+    spoilt, older = [], np.empty(0)
+    for frame, seen in zip(good.frames, sequence.frames, strict=True):
+        new = ~np.isin(seen.tracks, older)
+        spoilt.append(replace(frame, points_m=frame.points_m + new[:, None] * np.array([0.0, 8.0, 0.0])))
+        older = seen.tracks
+    told = summary(score_epochs(SequenceEstimate("ok", spoilt), sequence, truth))
+    assert told["settled_landmark_rmse_m"] == 0.0
+    total = sum(len(frame.tracks) for frame in sequence.frames)
+    new = len(truth.points_m)
+    assert told["landmark_rmse_m"] == pytest.approx(8.0 * np.sqrt(new / total))
+
+
+def test_dead_reckoning_is_consistent_and_walks_at_random(drawn):
+    ends, nees = [], []
+    for trial in range(40):
+        truth, sequence = draw_sequence(SPEC, CAMERA, GROUND, 7, trial)
+        epochs = score_epochs(DeadReckoning().follow(sequence), sequence, truth)
+        ends.append(epochs[-1]["position_error_m"])
+        nees.append(epochs[-1]["nees"])
+    step_m = 0.5 * 2 * 790.0 * np.sin(np.radians(3.0))
+    assert np.sqrt(np.mean(np.square(ends))) == pytest.approx(step_m * np.sqrt(60), rel=0.3)
+    assert np.mean(nees) == pytest.approx(3.0, abs=4 * np.sqrt(6 / 40))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda e: replace(e, frames=e.frames[:-1]), "frames of ok"),
+        (lambda e: replace(e, status="failed"), "as its reason"),
+        (lambda e: replace(e, status="fine"), "not ok or failed"),
+        (lambda e: replace(e, frames=(replace(e.frames[0], position_m=np.full(3, np.nan)), *e.frames[1:])), "finite"),
+        (lambda e: replace(e, frames=(replace(e.frames[0], tracks=e.frames[0].tracks * 0), *e.frames[1:])), "twice"),
+    ],
+)
+def test_rubbish_is_refused(drawn, spoil, said):
+    truth, sequence = drawn
+    good = shifted(truth, sequence)
+    check_sequence(good, sequence)
+    with pytest.raises(ValueError, match=said):
+        check_sequence(spoil(good), sequence)
+
+
+class Raises:
+    name, version = "raises", 1
+
+    def follow(self, sequence):
+        raise RuntimeError("out of order")
+
+
+class StopsHalfWay:
+    name, version = "stops", 1
+
+    def follow(self, sequence):
+        whole = DeadReckoning().follow(sequence)
+        return SequenceEstimate("failed", whole.frames[:10], "the scale became unobservable")
+
+
+def test_what_goes_wrong_becomes_a_row_and_the_campaign_goes_on():
+    trials = SequenceTrials("x", SPEC, CAMERA, GROUND, {"a": Raises(), "b": StopsHalfWay(), "c": DeadReckoning()}, 7)
+    found = trials.run(range(2))
+    assert [row["status"] for row in found["rows"]] == ["error", "failed", "ok"] * 2
+    assert "out of order" in found["tracebacks"][0]["traceback"]
+    stopped = found["rows"][1]
+    assert stopped["reason"] == "the scale became unobservable"
+    assert stopped["error_after_1_m"] is None
+    assert sum(epoch["estimator"] == "b" for epoch in found["epochs"]) == 20
+
+
+def test_an_unknown_estimator_is_named():
+    with pytest.raises(BoresightError, match=r"'ekf'.*dead-reckoning"):
+        sequence_estimator_class("ekf")
+    with pytest.raises(BoresightError, match="window"):
+        DeadReckoning.from_options({"window": 3})
+
+
+def test_the_smoke_campaign_runs_end_to_end_and_twice_the_same(tmp_path):
+    for folder in ("one", "two"):
+        assert main(["run", "delpech2015-smoke", "--trials", "6", "--jobs", "1", "--out", str(tmp_path / folder)]) == 0
+    tables = [[pd.read_parquet(tmp_path / folder / name) for name in ("rows", "epochs")] for folder in ("one", "two")]
+    for one, two in zip(*tables, strict=True):
+        pd.testing.assert_frame_equal(one, two)
+    rows, epochs = tables[0]
+    assert len(rows) == 6
+    assert len(epochs) == 6 * 361
+    at_one = epochs.loc[epochs["anomaly_deg"] == 360.0, "position_error_m"]
+    np.testing.assert_array_equal(rows["error_after_1_m"], at_one)
+    report = (tmp_path / "one" / "report" / "report.md").read_text(encoding="utf-8")
+    assert "position error after 2 revolutions" in report
+    assert (tmp_path / "one" / "report" / "traces_apophis-sphere-sequence.png").stat().st_size > 10_000
+    table = pd.read_csv(tmp_path / "one" / "report" / "table.csv")
+    told = table[(table["measure"] == "error_after_2_m")].set_index("statistic")["value"]
+    assert told["mean"] == pytest.approx(rows["error_after_2_m"].mean())
+    assert told["deviation"] == pytest.approx(rows["error_after_2_m"].std(ddof=1))
