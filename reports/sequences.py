@@ -61,7 +61,7 @@ def _mean_and_deviation(records: Sequence[Record], line: Record) -> str:
 
 def sequence_figures(run: RunData) -> Iterator[tuple[str, Figure, str, str]]:
     """Draw the errors along the frames of each scenario: scenario, figure, caption and description."""
-    if run.epochs.empty:
+    if run.epochs.empty:  # not a run of sequences
         return
     for scenario in dict.fromkeys(scenario for scenario, _ in run.pairs()):
         here = run.epochs[run.epochs["scenario"] == scenario]

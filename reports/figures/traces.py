@@ -22,6 +22,8 @@ _FULL_TURN_DEG = 360.0
 def draw_traces(epochs: Mapping[str, pd.DataFrame], title: str, credit_lines: Sequence[str] = ()) -> Figure:
     """Draw the median error over trials against the anomaly, with the band of 5 to 95 % of them.
 
+    A panel of which no estimator has a value, such as the landmarks of dead reckoning, is left out.
+
     Parameters
     ----------
     epochs
@@ -31,8 +33,9 @@ def draw_traces(epochs: Mapping[str, pd.DataFrame], title: str, credit_lines: Se
     credit_lines
         Credits of real images.
     """
-    figure, panels = new_figure(len(_PANELS), width_in=8.5)
-    for axes, (name, label) in zip(panels, _PANELS, strict=True):
+    shown = [panel for panel in _PANELS if any(table[panel[0]].notna().any() for table in epochs.values())]
+    figure, panels = new_figure(len(shown), width_in=4.4 * len(shown))
+    for axes, (name, label) in zip(panels, shown, strict=True):
         for i, (estimator, table) in enumerate(epochs.items()):
             _draw(axes, table, name, estimator, i)
         last = max((float(table["anomaly_deg"].max()) for table in epochs.values()), default=0.0)

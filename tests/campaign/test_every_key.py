@@ -25,7 +25,8 @@ from campaign.world import open_world
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
 from scenarios.geometry import View, look_at
-from scenarios.load import load_scenario
+from scenarios.load import LoadedScenario, load_scenario
+from scenarios.sequences import SphereGround, draw_sequence
 from scenarios.spec.base import SpecModel
 from scenarios.spec.scenario import ScenarioSpec
 
@@ -66,6 +67,13 @@ REAL = """
 body: {shape: sphere}
 camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
 images: {folder: set, truth: ref, also_score: [label], noise_realisations: 2}
+"""
+SEQUENCE = """
+camera: {width_px: 64, height_px: 64, fov_deg: 30}
+sequence:
+  sphere_radius_m: 190
+  orbit: {step_deg: 6, revolutions: 0.2}
+  vision: {landmarks_per_frame: 30}
 """
 
 KERNELS = "[naif.tls, tiny.tsc, tiny.tf, tiny.ti, tiny.bsp, tiny.bc]"
@@ -168,6 +176,27 @@ CHANGES: dict[str, tuple[str, str]] = {
     "onboard.rotation_error_deg.uniform": (RENDERED, "[1, 1]"),
     "onboard.rotation_error_deg.normal": (RENDERED, "1"),
     "sensors.altimeter.sigma_m": (ALTIMETER, "3"),
+    "sequence.sphere_radius_m": (SEQUENCE, "170"),
+    "sequence.orbit.radius_m": (SEQUENCE, "800"),
+    "sequence.orbit.normal_body": (SEQUENCE, "[0, 1, 1]"),
+    "sequence.orbit.start_deg": (SEQUENCE, "60"),
+    "sequence.orbit.step_deg": (SEQUENCE, "5"),
+    "sequence.orbit.revolutions": (SEQUENCE, "0.3"),
+    "sequence.orbit.gm_m3_s2": (SEQUENCE, "3"),
+    "sequence.vision.landmarks_per_frame": (SEQUENCE, "20"),
+    "sequence.vision.count": (SEQUENCE, "constant"),
+    "sequence.vision.lit_only": (SEQUENCE, "true"),
+    "sequence.vision.noise_px": (SEQUENCE, "0.5"),
+    "sequence.vision.repeatability": (SEQUENCE, "0.7"),
+    "sequence.vision.repeatability_step_deg": (SEQUENCE, "1"),
+    "sequence.vision.min_connection": (SEQUENCE, "28"),
+    "sequence.vision.mismatch_share": (SEQUENCE, "0.1"),
+    "sequence.vision.outlier_share": (SEQUENCE, "0.1"),
+    "sequence.knowledge.motion_error": (SEQUENCE, "0.4"),
+    "sequence.knowledge.ranges": (SEQUENCE, "2"),
+    "sequence.knowledge.range_sigma_m": (SEQUENCE, "0.2"),
+    "sequence.knowledge.position_sigma_m": (SEQUENCE, "1"),
+    "sequence.knowledge.attitude_sigma_deg": (SEQUENCE, "0.1"),
     "images.folder": (REAL, "other"),
     "images.table": (REAL, "more.csv"),
     "images.first_row": (REAL, "bottom"),
@@ -255,6 +284,8 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
     """Hash what three trials show to an estimator, the truth that they are scored against and what is lent."""
     variant = choose_variant().name
     scenario = load_scenario(str(file), overrides)
+    if scenario.spec.sequence is not None:
+        return sequence_fingerprint(scenario)
     world = open_world(scenario, variant)
     experiment = SingleImage(world, {}, seed=3)
     parts = [*lent(Shelf(scenario, file.parent / "products", 0, variant))]
@@ -272,6 +303,21 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
         arrays = [sight.image, frame.image, frame.sun_dir_cam, frame.prior_covariance, *poses]
         parts += [np.ascontiguousarray(array).tobytes() for array in arrays]
         parts += [name.encode() for name in sight.further]
+    return hashlib.sha256(b"|".join(parts)).hexdigest()
+
+
+def sequence_fingerprint(scenario: LoadedScenario) -> str:
+    """Hash what two trials of a sequence show to an estimator, and their truth."""
+    spec = scenario.spec
+    parts: list[bytes] = []
+    for trial in range(2):
+        ground = SphereGround(spec.sequence.sphere_radius_m)
+        truth, sequence = draw_sequence(spec.sequence, spec.camera.camera(), ground, 3, trial)
+        parts += [repr((sequence.camera, [(f.time_s, f.sigma_px, f.ranges) for f in sequence.frames])).encode()]
+        arrays = [truth.points_m, sequence.position_m, sequence.position_covariance_m2]
+        for frame in sequence.frames:
+            arrays += [frame.R_cam_body, frame.tracks, frame.uv_px, frame.motion_m, frame.motion_covariance_m2]
+        parts += [array.tobytes() for array in arrays]
     return hashlib.sha256(b"|".join(parts)).hexdigest()
 
 
