@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from scenarios.draw import Stream, draw_direction, generator
 from scenarios.geometry import Camera, Pose
 from scenarios.sequences.ground import Ground
-from scenarios.sequences.lives import Lives, Sightline, live
+from scenarios.sequences.lives import Lives, Sightline, live, population
 from scenarios.sequences.orbit import anomalies_deg, orbit_axes, poses, times_s
 from scenarios.spec.sequence import KnowledgeSpec, SequenceSpec, VisionSpec
 from scenarios.tracks import TrackFrame, TrackRange, TrackSequence
@@ -55,9 +56,9 @@ def draw_sequence(
     them leaves the others as they were.
     """
     path = poses(spec.orbit)
-    sun = orbit_axes(spec.orbit)[2] if spec.vision.lit_only else None
+    sun = _sun(spec)
     field_rng = generator(seed, Stream.TRACK_FIELD, trial)
-    lives = live(spec.vision, Sightline(ground, camera, sun), path, field_rng)
+    lives = live(spec.vision, Sightline(ground, camera, sun), path, _population(spec, camera, ground), field_rng)
     seen = _see(lives, path, camera, spec.vision, seed, trial)
     moves = _predicted_moves(path, spec.knowledge, generator(seed, Stream.MOTION, trial))
     knowledge_rng = generator(seed, Stream.KNOWLEDGE, trial)
@@ -81,6 +82,17 @@ def draw_sequence(
     )
     truth = SequenceTruth(path, anomalies_deg(spec.orbit), lives.points_m, tuple(wrong for _, wrong in seen))
     return truth, TrackSequence(camera, frames, position, np.eye(3) * spec.knowledge.position_sigma_m**2)
+
+
+def _sun(spec: SequenceSpec) -> FloatArray | None:
+    """Direction of the Sun, (3,) body axes: along the orbit's normal, where only lit ground is seen."""
+    return orbit_axes(spec.orbit)[2] if spec.vision.lit_only else None
+
+
+@lru_cache(maxsize=8)
+def _population(spec: SequenceSpec, camera: Camera, ground: Ground) -> float:
+    """Work out the population once for all trials: on a mesh it costs more than a trial."""
+    return population(spec.vision, Sightline(ground, camera, _sun(spec)), poses(spec.orbit))
 
 
 def _see(

@@ -76,9 +76,10 @@ def live(
     vision: VisionSpec,
     sightline: Sightline,
     poses: Sequence[Pose],
+    total: float,
     rng: np.random.Generator,
 ) -> Lives:
-    """Let tracks be born and die along the frames.
+    """Let tracks be born and die along the frames, out of ``total`` landmarks on the whole ground (``population``).
 
     A track that is visible in the next frame lives on with probability ``k^(change / step)``, the change being the
     angle at the body's origin between the two camera positions; one that is not visible is dead for good. A visible
@@ -86,7 +87,6 @@ def live(
     1 - k. With ``count: average`` the live tracks of each frame are then a Poisson field of one density over all that
     is visible.
     """
-    total = population(vision, sightline, poses)
     points, normals = np.empty((0, 3)), np.empty((0, 3))
     alive = np.empty(0, dtype=np.int64)
     seen: list[IndexArray] = []

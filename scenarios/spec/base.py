@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Any, ClassVar, Self
 
 from pydantic import BaseModel, ConfigDict, model_validator
@@ -11,7 +12,7 @@ def _describe_alternatives(schema: dict[str, Any], model: type[BaseModel]) -> No
     """Tell the JSON Schema which keys exclude each other."""
     groups = model.alternatives if issubclass(model, SpecModel) else ()
     if groups:
-        schema["allOf"] = [{"not": {"required": list(keys)}} for keys in groups]
+        schema["allOf"] = [{"not": {"required": list(pair)}} for keys in groups for pair in combinations(keys, 2)]
 
 
 class SpecModel(BaseModel):
