@@ -19,7 +19,11 @@ _RAYS_AT_ONCE = 64
 
 
 class Ground(Protocol):
-    """A surface that landmarks lie on."""
+    """A surface that landmarks lie on; it never changes, so that what costs much of it can be kept."""
+
+    def __hash__(self) -> int:
+        """Tell grounds apart."""
+        ...
 
     def sample(self, n: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Draw n points, (n, 3) m, uniform over the area, and their outward normals (n, 3)."""
