@@ -1,0 +1,151 @@
+"""BA-SLAM of Delpech et al. (2015), section 3.2."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.options import parse_options
+from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from estimators.slam.following import LostError, follow
+from estimators.slam.gauge import Gauge, handed_over, measured_gauge
+from estimators.slam.journal import Journal
+from estimators.slam.keyframes import offset_views, trailing_views
+from estimators.slam.levenberg import StoppingRule, minimise, reduced_rank_deficiency
+from estimators.slam.options import BundleOptions
+from estimators.slam.state import Adjustment, Distances
+from scenarios.tracks import TrackFrame, TrackSequence
+
+FloatArray = NDArray[np.float64]
+
+
+class BundleSlam:
+    """Sequential bundle adjustment over a window of views; positions alone are free, since the attitude is known.
+
+    The oldest view of the window stays where it was estimated last. There is no covariance: the window does not know
+    the error of what it is fixed to.
+    """
+
+    name: ClassVar[str] = "ba-slam"
+    version: ClassVar[int] = 1
+
+    def __init__(self, options: BundleOptions) -> None:
+        self.options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        return cls(parse_options(BundleOptions, options, cls.name))
+
+    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
+        """Estimate the camera position at every frame from the frames up to it."""
+        return follow(sequence, _Window(sequence, self.options))
+
+
+class _Window:
+    """The window at work on one sequence."""
+
+    def __init__(self, sequence: TrackSequence, options: BundleOptions) -> None:
+        self.options = options
+        self.journal = Journal(sequence.camera)
+        self.first_m = sequence.position_m
+        self.trailing: list[int] = []
+        self.gauge: Gauge | None = None
+        self.handovers = 0
+        self.shifts = 0
+        self.iterations = 0
+
+    def diagnostics(self) -> dict[str, float]:
+        frames = max(len(self.journal.frames) - 1, 1)
+        return {
+            "gauge_handovers": float(self.handovers),
+            "window_shifts": float(self.shifts),
+            "iterations_per_frame": self.iterations / frames,
+        }
+
+    def advance(self, frame: TrackFrame) -> FrameEstimate:
+        number = len(self.journal.frames)
+        self.journal.frames[number] = frame
+        if number == 0:
+            return self._begin(frame)
+        rule = StoppingRule(self.options.tolerance * self.journal.median_depth(number - 1), self.options.iterations)
+        self.journal.place(number, rule)
+        views = [*self._trailing(number), number]
+        tracks = self._map(views)
+        if self.options.steps == "motion-structure-full":
+            self._adjust(views, tracks, rule, views_free=False)
+        self._adjust(views, tracks, rule, views_free=True)
+        points = np.array([self.journal.points_m[track] for track in tracks])
+        return FrameEstimate(self.journal.positions_m[number], None, np.array(tracks, dtype=np.int64), points, 0.0)
+
+    def _begin(self, frame: TrackFrame) -> FrameEstimate:
+        """Place the first view, and all landmarks provisionally at the distance of the gauge."""
+        journal = self.journal
+        journal.positions_m[0] = self.first_m.copy()
+        self.gauge = measured_gauge(journal, 0)
+        if self.gauge.track not in frame.tracks:
+            raise LostError(f"the range is to track {self.gauge.track}, which is not in view")
+        self.trailing = [0]
+        for track in frame.tracks.tolist():
+            journal.points_m[track] = self.first_m + self.gauge.range_m * journal.ray(0, track)
+        tracks = np.array([self.gauge.track], dtype=np.int64)
+        return FrameEstimate(self.first_m.copy(), None, tracks, journal.points_m[self.gauge.track][None], 0.0)
+
+    def _trailing(self, lead: int) -> list[int]:
+        """Choose the trailing views for a new leading one, and let the gauge go over to another landmark if it must."""
+        before = self.trailing
+        choose = trailing_views(self.journal, before, lead, self.options)
+        if self.options.strategy == "offset":
+            choose = offset_views(self.journal, lead, self.options)
+        self.trailing = choose
+        self.shifts += int(choose[0] != before[0])
+        gauge = handed_over(self.journal, self._gauge(), [*choose, lead], self.options.gauge_sigma_m)
+        self.handovers += int(gauge != self.gauge)
+        self.gauge = gauge
+        return choose
+
+    def _map(self, views: list[int]) -> list[int]:
+        """List the landmarks seen by two views or more, sorted; those without an estimate get one."""
+        seen = self.journal.seen_by(views)
+        tracks = sorted(track for track, by in seen.items() if len(by) >= 2)
+        for track in tracks:
+            if track not in self.journal.points_m:
+                self.journal.points_m[track] = self.journal.triangulate(track, seen[track])
+        if len(tracks) < self.options.connectivity:
+            raise LostError(f"tracks are lost: {len(tracks)} landmarks are seen twice in the window")
+        return tracks
+
+    def _adjust(self, views: list[int], tracks: list[int], rule: StoppingRule, *, views_free: bool) -> None:
+        """Structure-only or full adjustment, with the gauge."""
+        problem = self._problem(views, tracks, views_free=views_free)
+        solution = minimise(problem, self.journal.state(views, tracks), rule)
+        self.iterations += solution.iterations
+        if not np.isfinite(solution.cost):
+            raise LostError("a landmark is behind a camera that sees it")
+        if views_free and reduced_rank_deficiency(problem, solution.state):
+            raise LostError("the scale is unobservable: the reduced system has not full rank")
+        self.journal.keep(solution.state, views, tracks)
+
+    def _problem(self, views: list[int], tracks: list[int], *, views_free: bool) -> Adjustment:
+        gauge = self._gauge()
+        return Adjustment(
+            camera=self.journal.camera,
+            R_cam_body=self.journal.attitudes(views),
+            sightings=self.journal.sightings(views, tracks),
+            free_views=np.array([views_free and slot > 0 for slot in range(len(views))]),
+            free_points=np.ones(len(tracks), dtype=np.bool_),
+            distances=Distances(
+                np.zeros(1, dtype=np.int64),
+                np.array([tracks.index(gauge.track)], dtype=np.int64),
+                np.array([gauge.range_m]),
+                np.array([gauge.sigma_m]),
+            ),
+        )
+
+    def _gauge(self) -> Gauge:
+        if self.gauge is None:
+            raise LostError("there is no depth gauge")
+        return self.gauge

@@ -1,0 +1,63 @@
+"""The depth gauge of BA-SLAM: one landmark whose distance from the oldest view is held, equation (5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimators.slam.following import LostError
+from estimators.slam.journal import Journal
+
+
+@dataclass(frozen=True, slots=True)
+class Gauge:
+    """The distance of a landmark from a view, and its standard deviation, m."""
+
+    view: int
+    track: int
+    range_m: float
+    sigma_m: float
+
+
+def measured_gauge(journal: Journal, view: int) -> Gauge:
+    """Return the range measured at ``view`` with the smallest error.
+
+    Raises
+    ------
+    LostError
+        If there is none: the scale is unobservable.
+    """
+    ranges = journal.frames[view].ranges
+    if not ranges:
+        raise LostError("no range is measured at the first frame: the scale is unobservable")
+    best = min(ranges, key=lambda item: (item.sigma_m, item.track))
+    return Gauge(view, best.track, best.range_m, best.sigma_m)
+
+
+def handed_over(journal: Journal, gauge: Gauge, views: Sequence[int], sigma_m: float) -> Gauge:
+    """Return the gauge for a window of ``views``, the oldest first.
+
+    The old one serves while its view is the oldest and its landmark is seen by another view. Otherwise the landmark of
+    the oldest view that most views see takes over at its estimated distance: one with a short track loses the scale.
+
+    Raises
+    ------
+    LostError
+        If no landmark that the oldest view sees has been estimated and is seen twice.
+    """
+    seen = journal.seen_by(views)
+    oldest = views[0]
+    if gauge.view == oldest and len(seen.get(gauge.track, ())) >= 2:
+        return gauge
+    candidates = [
+        track
+        for track in journal.frames[oldest].tracks.tolist()
+        if track in journal.points_m and len(seen[track]) >= 2 and (views[-1] in seen[track] or len(seen[track]) > 2)
+    ]
+    if not candidates:
+        raise LostError("no landmark can take the depth gauge over: the scale is unobservable")
+    best = min(candidates, key=lambda track: (-len(seen[track]), track))
+    distance = float(np.linalg.norm(journal.points_m[best] - journal.positions_m[oldest]))
+    return Gauge(oldest, best, distance, sigma_m)

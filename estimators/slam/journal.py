@@ -1,0 +1,141 @@
+"""What an estimator that adjusts views remembers: frames, the estimated positions, and the landmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.slam.following import LostError, lookup
+from estimators.slam.levenberg import StoppingRule, minimise
+from estimators.slam.state import Adjustment, Distances, Motions, Sightings, State
+from scenarios.geometry import Camera
+from scenarios.tracks import TrackFrame
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+class Journal:
+    """Frames by number, a position for each, and a point for each landmark of the map (all in the body frame)."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+        self.frames: dict[int, TrackFrame] = {}
+        self.positions_m: dict[int, FloatArray] = {}
+        self.points_m: dict[int, FloatArray] = {}
+
+    def sightings(self, views: Sequence[int], tracks: Sequence[int]) -> Sightings:
+        """Gather where ``views`` saw ``tracks`` (sorted), numbered by their places in the two."""
+        frames = [self.frames[view] for view in views]
+        track = np.concatenate([frame.tracks for frame in frames])
+        sizes = [len(frame.tracks) for frame in frames]
+        point = lookup(tracks, track)
+        kept = point >= 0
+        return Sightings(
+            view=np.repeat(np.arange(len(views)), sizes)[kept],
+            point=point[kept],
+            uv_px=np.concatenate([frame.uv_px for frame in frames])[kept],
+            sigma_px=np.repeat([frame.sigma_px for frame in frames], sizes)[kept],
+        )
+
+    def distances(self, views: Sequence[int], tracks: Sequence[int]) -> Distances:
+        """Gather the distances that ``views`` measured to ``tracks`` (sorted)."""
+        rows = [(slot, item) for slot, view in enumerate(views) for item in self.frames[view].ranges]
+        point = lookup(tracks, np.array([item.track for _, item in rows], dtype=np.int64))
+        kept = point >= 0
+        return Distances(
+            view=np.array([slot for slot, _ in rows], dtype=np.int64)[kept],
+            point=point[kept],
+            range_m=np.array([item.range_m for _, item in rows], dtype=np.float64)[kept],
+            sigma_m=np.array([item.sigma_m for _, item in rows], dtype=np.float64)[kept],
+        )
+
+    def motions(self, views: Sequence[int]) -> Motions:
+        """Gather the predicted motions between consecutive frames that are both among ``views`` (sorted)."""
+        slots = {view: slot for slot, view in enumerate(views)}
+        ends = [view for view in views if view - 1 in slots]
+        return Motions(
+            start=np.array([slots[view - 1] for view in ends], dtype=np.int64),
+            end=np.array([slots[view] for view in ends], dtype=np.int64),
+            displacement_m=np.array([self.frames[view].motion_m for view in ends]).reshape(-1, 3),
+            information=np.array([np.linalg.inv(self.frames[view].motion_covariance_m2) for view in ends]).reshape(
+                -1, 3, 3
+            ),
+        )
+
+    def state(self, views: Sequence[int], tracks: Sequence[int]) -> State:
+        """Collect the present estimates of ``views`` and ``tracks``."""
+        points = np.array([self.points_m[track] for track in tracks]).reshape(-1, 3)
+        return State(np.array([self.positions_m[view] for view in views]).reshape(-1, 3), points)
+
+    def keep(self, state: State, views: Sequence[int], tracks: Sequence[int]) -> None:
+        """Take the estimates of ``state`` over."""
+        self.positions_m.update(zip(views, state.positions_m, strict=True))
+        self.points_m.update(zip(tracks, state.points_m, strict=True))
+
+    def attitudes(self, views: Sequence[int]) -> FloatArray:
+        """(V, 3, 3) R_cam_body of ``views``."""
+        return np.array([self.frames[view].R_cam_body for view in views])
+
+    def seen_by(self, views: Sequence[int]) -> dict[int, list[int]]:
+        """List for each track the views among ``views`` that saw it."""
+        seen: dict[int, list[int]] = {}
+        for view in views:
+            for track in self.frames[view].tracks.tolist():
+                seen.setdefault(track, []).append(view)
+        return seen
+
+    def shared(self, first: int, second: int) -> int:
+        """Count the landmarks that two views share."""
+        return len(np.intersect1d(self.frames[first].tracks, self.frames[second].tracks, assume_unique=True))
+
+    def ray(self, view: int, track: int) -> FloatArray:
+        """(3,) unit direction from the camera to a landmark, body frame."""
+        frame = self.frames[view]
+        row = int(np.flatnonzero(frame.tracks == track)[0])
+        return np.asarray(frame.R_cam_body.T @ self.camera.unproject(frame.uv_px[row]), dtype=np.float64)
+
+    def median_depth(self, view: int) -> float:
+        """Return the median distance from a view to the landmarks of the map that it sees, or that its ranges tell; m."""
+        frame = self.frames[view]
+        known = [self.points_m[track] for track in frame.tracks.tolist() if track in self.points_m]
+        if known:
+            return float(np.median(np.linalg.norm(np.array(known) - self.positions_m[view], axis=1)))
+        if frame.ranges:
+            return float(np.median([item.range_m for item in frame.ranges]))
+        raise LostError("no landmark of known distance is in view: the scale is unobservable")
+
+    def place(self, view: int, rule: StoppingRule) -> None:
+        """Motion-only adjustment: the position of a new view from the landmarks that it sees and its predicted motion."""
+        tracks = sorted(track for track in self.frames[view].tracks.tolist() if track in self.points_m)
+        self.positions_m[view] = self.positions_m[view - 1] + self.frames[view].motion_m
+        if not tracks:
+            return
+        views = [view - 1, view]
+        problem = Adjustment(
+            camera=self.camera,
+            R_cam_body=self.attitudes(views),
+            sightings=self.sightings(views, tracks),
+            free_views=np.array([False, True]),
+            free_points=np.zeros(len(tracks), dtype=np.bool_),
+            motions=self.motions(views),
+        )
+        solution = minimise(problem, self.state(views, tracks), rule)
+        self.positions_m[view] = solution.state.positions_m[1]
+
+    def triangulate(self, track: int, views: Sequence[int]) -> FloatArray:
+        """(3,) where the rays of ``views`` come closest together; at the median depth where that is not in front of them."""
+        rays = np.array([self.ray(view, track) for view in views])
+        positions = np.array([self.positions_m[view] for view in views])
+        across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+        depth = self.median_depth(views[-1])
+        near = positions[-1] + depth * rays[-1]
+        matrix = across.sum(axis=0)
+        if np.linalg.eigvalsh(matrix)[0] < 1e-12:
+            return np.asarray(near, dtype=np.float64)
+        point = np.linalg.solve(matrix, np.einsum("kij,kj->i", across, positions))
+        depths = np.einsum("ki,ki->k", point - positions, rays)
+        good = np.all((depths > 0.3 * depth) & (depths < 3.0 * depth))
+        return np.asarray(point if good else near, dtype=np.float64)

@@ -1,0 +1,74 @@
+"""Which views the window of BA-SLAM holds: the two strategies of section 3.2."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimators.slam.following import LostError
+from estimators.slam.journal import Journal
+from estimators.slam.options import BundleOptions
+
+
+def trailing_views(journal: Journal, trailing: Sequence[int], lead: int, options: BundleOptions) -> list[int]:
+    """Second strategy: the trailing views stay until the leading one shares too few landmarks with the oldest.
+
+    Then the oldest is dropped and the leading view of the step before becomes the last of the trailing ones. The paper
+    asks for connectivity of the *last two* views; with that, errors are several times those of its Table 3.
+
+    While the window grows, which the paper does not detail, views enter it at equal ratios of shared landmarks, so that
+    the window spans just the connectivity when it is full.
+
+    Raises
+    ------
+    LostError
+        If the leading view shares too few landmarks with every view that it could build on.
+    """
+    views = list(trailing)
+    if len(views) < options.views - 1:
+        return _grown(journal, views, lead, options)
+    if _connected(journal, views[0], views[-1], lead, options):
+        return views
+    return _connected_part(journal, [*views[1:], lead - 1] if views[-1] != lead - 1 else views[1:], lead, options)
+
+
+def offset_views(journal: Journal, lead: int, options: BundleOptions) -> list[int]:
+    """First strategy: a constant offset, counted in frames, between the views; fewer at the beginning."""
+    back = [lead - options.offset_frames * step for step in range(1, options.views)]
+    views = sorted(view for view in back if view >= 0) or [0]
+    return _connected_part(journal, views, lead, options)
+
+
+def _grown(journal: Journal, views: list[int], lead: int, options: BundleOptions) -> list[int]:
+    """Let the view before the leading one in when the leading one has moved far enough from the last."""
+    held = len(journal.frames[views[-1]].tracks)
+    share = (options.connectivity / held) ** (1.0 / (options.views - 1))
+    near = journal.shared(views[-1], lead) >= share * held
+    candidate = views if near or views[-1] == lead - 1 else [*views, lead - 1]
+    return _connected_part(journal, candidate, lead, options)
+
+
+def _connected(journal: Journal, oldest: int, last: int, lead: int, options: BundleOptions) -> bool:
+    shared = journal.shared(oldest, lead) >= options.connectivity
+    return shared and _angle(journal, last, lead) <= np.radians(options.angle_max_deg)
+
+
+def _connected_part(journal: Journal, views: list[int], lead: int, options: BundleOptions) -> list[int]:
+    """Drop the oldest views until the leading one is connected with the first that remains."""
+    while views and journal.shared(views[0], lead) < options.connectivity:
+        views = views[1:]
+    if views:
+        return views
+    if journal.shared(lead - 1, lead) >= options.connectivity:
+        return [lead - 1]
+    raise LostError(
+        f"tracks are lost: {journal.shared(lead - 1, lead)} landmarks are shared with the frame before,"
+        f" {options.connectivity} are needed"
+    )
+
+
+def _angle(journal: Journal, first: int, second: int) -> float:
+    """Angle between two camera positions at the centre of the body, rad."""
+    a, b = journal.positions_m[first], journal.positions_m[second]
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))

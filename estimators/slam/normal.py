@@ -1,0 +1,244 @@
+"""Normal equations of an adjustment, reduced to the views by the Schur complement.
+
+Variables are 3-vectors. *Kept* are the free views and the landmarks of the prior, which couples them; *eliminated* are
+all other free landmarks: no measurement joins two of them, so their part of the matrix is made of 3 x 3 blocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.slam.residuals import (
+    bearing_jacobians,
+    bearing_residuals,
+    distance_jacobians,
+    distance_residuals,
+    motion_residuals,
+)
+from estimators.slam.state import Adjustment, State
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """Slots of the variables, -1 where there is none, and which sightings meet at an eliminated landmark.
+
+    Parameters
+    ----------
+    view, kept_point
+        (V,), (L,): slots among the kept variables.
+    gone_point
+        (L,): slots among the eliminated landmarks.
+    link_kept, link_gone
+        (m,), (m,): the kept and the eliminated slot that each entry of the coupling joins.
+    left, right
+        (q,), (q,): pairs of entries of the coupling with the same eliminated landmark; each pair fills the reduced matrix.
+    """
+
+    view: IndexArray
+    kept_point: IndexArray
+    gone_point: IndexArray
+    kept: int
+    gone: int
+    link_kept: IndexArray
+    link_gone: IndexArray
+    left: IndexArray
+    right: IndexArray
+
+    @classmethod
+    def of(cls, problem: Adjustment) -> Layout:
+        """Number the variables of ``problem``."""
+        joined = np.zeros(len(problem.free_points), dtype=np.bool_)
+        if problem.prior is not None:
+            joined[problem.prior.points] = True
+        view = _slots(problem.free_views)
+        views = int(np.count_nonzero(problem.free_views))
+        kept_point = _slots(problem.free_points & joined)
+        kept = views + int(kept_point.max(initial=-1)) + 1
+        kept_point = np.where(kept_point >= 0, kept_point + views, -1)
+        gone_point = _slots(problem.free_points & ~joined)
+        pair_view, pair_point = _pairs(problem)
+        linked = (view[pair_view] >= 0) & (gone_point[pair_point] >= 0)
+        left, right = _meetings(gone_point[pair_point[linked]])
+        return cls(
+            view=view,
+            kept_point=kept_point,
+            gone_point=gone_point,
+            kept=kept,
+            gone=int(gone_point.max(initial=-1)) + 1,
+            link_kept=view[pair_view[linked]],
+            link_gone=gone_point[pair_point[linked]],
+            left=left,
+            right=right,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalEquations:
+    """The matrix and the gradient by blocks: kept (3n, 3n), eliminated (e, 3, 3), entries of the coupling (m, 3, 3)."""
+
+    layout: Layout
+    kept: FloatArray
+    gone: FloatArray
+    coupling: FloatArray
+    kept_gradient: FloatArray
+    gone_gradient: FloatArray
+
+    def reduced(self, damping: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the reduced matrix and right side (Schur complement), and the inverted blocks of the eliminated ones.
+
+        ``damping`` is the lambda of equation (4), added to the whole diagonal before the reduction.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If a landmark has no distance and ``damping`` is 0.
+        """
+        layout = self.layout
+        inverse = np.linalg.inv(self.gone + damping * np.eye(3))
+        weighted = self.coupling @ inverse[layout.link_gone]
+        product = weighted[layout.left] @ np.swapaxes(self.coupling[layout.right], 1, 2)
+        slots = layout.link_kept[layout.left] * layout.kept + layout.link_kept[layout.right]
+        matrix = self.kept + damping * np.eye(3 * layout.kept) - _dense(_scatter(slots, product, layout.kept**2))
+        taken = np.einsum("kij,kj->ki", weighted, self.gone_gradient[layout.link_gone])
+        right = _scatter(layout.link_kept, taken, layout.kept).ravel() - self.kept_gradient
+        return 0.5 * (matrix + matrix.T), right, inverse
+
+    def back_substituted(self, kept_step: FloatArray, inverse: FloatArray) -> FloatArray:
+        """(e, 3) steps of the eliminated landmarks, given (n, 3) those of the kept variables."""
+        layout = self.layout
+        moved = np.einsum("kji,kj->ki", self.coupling, kept_step[layout.link_kept])
+        right = -self.gone_gradient - _scatter(layout.link_gone, moved, layout.gone)
+        return np.asarray(np.einsum("kij,kj->ki", inverse, right), dtype=np.float64)
+
+    def stepped(self, state: State, kept_step: FloatArray, gone_step: FloatArray) -> State:
+        """Return ``state`` after the steps (n, 3) and (e, 3)."""
+        layout = self.layout
+        steps = np.concatenate([kept_step, np.zeros((1, 3))])  # slot -1: no step
+        points = state.points_m + steps[layout.kept_point]
+        points += np.concatenate([gone_step, np.zeros((1, 3))])[layout.gone_point]
+        return State(state.positions_m + steps[layout.view], points)
+
+
+def normal_equations(problem: Adjustment, state: State, layout: Layout) -> NormalEquations:
+    """Linearise ``problem`` at ``state``: J' W J and J' W f of equation (3), by blocks."""
+    view, point = _pairs(problem)
+    blocks, gradients = _pair_terms(problem, state)
+    n = layout.kept
+    cells, values = _kept_cells(problem, layout, blocks)
+    kept = _dense(_scatter(cells, values, n * n))
+    kept_gradient = _add_motion(problem, state, layout, kept)
+    kept_gradient += _kept_gradient(layout, view, point, gradients)
+    _add_prior(problem, state, layout, kept, kept_gradient)
+    slot = layout.gone_point[point]
+    gone = slot >= 0
+    linked = gone & (layout.view[view] >= 0)
+    return NormalEquations(
+        layout=layout,
+        kept=kept,
+        gone=_scatter(slot[gone], blocks[gone], layout.gone),
+        coupling=-blocks[linked],
+        kept_gradient=kept_gradient.ravel(),
+        gone_gradient=_scatter(slot[gone], gradients[gone], layout.gone),
+    )
+
+
+def _pairs(problem: Adjustment) -> tuple[IndexArray, IndexArray]:
+    """(m,) view and (m,) landmark of every measurement that joins one of each: sightings, then distances."""
+    view = np.concatenate([problem.sightings.view, problem.distances.view])
+    return view, np.concatenate([problem.sightings.point, problem.distances.point])
+
+
+def _pair_terms(problem: Adjustment, state: State) -> tuple[FloatArray, FloatArray]:
+    """(m, 3, 3) A'A and (m, 3) A'r of every measurement of `_pairs`, A by the landmark."""
+    where = problem.linearisation_point(state)
+    terms = [
+        (bearing_jacobians(problem, where), bearing_residuals(problem, state)),
+        (distance_jacobians(problem, where), distance_residuals(problem, state)[:, None]),
+    ]
+    blocks = [np.einsum("kri,krj->kij", rows, rows) for rows, _ in terms]
+    gradients = [np.einsum("kri,kr->ki", rows, residuals) for rows, residuals in terms]
+    return np.concatenate(blocks), np.concatenate(gradients)
+
+
+def _kept_cells(problem: Adjustment, layout: Layout, blocks: FloatArray) -> tuple[IndexArray, FloatArray]:
+    """Cells (row * n + column) of the kept matrix that measurements fill, and the 3 x 3 blocks that they add there."""
+    view, point = _pairs(problem)
+    i, j = layout.view[view], layout.kept_point[point]
+    both = (i >= 0) & (j >= 0)
+    n = layout.kept
+    cells = [i[i >= 0] * (n + 1), j[j >= 0] * (n + 1), i[both] * n + j[both], j[both] * n + i[both]]
+    values = [blocks[i >= 0], blocks[j >= 0], -blocks[both], -blocks[both]]
+    return np.concatenate(cells), np.concatenate(values)
+
+
+def _kept_gradient(layout: Layout, view: IndexArray, point: IndexArray, gradients: FloatArray) -> FloatArray:
+    """(n, 3) gradient of sightings and distances by the kept variables."""
+    i, j = layout.view[view], layout.kept_point[point]
+    slots = np.concatenate([i[i >= 0], j[j >= 0]])
+    return _scatter(slots, np.concatenate([-gradients[i >= 0], gradients[j >= 0]]), layout.kept)
+
+
+def _add_motion(problem: Adjustment, state: State, layout: Layout, kept: FloatArray) -> FloatArray:
+    """Add predicted motions to the kept matrix in place; return their gradient, (n, 3)."""
+    gradient = np.zeros((layout.kept, 3))
+    motions = problem.motions
+    pulls = np.einsum("kij,kj->ki", motions.information, motion_residuals(problem, state))
+    for start, end, information, pull in zip(motions.start, motions.end, motions.information, pulls, strict=True):
+        slots = {1.0: layout.view[end], -1.0: layout.view[start]}
+        for sign, a in slots.items():
+            if a < 0:
+                continue
+            gradient[a] += sign * pull
+            for other, b in slots.items():
+                if b >= 0:
+                    kept[3 * a : 3 * a + 3, 3 * b : 3 * b + 3] += sign * other * information
+    return gradient
+
+
+def _add_prior(problem: Adjustment, state: State, layout: Layout, kept: FloatArray, gradient: FloatArray) -> None:
+    """Add the prior's quadratic to the kept matrix and gradient in place."""
+    prior = problem.prior
+    if prior is None:
+        return
+    slots = np.concatenate([layout.view[prior.views], layout.kept_point[prior.points]])
+    rows = (3 * slots[:, None] + np.arange(3)).ravel()
+    kept[np.ix_(rows, rows)] += prior.information
+    pull = prior.information @ prior.offset(state) + prior.gradient
+    gradient[slots] += pull.reshape(-1, 3)
+
+
+def _slots(mask: NDArray[np.bool_]) -> IndexArray:
+    """Count the marked entries: their numbers where marked, -1 elsewhere."""
+    return np.where(mask, np.cumsum(mask) - 1, -1).astype(np.int64)
+
+
+def _meetings(groups: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """All ordered pairs (a, b) of entries of the same group, a = b included."""
+    order = np.argsort(groups, kind="stable")
+    counts = np.bincount(groups)
+    counts = counts[counts > 0]
+    first = np.repeat(np.cumsum(counts) - counts, counts)
+    size = np.repeat(counts, counts)
+    left = np.repeat(np.arange(len(groups)), size)
+    within = np.arange(len(left)) - np.repeat(np.cumsum(size) - size, size)
+    return order[left], order[np.repeat(first, size) + within]
+
+
+def _scatter(slots: IndexArray, values: FloatArray, count: int) -> FloatArray:
+    """Sum ``values`` (m, ...) by slot into (count, ...), in the order in which they stand."""
+    shape = values.shape[1:]
+    width = int(np.prod(shape, dtype=np.int64))
+    cells = (slots[:, None] * width + np.arange(width)).ravel()
+    return np.bincount(cells, weights=values.ravel(), minlength=count * width).reshape(count, *shape)
+
+
+def _dense(blocks: FloatArray) -> FloatArray:
+    """Lay (n * n, 3, 3) blocks out as one (3n, 3n) matrix."""
+    n = int(np.sqrt(len(blocks)))
+    return np.ascontiguousarray(blocks.reshape(n, n, 3, 3).transpose(0, 2, 1, 3).reshape(3 * n, 3 * n))

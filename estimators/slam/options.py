@@ -1,0 +1,76 @@
+"""Options of the estimators of sequences."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from scenarios.spec.base import SpecModel
+
+
+class SolverOptions(SpecModel):
+    """Of every estimator that minimises."""
+
+    tolerance: float = Field(
+        1e-8, gt=0, le=1e-2, description="A minimisation ends when no step is longer than this part of the distance"
+    )
+    iterations: int = Field(50, ge=1, le=1000, description="Steps of a minimisation at most")
+    connectivity: int = Field(3, ge=2, le=100, description="Landmarks that two views must share")
+    uncertainty_max: float = Field(
+        0.25,
+        gt=0,
+        description="The scale counts as lost when the position is uncertain by this part of the distance",
+    )
+
+
+class BundleOptions(SolverOptions):
+    """Options of ``ba-slam``."""
+
+    views: int = Field(5, ge=2, le=100, description="Views of the window, the leading one included")
+    strategy: Literal["trailing", "offset"] = Field(
+        "trailing",
+        description="Trailing views that stay until the leading one loses the oldest, or a constant offset between views",
+    )
+    offset_frames: int = Field(4, ge=1, le=1000, description="Frames between views of the constant offset")
+    angle_max_deg: float = Field(
+        30.0, gt=0, le=360, description="Largest angle at the body's centre between consecutive views"
+    )
+    steps: Literal["full", "motion-structure-full"] = Field(
+        "motion-structure-full", description="Adjust motion only and structure only before the full adjustment, or not"
+    )
+    gauge_sigma_m: float = Field(0.01, gt=0, description="Standard deviation given to a gauge that was handed over")
+
+
+class FilterOptions(SpecModel):
+    """Options of ``ekf-slam``."""
+
+    depth_sigma: float = Field(
+        0.3, gt=0, le=2, description="Standard deviation of a new landmark's inverse distance, relative to its guess"
+    )
+    innovation_frames: int = Field(10, ge=1, le=1000, description="Frames over which innovations are averaged")
+    innovation_max: float = Field(
+        5.0, gt=1, description="Mean squared normalised innovation at which the filter counts as diverging; 1 is expected"
+    )
+    connectivity: int = Field(3, ge=1, le=100, description="Landmarks that two frames must share")
+    uncertainty_max: float = Field(
+        0.25,
+        gt=0,
+        description="The scale counts as lost when the position is uncertain by this part of the distance",
+    )
+
+
+class SmootherOptions(SolverOptions):
+    """Options of ``fixed-lag``."""
+
+    lag: int = Field(10, ge=2, le=1000, description="Frames of the window")
+    first_estimates: bool = Field(
+        True, description="Take derivatives by variables of the prior where they were when they entered it"
+    )
+    motion: bool = Field(True, description="Count predicted motions as measurements")
+
+
+class BatchOptions(SolverOptions):
+    """Options of ``batch``."""
+
+    motion: bool = Field(True, description="Count predicted motions as measurements")

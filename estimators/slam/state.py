@@ -1,0 +1,118 @@
+"""What an adjustment solves for, and the measurements that it solves from: plain arrays, numbered within the problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.geometry import Camera
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+def _none() -> IndexArray:
+    return np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Camera positions (V, 3) and landmarks (L, 3), m, body frame."""
+
+    positions_m: FloatArray
+    points_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """Where views saw landmarks: (k,) view, (k,) point, (k, 2) pixel, (k,) standard deviation of a coordinate, px."""
+
+    view: IndexArray
+    point: IndexArray
+    uv_px: FloatArray
+    sigma_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Distances:
+    """Distances from views to landmarks and their standard deviations, m; each (k,)."""
+
+    view: IndexArray = field(default_factory=_none)
+    point: IndexArray = field(default_factory=_none)
+    range_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+    sigma_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motions:
+    """Displacements (k, 3) from a view to the next one, and the inverse covariances (k, 3, 3) of their errors."""
+
+    start: IndexArray = field(default_factory=_none)
+    end: IndexArray = field(default_factory=_none)
+    displacement_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    information: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """A quadratic in some views and landmarks: ``(x - x0)' H (x - x0) / 2 + g' (x - x0)``, views first.
+
+    Parameters
+    ----------
+    views, points
+        (a,), (b,): the variables by their numbers in the problem.
+    origin_m
+        (a + b, 3): x0, where it was linearised.
+    information, gradient
+        (3 (a + b), 3 (a + b)) and (3 (a + b),).
+    """
+
+    views: IndexArray
+    points: IndexArray
+    origin_m: FloatArray
+    information: FloatArray
+    gradient: FloatArray
+
+    def offset(self, state: State) -> FloatArray:
+        """(3 (a + b),) how far ``state`` is from where the quadratic was made, m."""
+        here = np.concatenate([state.positions_m[self.views], state.points_m[self.points]])
+        return np.asarray((here - self.origin_m).ravel(), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjustment:
+    """A least-squares problem over views of known attitude and landmarks in Cartesian form.
+
+    Parameters
+    ----------
+    R_cam_body
+        (V, 3, 3) attitude of each view.
+    free_views, free_points
+        (V,), (L,): what is solved for; the rest stays. All points of a prior are free.
+    frozen
+        Where derivatives are taken for variables that a prior knows (first-estimates Jacobians); NaN elsewhere.
+        Nothing: all derivatives are taken at the present state.
+    """
+
+    camera: Camera
+    R_cam_body: FloatArray
+    sightings: Sightings
+    free_views: BoolArray
+    free_points: BoolArray
+    distances: Distances = field(default_factory=Distances)
+    motions: Motions = field(default_factory=Motions)
+    prior: Prior | None = None
+    frozen: State | None = None
+
+    def linearisation_point(self, state: State) -> State:
+        """Return ``state`` but for the variables whose derivatives are taken at their first estimates."""
+        if self.frozen is None:
+            return state
+        frozen = self.frozen
+        return State(
+            np.where(np.isnan(frozen.positions_m), state.positions_m, frozen.positions_m),
+            np.where(np.isnan(frozen.points_m), state.points_m, frozen.points_m),
+        )

@@ -1,0 +1,117 @@
+"""A small world of its own for the tests of SLAM: a circular orbit over a sphere, written without the product's world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.geometry import Camera
+from scenarios.tracks import TrackFrame, TrackRange, TrackSequence
+
+FloatArray = NDArray[np.float64]
+
+ORBIT_M = 790.0
+RADIUS_M = 190.0
+STEP_RAD = np.radians(2.0)
+CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Camera positions (n, 3) and the landmark of each track."""
+
+    positions_m: FloatArray
+    points_m: dict[int, FloatArray]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    frames: int = 181
+    landmarks: float = 15.0
+    repeatability: float = 0.9
+    noise_px: float = 2.0 / 3.0
+    motion_error: float = 0.5
+    gauge_life: int = 10
+    range_all: bool = False
+
+
+def look_down(position_m: FloatArray) -> FloatArray:
+    """R_cam_body of a camera that looks at the origin, its x axis along the orbit normal."""
+    z = -position_m / np.linalg.norm(position_m)
+    x = np.array([0.0, 0.0, 1.0])
+    return np.stack([x, np.cross(z, x), z])
+
+
+def make_sequence(rng: np.random.Generator, recipe: Recipe = Recipe()) -> tuple[TrackSequence, Truth]:  # noqa: B008
+    angles = STEP_RAD * np.arange(recipe.frames)
+    positions = ORBIT_M * np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
+    seen, points = _tracks(rng, positions, recipe)
+    gauge = _gauge(seen, points, positions[0], recipe)
+    frames = []
+    for number, position in enumerate(positions):
+        tracks = np.array(sorted(seen[number]), dtype=np.int64)
+        rotation = look_down(position)
+        lines = np.array([points[track] for track in tracks.tolist()]) - position
+        uv = CAMERA.project(lines @ rotation.T) + recipe.noise_px * rng.standard_normal((len(tracks), 2))
+        moved = position - positions[number - 1] if number else np.zeros(3)
+        direction = rng.standard_normal(3)
+        error = recipe.motion_error * np.linalg.norm(moved) * direction / np.linalg.norm(direction)
+        sigma = max(recipe.motion_error, 1e-3) * np.linalg.norm(moved) / np.sqrt(3.0)
+        distances = np.linalg.norm(lines, axis=1)
+        ranged = (number == 0) & (tracks == gauge) if not recipe.range_all else np.ones(len(tracks), bool)
+        ranges = tuple(TrackRange(int(t), float(d), 0.01) for t, d in zip(tracks[ranged], distances[ranged], strict=True))
+        frames.append(
+            TrackFrame(
+                float(480.0 * number), rotation, tracks, uv, max(recipe.noise_px, 1e-2), moved + error,
+                sigma**2 * np.eye(3), ranges,
+            )
+        )  # fmt: skip
+    return TrackSequence(CAMERA, tuple(frames), positions[0], np.zeros((3, 3))), Truth(positions, points)
+
+
+def _tracks(
+    rng: np.random.Generator, positions: FloatArray, recipe: Recipe
+) -> tuple[list[set[int]], dict[int, FloatArray]]:
+    """Which tracks each frame sees. A track that dies is taken over by a new landmark in view: the number stays."""
+    share = 0.5 * (1.0 - RADIUS_M / ORBIT_M)
+    count = rng.poisson(recipe.landmarks / share) if recipe.noise_px > 0.0 else round(recipe.landmarks / share)
+    points = dict(enumerate(_on_sphere(rng, count)))
+    alive, before, frames = set(points), set[int](), []
+    for position in positions:
+        visible = {track for track in sorted(alive) if _visible(points[track], position)}
+        dying = {track for track in sorted(visible & before) if rng.random() > recipe.repeatability}
+        alive -= (before - visible) | dying
+        visible -= dying
+        for _ in dying:
+            point = _on_sphere(rng, 1)[0]
+            while not _visible(point, position):
+                point = _on_sphere(rng, 1)[0]
+            points[len(points)] = point
+            alive.add(len(points) - 1)
+            visible.add(len(points) - 1)
+        for _ in before - visible - dying:  # gone over the limb: one comes up elsewhere on the far side
+            point = _on_sphere(rng, 1)[0]
+            while _visible(point, position):
+                point = _on_sphere(rng, 1)[0]
+            points[len(points)] = point
+            alive.add(len(points) - 1)
+        frames.append(visible)
+        before = visible
+    return frames, points
+
+
+def _gauge(seen: list[set[int]], points: dict[int, FloatArray], position: FloatArray, recipe: Recipe) -> int:
+    """The landmark nearest to the camera among those with a long track."""
+    life = set.intersection(*seen[: min(recipe.gauge_life, len(seen))]) or seen[0]
+    return min(life, key=lambda track: float(np.linalg.norm(points[track] - position)))
+
+
+def _visible(point: FloatArray, position: FloatArray) -> bool:
+    return bool(point @ position > RADIUS_M**2)
+
+
+def _on_sphere(rng: np.random.Generator, count: int) -> FloatArray:
+    points = rng.standard_normal((count, 3))
+    return RADIUS_M * points / np.linalg.norm(points, axis=1, keepdims=True)
