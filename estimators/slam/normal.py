@@ -54,6 +54,8 @@ class Layout:
     def of(cls, problem: Adjustment) -> Layout:
         """Number the variables of ``problem``."""
         joined = np.zeros(len(problem.free_points), dtype=np.bool_)
+        if problem.kept_points is not None:
+            joined |= problem.kept_points
         if problem.prior is not None:
             joined[problem.prior.points] = True
         view = _slots(problem.free_views)

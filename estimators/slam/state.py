@@ -92,6 +92,8 @@ class Adjustment:
         (V, 3, 3) attitude of each view.
     free_views, free_points
         (V,), (L,): what is solved for; the rest stays. All points of a prior are free.
+    kept_points
+        (L,): landmarks that are not eliminated from the reduced system beside those of the prior; nothing: none.
     frozen
         Where derivatives are taken for variables that a prior knows (first-estimates Jacobians); NaN elsewhere.
         Nothing: all derivatives are taken at the present state.
@@ -105,6 +107,7 @@ class Adjustment:
     distances: Distances = field(default_factory=Distances)
     motions: Motions = field(default_factory=Motions)
     prior: Prior | None = None
+    kept_points: BoolArray | None = None
     frozen: State | None = None
 
     def linearisation_point(self, state: State) -> State:

@@ -1,0 +1,111 @@
+"""Marginalisation: what measurements that leave a window say about the variables that stay, as a quadratic."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from estimators.slam.normal import Layout, normal_equations
+from estimators.slam.state import Adjustment, Distances, Motions, Prior, Sightings, State
+
+BoolArray = NDArray[np.bool_]
+
+
+def departing(problem: Adjustment, view: int, lost: BoolArray) -> Adjustment:
+    """Return the part of ``problem`` that goes when a view and the landmarks marked in ``lost`` (L,) are marginalised.
+
+    These are all measurements that join one of them with anything, and the prior. The landmarks that stay are kept.
+    """
+    seen, measured, moved = problem.sightings, problem.distances, problem.motions
+    goes = (seen.view == view) | lost[seen.point]
+    ranged = (measured.view == view) | lost[measured.point]
+    motion = (moved.start == view) | (moved.end == view)
+    return replace(
+        problem,
+        sightings=Sightings(seen.view[goes], seen.point[goes], seen.uv_px[goes], seen.sigma_px[goes]),
+        distances=Distances(
+            measured.view[ranged], measured.point[ranged], measured.range_m[ranged], measured.sigma_m[ranged]
+        ),
+        motions=Motions(
+            moved.start[motion], moved.end[motion], moved.displacement_m[motion], moved.information[motion]
+        ),
+        kept_points=problem.free_points & ~lost,
+    )
+
+
+def marginalised(problem: Adjustment, state: State, view: int, lost: BoolArray) -> Prior:
+    """Marginalise a view and the landmarks marked in ``lost`` (L,), all linearised at ``state``.
+
+    The quadratic is about the variables that stay and that the departing measurements, or the old prior, speak of.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If what goes is not determined.
+    """
+    part = departing(problem, view, lost)
+    part = replace(part, free_points=part.free_points & (_touched(part) | ~lost))
+    information, gradient = _without_lost(part, state, lost)
+    layout = Layout.of(replace(part, prior=None, free_points=part.free_points & ~lost, kept_points=~lost))
+    rows = np.arange(3 * layout.kept)
+    slot = int(layout.view[view])
+    out = (rows // 3 == slot) if slot >= 0 else np.zeros(len(rows), dtype=np.bool_)
+    information, gradient = _schur(information, gradient, out)
+    views = np.flatnonzero(problem.free_views & (np.arange(len(problem.free_views)) != view))
+    points = np.flatnonzero(problem.free_points & ~lost)
+    return _restricted(Prior(views, points, _values(state, views, points), information, gradient))
+
+
+def _without_lost(part: Adjustment, state: State, lost: BoolArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Information and gradient of all free views and staying landmarks, the lost landmarks eliminated.
+
+    Lost landmarks of the old prior are joined to others and so go by a dense elimination.
+    """
+    layout = Layout.of(part)
+    matrix, right, _ = normal_equations(part, state, layout).reduced()
+    slots = layout.kept_point[lost & (layout.kept_point >= 0)]
+    out = np.isin(np.arange(len(matrix)) // 3, slots)
+    return _schur(matrix, -right, out)
+
+
+def _schur(
+    information: NDArray[np.float64], gradient: NDArray[np.float64], out: BoolArray
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Eliminate the rows marked in ``out``."""
+    if not out.any():
+        return information, gradient
+    cross = information[np.ix_(out, ~out)]
+    solved = cho_solve(cho_factor(information[np.ix_(out, out)]), np.column_stack([cross, gradient[out]]))
+    left = information[np.ix_(~out, ~out)] - cross.T @ solved[:, :-1]
+    return 0.5 * (left + left.T), gradient[~out] - cross.T @ solved[:, -1]
+
+
+def _touched(part: Adjustment) -> BoolArray:
+    """(L,) landmarks that a measurement of ``part`` or its prior speaks of."""
+    touched = np.zeros(len(part.free_points), dtype=np.bool_)
+    touched[part.sightings.point] = True
+    touched[part.distances.point] = True
+    if part.prior is not None:
+        touched[part.prior.points] = True
+    return touched
+
+
+def _values(state: State, views: NDArray[np.int64], points: NDArray[np.int64]) -> NDArray[np.float64]:
+    return np.concatenate([state.positions_m[views], state.points_m[points]])
+
+
+def _restricted(prior: Prior) -> Prior:
+    """Leave the variables out that nothing is said about."""
+    told = np.any(prior.information.reshape(len(prior.origin_m), -1) != 0.0, axis=1)
+    rows = np.repeat(told, 3)
+    count = len(prior.views)
+    return Prior(
+        prior.views[told[:count]],
+        prior.points[told[count:]],
+        prior.origin_m[told],
+        prior.information[np.ix_(rows, rows)],
+        prior.gradient[rows],
+    )

@@ -1,0 +1,210 @@
+"""Smoothers: a window of all frames of a fixed lag, with what older ones tell in a quadratic; or all frames at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.options import parse_options
+from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from estimators.slam.following import LostError, check_scale, follow, lookup
+from estimators.slam.journal import Journal
+from estimators.slam.levenberg import StoppingRule, minimise, view_covariance
+from estimators.slam.marginal import marginalised
+from estimators.slam.options import BatchOptions, SmootherOptions
+from estimators.slam.state import Adjustment, Motions, Prior, State
+from scenarios.tracks import TrackFrame, TrackSequence
+
+FloatArray = NDArray[np.float64]
+
+
+class FixedLagSmoother:
+    """Adjusts the last frames; older ones and lost landmarks are marginalised, so that nothing measured is forgotten."""
+
+    name: ClassVar[str] = "fixed-lag"
+    version: ClassVar[int] = 1
+
+    def __init__(self, options: SmootherOptions) -> None:
+        self.options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        return cls(parse_options(SmootherOptions, options, cls.name))
+
+    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
+        """Estimate the camera position at every frame from the frames up to it."""
+        return follow(sequence, _Smoother(sequence, self.options))
+
+
+class BatchAdjustment:
+    """Adjusts all frames so far, anew at each frame: the yardstick of the others, at its cost."""
+
+    name: ClassVar[str] = "batch"
+    version: ClassVar[int] = 1
+
+    def __init__(self, options: BatchOptions) -> None:
+        self.options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        return cls(parse_options(BatchOptions, options, cls.name))
+
+    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
+        """Estimate the camera position at every frame from the frames up to it."""
+        endless = SmootherOptions.model_construct(
+            **self.options.model_dump(), lag=len(sequence.frames) + 1, first_estimates=False
+        )
+        return follow(sequence, _Smoother(sequence, endless))
+
+
+class _Smoother:
+    """The window at work on one sequence. Views and tracks of the prior go by their numbers in the sequence."""
+
+    def __init__(self, sequence: TrackSequence, options: SmootherOptions) -> None:
+        self.options = options
+        self.journal = Journal(sequence.camera)
+        self.first_m = sequence.position_m
+        self.first_covariance_m2 = sequence.position_covariance_m2
+        self.views: list[int] = []
+        self.prior: Prior | None = None
+        self.absorbed: set[int] = set()
+        self.first_positions_m: dict[int, FloatArray] = {}
+        self.first_points_m: dict[int, FloatArray] = {}
+        self.iterations = 0
+        self.widest_prior = 0
+
+    def diagnostics(self) -> dict[str, float]:
+        frames = max(len(self.journal.positions_m) - 1, 1)
+        return {"iterations_per_frame": self.iterations / frames, "prior_variables": float(self.widest_prior)}
+
+    def advance(self, frame: TrackFrame) -> FrameEstimate:
+        number = len(self.journal.positions_m)
+        self.journal.frames[number] = frame
+        self.views.append(number)
+        if number == 0:
+            return self._begin(frame)
+        rule = StoppingRule(self.options.tolerance * self.journal.median_depth(number - 1), self.options.iterations)
+        self._check_connected(number)
+        self.journal.place(number, rule)
+        tracks = self._map()
+        problem = self._problem(tracks)
+        solution = minimise(problem, self.journal.state(self.views, tracks), rule)
+        self.iterations += solution.iterations
+        if not np.isfinite(solution.cost):
+            raise LostError("a landmark is behind a camera that sees it")
+        self.journal.keep(solution.state, self.views, tracks)
+        estimate = self._estimate(problem, solution.state, tracks)
+        if len(self.views) > self.options.lag:
+            self._marginalise(problem, solution.state, tracks)
+        return estimate
+
+    def _begin(self, frame: TrackFrame) -> FrameEstimate:
+        """Place the first view, and all landmarks provisionally at the distance that was measured."""
+        journal = self.journal
+        journal.positions_m[0] = self.first_m.copy()
+        depth = journal.median_depth(0)
+        for track in frame.tracks.tolist():
+            journal.points_m[track] = self.first_m + depth * journal.ray(0, track)
+        if self._first_is_free():
+            information = np.linalg.inv(self.first_covariance_m2)
+            none = np.zeros(0, dtype=np.int64)
+            self.prior = Prior(np.zeros(1, dtype=np.int64), none, self.first_m[None], information, np.zeros(3))
+        ranged = sorted(item.track for item in frame.ranges if item.track in journal.points_m)
+        points = journal.state((), ranged).points_m
+        return FrameEstimate(
+            self.first_m.copy(), self.first_covariance_m2.copy(), np.array(ranged, dtype=np.int64), points, 0.0
+        )
+
+    def _first_is_free(self) -> bool:
+        return bool(np.any(self.first_covariance_m2))
+
+    def _check_connected(self, number: int) -> None:
+        shared = self.journal.shared(number - 1, number)
+        if shared < self.options.connectivity:
+            raise LostError(
+                f"tracks are lost: {shared} landmarks are shared with the frame before,"
+                f" {self.options.connectivity} are needed"
+            )
+
+    def _map(self) -> list[int]:
+        """List the landmarks that the window determines, sorted; those without an estimate get one."""
+        seen = self.journal.seen_by(self.views)
+        ranged = {item.track for view in self.views for item in self.journal.frames[view].ranges}
+        joined = set() if self.prior is None else set(self.prior.points.tolist())
+        tracks = sorted(
+            track
+            for track, by in seen.items()
+            if track not in self.absorbed and (len(by) >= 2 or track in ranged or track in joined)
+        )
+        for track in tracks:
+            if track not in self.journal.points_m:
+                self.journal.points_m[track] = self.journal.triangulate(track, seen[track])
+        return tracks
+
+    def _problem(self, tracks: list[int]) -> Adjustment:
+        free_views = np.ones(len(self.views), dtype=np.bool_)
+        free_views[0] = self.views[0] != 0 or self._first_is_free()
+        return Adjustment(
+            camera=self.journal.camera,
+            R_cam_body=self.journal.attitudes(self.views),
+            sightings=self.journal.sightings(self.views, tracks),
+            free_views=free_views,
+            free_points=np.ones(len(tracks), dtype=np.bool_),
+            distances=self.journal.distances(self.views, tracks),
+            motions=self.journal.motions(self.views) if self.options.motion else Motions(),
+            prior=self._local_prior(tracks),
+            frozen=self._frozen(tracks),
+        )
+
+    def _local_prior(self, tracks: list[int]) -> Prior | None:
+        """Number the prior's variables as the problem does."""
+        if self.prior is None:
+            return None
+        return replace(
+            self.prior, views=lookup(self.views, self.prior.views), points=lookup(tracks, self.prior.points)
+        )
+
+    def _frozen(self, tracks: list[int]) -> State | None:
+        """Tell where derivatives by the variables of the prior are taken."""
+        if not self.options.first_estimates:
+            return None
+        nowhere = np.full(3, np.nan)
+        positions = [self.first_positions_m.get(view, nowhere) for view in self.views]
+        points = [self.first_points_m.get(track, nowhere) for track in tracks]
+        return State(np.array(positions), np.array(points))
+
+    def _estimate(self, problem: Adjustment, state: State, tracks: list[int]) -> FrameEstimate:
+        try:
+            covariance = view_covariance(problem, state, len(self.views) - 1)
+        except np.linalg.LinAlgError as error:
+            raise LostError("the scale is unobservable: the reduced system has not full rank") from error
+        position = state.positions_m[-1]
+        check_scale(covariance, state.points_m, position, self.options.uncertainty_max)
+        return FrameEstimate(position, covariance, np.array(tracks, dtype=np.int64), state.points_m, 0.0)
+
+    def _marginalise(self, problem: Adjustment, state: State, tracks: Sequence[int]) -> None:
+        """Drop the oldest view, and the landmarks that it saw and that are lost; keep what they tell."""
+        number = np.array(tracks, dtype=np.int64)
+        oldest = np.isin(number, self.journal.frames[self.views[0]].tracks)
+        if problem.prior is not None:
+            oldest[problem.prior.points] = True
+        lost = oldest & ~np.isin(number, self.journal.frames[self.views[-1]].tracks)
+        try:
+            local = marginalised(problem, state, 0, lost)
+        except np.linalg.LinAlgError as error:
+            raise LostError("the scale is unobservable: the oldest view is not determined") from error
+        self.prior = replace(local, views=np.array(self.views)[local.views], points=number[local.points])
+        self.widest_prior = max(self.widest_prior, len(local.origin_m))
+        for view, position in zip(self.prior.views.tolist(), state.positions_m[local.views], strict=True):
+            self.first_positions_m.setdefault(view, position)
+        for track, point in zip(self.prior.points.tolist(), state.points_m[local.points], strict=True):
+            self.first_points_m.setdefault(track, point)
+        self.absorbed |= set(number[lost].tolist())
+        del self.journal.frames[self.views[0]]
+        self.views = self.views[1:]
