@@ -89,8 +89,7 @@ class _Window:
         if self.gauge.track not in frame.tracks:
             raise LostError(f"the range is to track {self.gauge.track}, which is not in view")
         self.trailing = [0]
-        for track in frame.tracks.tolist():
-            journal.points_m[track] = self.first_m + self.gauge.range_m * journal.ray(0, track)
+        journal.guess(0, self.gauge.range_m)
         tracks = np.array([self.gauge.track], dtype=np.int64)
         return FrameEstimate(self.first_m.copy(), None, tracks, journal.points_m[self.gauge.track][None], 0.0)
 

@@ -109,9 +109,10 @@ class _Filter:
         self.measurements += count
         self.recent.append((squared, count))
         mean = sum(item[0] for item in self.recent) / sum(item[1] for item in self.recent)
-        if mean > self.options.innovation_max:
+        full = len(self.recent) == self.recent.maxlen
+        if full and mean > self.options.innovation_max:
             raise LostError(
-                f"the filter diverges: the mean squared normalised innovation of {len(self.recent)} frames is {mean:.3g}"
+                f"the filter diverges: the squared normalised innovation of {len(self.recent)} frames is {mean:.3g}"
             )
         if np.any(self.state.landmarks[:, 2] <= 0.0):
             raise LostError("the filter diverges: an inverse distance is not positive")
@@ -124,7 +125,9 @@ class _Filter:
         tracks = frame.tracks[fresh]
         guess = self._inverse_guess(frame)
         elements = np.column_stack([frame.uv_px[fresh], np.full(len(tracks), guess)])
-        noise = np.tile([frame.sigma_px**2, frame.sigma_px**2, (self.options.depth_sigma * guess) ** 2], (len(tracks), 1))
+        noise = np.tile(
+            [frame.sigma_px**2, frame.sigma_px**2, (self.options.depth_sigma * guess) ** 2], (len(tracks), 1)
+        )
         for item in frame.ranges:
             row = tracks == item.track
             elements[row, 2] = 1.0 / item.range_m
@@ -132,7 +135,7 @@ class _Filter:
         self.state = self.state.joined(tracks, elements, noise, frame.R_cam_body)
 
     def _inverse_guess(self, frame: TrackFrame) -> float:
-        """Guess the inverse distance of a new landmark: the mean of those in view, or of the ranges at the first frame."""
+        """Guess the inverse distance of a new landmark: the mean of those in view, or of the first ranges."""
         if len(self.state.tracks):
             lines = self.state.points(self.camera) - self.state.position_m
             return float(np.mean(1.0 / np.linalg.norm(lines, axis=1)))

@@ -60,9 +60,13 @@ class FilterState:
     def without(self, lost: NDArray[np.bool_]) -> FilterState:
         """Drop the landmarks marked in (n,), with their rows and columns."""
         rows = np.concatenate([np.ones(3, dtype=np.bool_), np.repeat(~lost, SIZE)])
-        return FilterState(self.x[rows], self.covariance[np.ix_(rows, rows)], self.tracks[~lost], self.R_cam_body[~lost])
+        return FilterState(
+            self.x[rows], self.covariance[np.ix_(rows, rows)], self.tracks[~lost], self.R_cam_body[~lost]
+        )
 
-    def joined(self, tracks: IndexArray, elements: FloatArray, noise: FloatArray, R_cam_body: FloatArray) -> FilterState:
+    def joined(
+        self, tracks: IndexArray, elements: FloatArray, noise: FloatArray, R_cam_body: FloatArray
+    ) -> FilterState:
         """Append landmarks anchored at the present camera: equations (9) to (11).
 
         Parameters

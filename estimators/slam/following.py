@@ -78,7 +78,7 @@ def follow(sequence: TrackSequence, follower: Follower) -> SequenceEstimate:
 
 
 def check_scale(covariance_m2: FloatArray, points_m: FloatArray, position_m: FloatArray, limit: float) -> None:
-    """Raise LostError where the position is uncertain by more than ``limit`` of the median distance to the landmarks."""
+    """Raise LostError where the position is uncertain by more than ``limit`` of the distance to the landmarks."""
     sigma = float(np.sqrt(max(np.linalg.eigvalsh(covariance_m2)[-1], 0.0)))
     distance = float(np.median(np.linalg.norm(points_m - position_m, axis=1)))
     if sigma > limit * distance:

@@ -54,7 +54,10 @@ def handed_over(journal: Journal, gauge: Gauge, views: Sequence[int], sigma_m: f
     candidates = [
         track
         for track in journal.frames[oldest].tracks.tolist()
-        if track in journal.points_m and len(seen[track]) >= 2 and (views[-1] in seen[track] or len(seen[track]) > 2)
+        if track in journal.points_m
+        and track not in journal.guessed
+        and len(seen[track]) >= 2
+        and (views[-1] in seen[track] or len(seen[track]) > 2)
     ]
     if not candidates:
         raise LostError("no landmark can take the depth gauge over: the scale is unobservable")

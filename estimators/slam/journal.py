@@ -25,6 +25,7 @@ class Journal:
         self.frames: dict[int, TrackFrame] = {}
         self.positions_m: dict[int, FloatArray] = {}
         self.points_m: dict[int, FloatArray] = {}
+        self.guessed: set[int] = set()
 
     def sightings(self, views: Sequence[int], tracks: Sequence[int]) -> Sightings:
         """Gather where ``views`` saw ``tracks`` (sorted), numbered by their places in the two."""
@@ -74,6 +75,13 @@ class Journal:
         """Take the estimates of ``state`` over."""
         self.positions_m.update(zip(views, state.positions_m, strict=True))
         self.points_m.update(zip(tracks, state.points_m, strict=True))
+        self.guessed.difference_update(tracks)
+
+    def guess(self, view: int, depth_m: float) -> None:
+        """Place all landmarks that a view sees provisionally at one distance from it."""
+        for track in self.frames[view].tracks.tolist():
+            self.points_m[track] = self.positions_m[view] + depth_m * self.ray(view, track)
+            self.guessed.add(track)
 
     def attitudes(self, views: Sequence[int]) -> FloatArray:
         """(V, 3, 3) R_cam_body of ``views``."""
@@ -98,7 +106,7 @@ class Journal:
         return np.asarray(frame.R_cam_body.T @ self.camera.unproject(frame.uv_px[row]), dtype=np.float64)
 
     def median_depth(self, view: int) -> float:
-        """Return the median distance from a view to the landmarks of the map that it sees, or that its ranges tell; m."""
+        """Return the median distance from a view to the landmarks of the map in sight, or of its ranges, m."""
         frame = self.frames[view]
         known = [self.points_m[track] for track in frame.tracks.tolist() if track in self.points_m]
         if known:
@@ -108,7 +116,7 @@ class Journal:
         raise LostError("no landmark of known distance is in view: the scale is unobservable")
 
     def place(self, view: int, rule: StoppingRule) -> None:
-        """Motion-only adjustment: the position of a new view from the landmarks that it sees and its predicted motion."""
+        """Motion-only adjustment: a new view's position from the landmarks in sight and its predicted motion."""
         tracks = sorted(track for track in self.frames[view].tracks.tolist() if track in self.points_m)
         self.positions_m[view] = self.positions_m[view - 1] + self.frames[view].motion_m
         if not tracks:
@@ -126,7 +134,7 @@ class Journal:
         self.positions_m[view] = solution.state.positions_m[1]
 
     def triangulate(self, track: int, views: Sequence[int]) -> FloatArray:
-        """(3,) where the rays of ``views`` come closest together; at the median depth where that is not in front of them."""
+        """(3,) where the rays of ``views`` come closest together, or at the median depth if that is out of reason."""
         rays = np.array([self.ray(view, track) for view in views])
         positions = np.array([self.positions_m[view] for view in views])
         across = np.eye(3) - rays[:, :, None] * rays[:, None, :]

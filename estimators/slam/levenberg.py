@@ -36,7 +36,7 @@ class StoppingRule:
 
 
 def minimise(problem: Adjustment, state: State, rule: StoppingRule) -> Solution:
-    """Minimise ``cost`` from ``state``; damping starts at 1e-6 of the mean diagonal and never leaves the solution biased."""
+    """Minimise ``cost`` from ``state``; damping starts at 1e-6 of the mean diagonal."""
     layout = Layout.of(problem)
     value = cost(problem, state)
     if not np.isfinite(value):
@@ -87,7 +87,7 @@ def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
 
 
 def _first_damping(system: NormalEquations) -> float:
-    """A millionth of the mean diagonal."""
+    """Return a millionth of the mean diagonal."""
     diagonal = np.concatenate([np.diag(system.kept), np.diagonal(system.gone, axis1=1, axis2=2).ravel()])
     return 1e-6 * float(diagonal.mean()) if len(diagonal) else 1.0
 

@@ -37,7 +37,7 @@ class Layout:
     link_kept, link_gone
         (m,), (m,): the kept and the eliminated slot that each entry of the coupling joins.
     left, right
-        (q,), (q,): pairs of entries of the coupling with the same eliminated landmark; each pair fills the reduced matrix.
+        (q,), (q,): pairs of entries of the coupling with the same eliminated landmark; each fills the reduced matrix.
     """
 
     view: IndexArray
@@ -52,7 +52,7 @@ class Layout:
 
     @classmethod
     def of(cls, problem: Adjustment) -> Layout:
-        """Number the variables of ``problem``."""
+        """Return the layout of ``problem``."""
         joined = np.zeros(len(problem.free_points), dtype=np.bool_)
         if problem.kept_points is not None:
             joined |= problem.kept_points
@@ -102,7 +102,7 @@ class NormalEquations:
             If a landmark has no distance and ``damping`` is 0.
         """
         layout = self.layout
-        inverse = np.linalg.inv(self.gone + damping * np.eye(3))
+        inverse = np.asarray(np.linalg.inv(self.gone + damping * np.eye(3)), dtype=np.float64)
         weighted = self.coupling @ inverse[layout.link_gone]
         product = weighted[layout.left] @ np.swapaxes(self.coupling[layout.right], 1, 2)
         slots = layout.link_kept[layout.left] * layout.kept + layout.link_kept[layout.right]
@@ -237,7 +237,8 @@ def _scatter(slots: IndexArray, values: FloatArray, count: int) -> FloatArray:
     shape = values.shape[1:]
     width = int(np.prod(shape, dtype=np.int64))
     cells = (slots[:, None] * width + np.arange(width)).ravel()
-    return np.bincount(cells, weights=values.ravel(), minlength=count * width).reshape(count, *shape)
+    summed = np.bincount(cells, weights=values.ravel(), minlength=count * width)
+    return np.asarray(summed.reshape(count, *shape), dtype=np.float64)  # without any entry it counts in integers
 
 
 def _dense(blocks: FloatArray) -> FloatArray:

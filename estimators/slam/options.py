@@ -30,7 +30,7 @@ class BundleOptions(SolverOptions):
     views: int = Field(5, ge=2, le=100, description="Views of the window, the leading one included")
     strategy: Literal["trailing", "offset"] = Field(
         "trailing",
-        description="Trailing views that stay until the leading one loses the oldest, or a constant offset between views",
+        description="Trailing views that stay until the leading one loses the oldest, or a constant offset of views",
     )
     offset_frames: int = Field(4, ge=1, le=1000, description="Frames between views of the constant offset")
     angle_max_deg: float = Field(
@@ -50,7 +50,9 @@ class FilterOptions(SpecModel):
     )
     innovation_frames: int = Field(10, ge=1, le=1000, description="Frames over which innovations are averaged")
     innovation_max: float = Field(
-        5.0, gt=1, description="Mean squared normalised innovation at which the filter counts as diverging; 1 is expected"
+        5.0,
+        gt=1,
+        description="Mean squared normalised innovation at which the filter counts as diverging; 1 is expected",
     )
     connectivity: int = Field(3, ge=1, le=100, description="Landmarks that two frames must share")
     uncertainty_max: float = Field(

@@ -13,6 +13,10 @@ from scenarios.errors import BoresightError
 _OWN: Mapping[str, str] = MappingProxyType(
     {
         "dead-reckoning": "estimators.slam.dead_reckoning:DeadReckoning",
+        "ba-slam": "estimators.slam.bundle:BundleSlam",
+        "ekf-slam": "estimators.slam.ekf:EkfSlam",
+        "fixed-lag": "estimators.slam.smoother:FixedLagSmoother",
+        "batch": "estimators.slam.smoother:BatchAdjustment",
     }
 )
 

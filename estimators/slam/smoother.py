@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 
 class FixedLagSmoother:
-    """Adjusts the last frames; older ones and lost landmarks are marginalised, so that nothing measured is forgotten."""
+    """Adjusts the last frames; older ones and lost landmarks are marginalised: nothing measured is forgotten."""
 
     name: ClassVar[str] = "fixed-lag"
     version: ClassVar[int] = 1
@@ -108,11 +108,9 @@ class _Smoother:
         """Place the first view, and all landmarks provisionally at the distance that was measured."""
         journal = self.journal
         journal.positions_m[0] = self.first_m.copy()
-        depth = journal.median_depth(0)
-        for track in frame.tracks.tolist():
-            journal.points_m[track] = self.first_m + depth * journal.ray(0, track)
+        journal.guess(0, journal.median_depth(0))
         if self._first_is_free():
-            information = np.linalg.inv(self.first_covariance_m2)
+            information = np.asarray(np.linalg.inv(self.first_covariance_m2), dtype=np.float64)
             none = np.zeros(0, dtype=np.int64)
             self.prior = Prior(np.zeros(1, dtype=np.int64), none, self.first_m[None], information, np.zeros(3))
         ranged = sorted(item.track for item in frame.ranges if item.track in journal.points_m)
@@ -163,12 +161,10 @@ class _Smoother:
         )
 
     def _local_prior(self, tracks: list[int]) -> Prior | None:
-        """Number the prior's variables as the problem does."""
+        """Return the prior with its variables numbered as the problem does."""
         if self.prior is None:
             return None
-        return replace(
-            self.prior, views=lookup(self.views, self.prior.views), points=lookup(tracks, self.prior.points)
-        )
+        return replace(self.prior, views=lookup(self.views, self.prior.views), points=lookup(tracks, self.prior.points))
 
     def _frozen(self, tracks: list[int]) -> State | None:
         """Tell where derivatives by the variables of the prior are taken."""

@@ -1,4 +1,4 @@
-"""What an adjustment solves for, and the measurements that it solves from: plain arrays, numbered within the problem."""
+"""What an adjustment solves for, and the measurements that it solves from, numbered within the problem."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A small world of its own for the tests of SLAM: a circular orbit over a sphere, written without the product's world."""
+"""A small world for the tests of SLAM, not the product's: a circular orbit over a sphere."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def look_down(position_m: FloatArray) -> FloatArray:
     return np.stack([x, np.cross(z, x), z])
 
 
-def make_sequence(rng: np.random.Generator, recipe: Recipe = Recipe()) -> tuple[TrackSequence, Truth]:  # noqa: B008
+def make_sequence(rng: np.random.Generator, recipe: Recipe = Recipe()) -> tuple[TrackSequence, Truth]:
     angles = STEP_RAD * np.arange(recipe.frames)
     positions = ORBIT_M * np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
     seen, points = _tracks(rng, positions, recipe)
@@ -61,7 +61,8 @@ def make_sequence(rng: np.random.Generator, recipe: Recipe = Recipe()) -> tuple[
         sigma = max(recipe.motion_error, 1e-3) * np.linalg.norm(moved) / np.sqrt(3.0)
         distances = np.linalg.norm(lines, axis=1)
         ranged = (number == 0) & (tracks == gauge) if not recipe.range_all else np.ones(len(tracks), bool)
-        ranges = tuple(TrackRange(int(t), float(d), 0.01) for t, d in zip(tracks[ranged], distances[ranged], strict=True))
+        pairs = zip(tracks[ranged].tolist(), distances[ranged].tolist(), strict=True)
+        ranges = tuple(TrackRange(track, distance, 0.01) for track, distance in pairs)
         frames.append(
             TrackFrame(
                 float(480.0 * number), rotation, tracks, uv, max(recipe.noise_px, 1e-2), moved + error,

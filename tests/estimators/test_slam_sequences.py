@@ -1,0 +1,184 @@
+"""Estimators of sequences on a small world: the truth without noise, consistency, clear ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from slam_sequences import Recipe, Truth, make_sequence
+
+from estimators.slam.bundle import BundleSlam
+from estimators.slam.contract import SequenceEstimate
+from estimators.slam.ekf import EkfSlam
+from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
+from scenarios.errors import BoresightError
+from scenarios.tracks import TrackSequence
+
+QUIET = Recipe(frames=40, noise_px=0.0, repeatability=0.95)
+ALL = [BundleSlam, EkfSlam, FixedLagSmoother, BatchAdjustment]
+
+
+def errors(estimate: SequenceEstimate, truth: Truth) -> np.ndarray:
+    found = np.array([frame.position_m for frame in estimate.frames])
+    return np.linalg.norm(found - truth.positions_m[: len(found)], axis=1)
+
+
+def changed(sequence: TrackSequence, number: int, **values: object) -> TrackSequence:
+    frames = list(sequence.frames)
+    frames[number] = replace(frames[number], **values)
+    return replace(sequence, frames=tuple(frames))
+
+
+def lonely(sequence: TrackSequence, number: int) -> TrackSequence:
+    """All tracks but two are lost at a frame, and new ones come."""
+    frames = list(sequence.frames)
+    for k in range(number, len(frames)):
+        old = np.sort(frames[number - 1].tracks)[2:]
+        tracks = np.where(np.isin(frames[k].tracks, old), frames[k].tracks + 100000, frames[k].tracks)
+        frames[k] = replace(frames[k], tracks=tracks)
+    return replace(sequence, frames=tuple(frames))
+
+
+@pytest.mark.parametrize(
+    ("estimator", "options"),
+    [
+        (BundleSlam, {}),
+        (BundleSlam, {"steps": "full"}),
+        (BundleSlam, {"strategy": "offset", "offset_frames": 3}),
+        (FixedLagSmoother, {"motion": False}),
+        (FixedLagSmoother, {"motion": False, "first_estimates": False, "lag": 5}),
+        (BatchAdjustment, {"motion": False}),
+    ],
+)
+def test_noise_free_sequence_returns_the_truth(estimator: type[BundleSlam], options: dict[str, object]) -> None:
+    """Predicted motions are wrong by half the displacement all the same."""
+    sequence, truth = make_sequence(np.random.default_rng(11), QUIET)
+    estimate = estimator.from_options({"tolerance": 1e-10, **options}).follow(sequence)
+    assert estimate.status == "ok", estimate.reason
+    assert len(estimate.frames) == len(sequence.frames)
+    assert errors(estimate, truth).max() < 1e-9 * 790.0
+    last = estimate.frames[-1]
+    true = np.array([truth.points_m[track] for track in last.tracks.tolist()])
+    np.testing.assert_allclose(last.points_m, true, atol=1e-9 * 790.0)
+
+
+def test_filter_returns_the_truth_where_nothing_is_guessed() -> None:
+    """A filter that linearises at a guess is not exact; with all ranges and motions given it has nothing to guess."""
+    recipe = replace(QUIET, motion_error=0.0, range_all=True)
+    sequence, truth = make_sequence(np.random.default_rng(11), recipe)
+    estimate = EkfSlam.from_options({}).follow(sequence)
+    assert estimate.status == "ok", estimate.reason
+    assert errors(estimate, truth).max() < 1e-9 * 790.0
+
+
+def test_batch_is_the_minimum_of_scipy() -> None:
+    """All frames, written down again without the product's residuals."""
+    sequence, truth = make_sequence(np.random.default_rng(2), Recipe(frames=5, landmarks=8))
+    estimate = BatchAdjustment.from_options({"motion": False}).follow(sequence)
+    tracks = estimate.frames[-1].tracks.tolist()
+    slots = {track: slot for slot, track in enumerate(tracks)}
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        positions = np.concatenate([sequence.position_m[None], x[:12].reshape(-1, 3)])
+        points = x[12:].reshape(-1, 3)
+        rows = []
+        for frame, position in zip(sequence.frames, positions, strict=True):
+            for track, uv in zip(frame.tracks.tolist(), frame.uv_px, strict=True):
+                if track in slots:
+                    x_cam = frame.R_cam_body @ (points[slots[track]] - position)
+                    seen = sequence.camera.fx_px * x_cam[:2] / x_cam[2] + [sequence.camera.cx_px, sequence.camera.cy_px]
+                    rows.extend((seen - uv) / frame.sigma_px)
+            for item in frame.ranges:
+                length = np.linalg.norm(points[slots[item.track]] - position)
+                rows.append((length - item.range_m) / item.sigma_m)
+        return np.array(rows)
+
+    true = np.array([truth.points_m[track] for track in tracks])
+    start = np.concatenate([truth.positions_m[1:].ravel(), true.ravel()])
+    foreign = least_squares(residuals, start, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-12)
+    np.testing.assert_allclose(estimate.frames[-1].position_m, foreign.x[9:12], atol=2e-3)
+    covariance = np.linalg.inv(foreign.jac.T @ foreign.jac)[9:12, 9:12]
+    np.testing.assert_allclose(estimate.frames[-1].covariance_m2, covariance, rtol=1e-2, atol=1e-4)
+
+
+def test_long_lag_is_the_batch() -> None:
+    sequence, _ = make_sequence(np.random.default_rng(4), Recipe(frames=8))
+    batch = BatchAdjustment.from_options({}).follow(sequence).frames[-1]
+    smoother = FixedLagSmoother.from_options({"lag": 8}).follow(sequence).frames[-1]
+    np.testing.assert_allclose(smoother.position_m, batch.position_m, atol=1e-6)
+    short = FixedLagSmoother.from_options({"lag": 3}).follow(sequence).frames[-1]
+    assert batch.covariance_m2 is not None
+    sigma = np.sqrt(np.trace(batch.covariance_m2))
+    assert 0.0 < np.linalg.norm(short.position_m - batch.position_m) < sigma
+
+
+def test_error_of_the_smoother_is_what_its_covariance_says() -> None:
+    """The sum of 12 normalised squared errors is chi-square of 36; the bounds are left by chance once in 10000."""
+    total = 0.0
+    for trial in range(12):
+        sequence, truth = make_sequence(np.random.default_rng([21, trial]), Recipe(frames=25, landmarks=20))
+        last = FixedLagSmoother.from_options({"lag": 6}).follow(sequence).frames[-1]
+        error = last.position_m - truth.positions_m[-1]
+        assert last.covariance_m2 is not None
+        total += error @ np.linalg.solve(last.covariance_m2, error)
+    assert 11.9 < total < 79.0
+
+
+@pytest.mark.parametrize("estimator", ALL)
+def test_estimate_does_not_know_later_frames(estimator: type[BundleSlam]) -> None:
+    sequence, _ = make_sequence(np.random.default_rng(6), Recipe(frames=14))
+    whole = estimator.from_options({}).follow(sequence)
+    part = estimator.from_options({}).follow(replace(sequence, frames=sequence.frames[:9]))
+    for one, other in zip(part.frames, whole.frames, strict=False):
+        np.testing.assert_array_equal(one.position_m, other.position_m)
+
+
+@pytest.mark.parametrize("estimator", ALL)
+@pytest.mark.parametrize(
+    ("spoil", "frames", "reason"),
+    [
+        (lambda s: changed(s, 6, tracks=s.frames[6].tracks[:0], uv_px=s.frames[6].uv_px[:0]), 6, "the frame is empty"),
+        (lambda s: changed(s, 6, time_s=s.frames[5].time_s), 6, "frames must be in order"),
+        (lambda s: changed(s, 0, ranges=()), 0, "the scale is unobservable"),
+        (lambda s: lonely(s, 6), 6, "tracks are lost"),
+        (lambda s: changed(s, 6, uv_px=np.full_like(s.frames[6].uv_px, np.nan)), 6, "not finite"),
+        (lambda s: replace(s, frames=()), 0, "no frame"),
+    ],
+)
+def test_bad_sequence_ends_with_a_reason_and_the_frames_before(
+    estimator: type[BundleSlam], spoil, frames: int, reason: str
+) -> None:
+    sequence, _ = make_sequence(np.random.default_rng(8), Recipe(frames=10))
+    estimate = estimator.from_options({}).follow(spoil(sequence))
+    assert estimate.status == "failed"
+    assert reason in estimate.reason
+    assert len(estimate.frames) == frames
+
+
+def test_filter_declares_its_divergence() -> None:
+    """Bearings that are far noisier than the filter is told."""
+    sequence, _ = make_sequence(np.random.default_rng(8), Recipe(frames=30, noise_px=6.0))
+    wrong = replace(sequence, frames=tuple(replace(frame, sigma_px=0.5) for frame in sequence.frames))
+    estimate = EkfSlam.from_options({}).follow(wrong)
+    assert estimate.status == "failed"
+    assert "the filter diverges" in estimate.reason
+
+
+def test_gauge_with_a_track_of_one_view_loses_the_scale() -> None:
+    sequence, _ = make_sequence(np.random.default_rng(8), Recipe(frames=4))
+    gauge = sequence.frames[0].ranges[0].track
+    frames = [sequence.frames[0]]
+    for frame in sequence.frames[1:]:
+        kept = frame.tracks != gauge
+        frames.append(replace(frame, tracks=frame.tracks[kept], uv_px=frame.uv_px[kept]))
+    blind = replace(sequence, frames=tuple(frames))
+    estimate = BundleSlam.from_options({}).follow(blind)
+    assert estimate.status == "failed"
+    assert "scale is unobservable" in estimate.reason
+
+
+def test_wrong_option_is_refused() -> None:
+    with pytest.raises(BoresightError, match="ba-slam: views"):
+        BundleSlam.from_options({"views": 1})
