@@ -75,10 +75,9 @@ def make_sequence(rng: np.random.Generator, recipe: Recipe = Recipe()) -> tuple[
 def _tracks(
     rng: np.random.Generator, positions: FloatArray, recipe: Recipe
 ) -> tuple[list[set[int]], dict[int, FloatArray]]:
-    """Which tracks each frame sees. A track that dies is taken over by a new landmark in view: the number stays."""
+    """Which tracks each frame sees. Where a track dies, a new landmark comes up in view: the density stays."""
     share = 0.5 * (1.0 - RADIUS_M / ORBIT_M)
-    count = rng.poisson(recipe.landmarks / share) if recipe.noise_px > 0.0 else round(recipe.landmarks / share)
-    points = dict(enumerate(_on_sphere(rng, count)))
+    points = dict(enumerate(_on_sphere(rng, round(recipe.landmarks / share))))
     alive, before, frames = set(points), set[int](), []
     for position in positions:
         visible = {track for track in sorted(alive) if _visible(points[track], position)}
@@ -92,11 +91,8 @@ def _tracks(
             points[len(points)] = point
             alive.add(len(points) - 1)
             visible.add(len(points) - 1)
-        for _ in before - visible - dying:  # gone over the limb: one comes up elsewhere on the far side
-            point = _on_sphere(rng, 1)[0]
-            while _visible(point, position):
-                point = _on_sphere(rng, 1)[0]
-            points[len(points)] = point
+        for track in sorted(before - visible - dying):  # gone over the limb: it comes back under another number
+            points[len(points)] = points[track]
             alive.add(len(points) - 1)
         frames.append(visible)
         before = visible
