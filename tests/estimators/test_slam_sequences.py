@@ -12,6 +12,7 @@ from slam_sequences import Recipe, Truth, make_sequence
 from estimators.slam.bundle import BundleSlam
 from estimators.slam.contract import SequenceEstimate
 from estimators.slam.ekf import EkfSlam
+from estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
 from scenarios.errors import BoresightError
 from scenarios.tracks import TrackSequence
@@ -73,10 +74,18 @@ def test_filter_returns_the_truth_where_nothing_is_guessed() -> None:
     assert errors(estimate, truth).max() < 1e-9 * 790.0
 
 
-def test_batch_is_the_minimum_of_scipy() -> None:
+@pytest.mark.parametrize(
+    ("estimator", "options"),
+    [
+        (BatchAdjustment, {"motion": False}),
+        (FixedLagSmoother, {"motion": False, "lag": 5}),
+        (BundleSlam, {"strategy": "offset", "offset_frames": 1, "views": 5}),
+    ],
+)
+def test_window_of_all_frames_is_the_minimum_of_scipy(estimator: type[BundleSlam], options: dict[str, object]) -> None:
     """All frames, written down again without the product's residuals."""
     sequence, truth = make_sequence(np.random.default_rng(2), Recipe(frames=5, landmarks=8))
-    estimate = BatchAdjustment.from_options({"motion": False}).follow(sequence)
+    estimate = estimator.from_options(options).follow(sequence)
     tracks = estimate.frames[-1].tracks.tolist()
     slots = {track: slot for slot, track in enumerate(tracks)}
 
@@ -99,6 +108,8 @@ def test_batch_is_the_minimum_of_scipy() -> None:
     start = np.concatenate([truth.positions_m[1:].ravel(), true.ravel()])
     foreign = least_squares(residuals, start, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-12)
     np.testing.assert_allclose(estimate.frames[-1].position_m, foreign.x[9:12], atol=2e-3)
+    if estimator is BundleSlam:
+        return
     covariance = np.linalg.inv(foreign.jac.T @ foreign.jac)[9:12, 9:12]
     np.testing.assert_allclose(estimate.frames[-1].covariance_m2, covariance, rtol=1e-2, atol=1e-4)
 
@@ -124,6 +135,21 @@ def test_error_of_the_smoother_is_what_its_covariance_says() -> None:
         assert last.covariance_m2 is not None
         total += error @ np.linalg.solve(last.covariance_m2, error)
     assert 11.9 < total < 79.0
+
+
+@pytest.mark.parametrize("estimator", [EkfSlam, FixedLagSmoother, BatchAdjustment])
+def test_error_of_the_first_position_shifts_all(estimator: type[FixedLagSmoother]) -> None:
+    """Bearings and ranges tell nothing about where the body's centre is: the error stays, and the covariance adds."""
+    sequence, _ = make_sequence(np.random.default_rng(9), Recipe(frames=12))
+    shift = np.array([3.0, -2.0, 1.0])
+    unsure = replace(sequence, position_m=sequence.position_m + shift, position_covariance_m2=4.0 * np.eye(3))
+    options = {"lag": 5} if estimator is FixedLagSmoother else {}
+    sure_last = estimator.from_options(options).follow(sequence).frames[-1]
+    last = estimator.from_options(options).follow(unsure).frames[-1]
+    np.testing.assert_allclose(last.position_m, sure_last.position_m + shift, atol=1e-4)
+    assert last.covariance_m2 is not None
+    assert sure_last.covariance_m2 is not None
+    np.testing.assert_allclose(last.covariance_m2, sure_last.covariance_m2 + 4.0 * np.eye(3), atol=1e-4)
 
 
 @pytest.mark.parametrize("estimator", ALL)
@@ -177,6 +203,31 @@ def test_gauge_with_a_track_of_one_view_loses_the_scale() -> None:
     estimate = BundleSlam.from_options({}).follow(blind)
     assert estimate.status == "failed"
     assert "scale is unobservable" in estimate.reason
+
+
+@pytest.mark.parametrize("estimator", [FixedLagSmoother, BatchAdjustment])
+def test_smoother_without_motion_and_gauge_loses_the_scale(estimator: type[FixedLagSmoother]) -> None:
+    sequence, _ = make_sequence(np.random.default_rng(8), Recipe(frames=6))
+    gauge = sequence.frames[0].ranges[0].track
+    frames = [sequence.frames[0]]
+    for frame in sequence.frames[1:]:
+        kept = frame.tracks != gauge
+        frames.append(replace(frame, tracks=frame.tracks[kept], uv_px=frame.uv_px[kept]))
+    estimate = estimator.from_options({"motion": False}).follow(replace(sequence, frames=tuple(frames)))
+    assert estimate.status == "failed"
+    assert "scale is" in estimate.reason
+    assert len(estimate.frames) == 1
+
+
+def test_every_name_follows_the_contract() -> None:
+    for name in sequence_estimator_names():
+        found = sequence_estimator_class(name)
+        assert found.name == name
+        assert (
+            found.from_options({}).follow(make_sequence(np.random.default_rng(8), Recipe(frames=3))[0]).status == "ok"
+        )
+    with pytest.raises(BoresightError, match="'kalman' is unknown"):
+        sequence_estimator_class("kalman")
 
 
 def test_wrong_option_is_refused() -> None:
