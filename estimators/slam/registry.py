@@ -14,9 +14,9 @@ _OWN: Mapping[str, str] = MappingProxyType(
     {
         "dead-reckoning": "estimators.slam.dead_reckoning:DeadReckoning",
         "ba-slam": "estimators.slam.bundle:BundleSlam",
+        "batch": "estimators.slam.smoother:BatchAdjustment",
         "ekf-slam": "estimators.slam.ekf:EkfSlam",
         "fixed-lag": "estimators.slam.smoother:FixedLagSmoother",
-        "batch": "estimators.slam.smoother:BatchAdjustment",
     }
 )
 
