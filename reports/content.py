@@ -198,7 +198,7 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
         yield _cumulative_figure(content, scenario)
     yield from _centroid_figures(content)
     for scenario, figure, caption, alt in sequence_figures(run):
-        yield NamedFigure(_stem("traces", scenario), figure, caption, alt)
+        yield NamedFigure(file_stem("traces", scenario), figure, caption, alt)
 
 
 def published_medians(content: Content, scenario: str, estimator: str) -> dict[tuple[str, str], float]:
