@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,32 @@ class TrackRange:
     track: int
     range_m: float
     sigma_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forces:
+    """What the spacecraft knows of its motion about the body, in inertial axes: equation (6) of Delpech et al. (2015).
+
+    Parameters
+    ----------
+    gm_m3_s2, gm_sigma_m3_s2
+        Gravity parameter of the body, and the standard deviation of its error.
+    radiation_m_s2, radiation_sigma
+        (3,) acceleration by solar radiation pressure, and the relative standard deviation of its size.
+    noise_m_s2
+        Standard deviation of each coordinate of what is not modelled, constant between two frames and independent from
+        one interval to the next.
+    velocity_m_s, velocity_covariance_m2_s2
+        (3,) and (3, 3): velocity at the first frame relative to the body's centre, and the covariance of its error.
+    """
+
+    gm_m3_s2: float
+    gm_sigma_m3_s2: float
+    radiation_m_s2: FloatArray
+    radiation_sigma: float
+    noise_m_s2: float
+    velocity_m_s: FloatArray
+    velocity_covariance_m2_s2: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +70,14 @@ class TrackFrame:
         (3, 3) covariance of its error.
     ranges
         Distances measured at this frame.
+    again
+        (k, 2) pairs (track of this frame, older track that was lost): landmarks that the vision layer takes for one and
+        the same, as where a revolution ends. It may be wrong.
+    R_body_inertial
+        (3, 3) rotation ``x_body = R_body_inertial x_inertial`` as the spacecraft knows it; both have their origin at
+        the centre of mass.
+    attitude_sigma_rad
+        Standard deviation of the error of `R_cam_body` about each camera axis.
     """
 
     time_s: float
@@ -54,6 +88,9 @@ class TrackFrame:
     motion_m: FloatArray
     motion_covariance_m2: FloatArray
     ranges: tuple[TrackRange, ...] = ()
+    again: IndexArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    R_body_inertial: FloatArray = field(default_factory=lambda: np.eye(3))
+    attitude_sigma_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,3 +112,4 @@ class TrackSequence:
     frames: tuple[TrackFrame, ...]
     position_m: FloatArray
     position_covariance_m2: FloatArray
+    forces: Forces | None = None
