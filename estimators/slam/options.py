@@ -76,3 +76,12 @@ class BatchOptions(SolverOptions):
     """Options of ``batch``."""
 
     motion: bool = Field(True, description="Count predicted motions as measurements")
+
+
+class DynamicOptions(SolverOptions):
+    """Options of ``dynamic-smoother``."""
+
+    lag: int = Field(10, ge=2, le=1000, description="Frames of the window")
+    first_estimates: bool = Field(
+        True, description="Take derivatives by variables of the prior where they were when they entered it"
+    )

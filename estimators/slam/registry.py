@@ -15,6 +15,7 @@ _OWN: Mapping[str, str] = MappingProxyType(
         "dead-reckoning": "estimators.slam.dead_reckoning:DeadReckoning",
         "ba-slam": "estimators.slam.bundle:BundleSlam",
         "batch": "estimators.slam.smoother:BatchAdjustment",
+        "dynamic-smoother": "estimators.slam.dynamics.smoother:DynamicSmoother",
         "ekf-slam": "estimators.slam.ekf:EkfSlam",
         "fixed-lag": "estimators.slam.smoother:FixedLagSmoother",
     }

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from slam_orbits import make_orbit_sequence
 from slam_sequences import Recipe, Truth, make_sequence
 
 from estimators.slam.bundle import BundleSlam
@@ -223,9 +224,8 @@ def test_every_name_follows_the_contract() -> None:
     for name in sequence_estimator_names():
         found = sequence_estimator_class(name)
         assert found.name == name
-        assert (
-            found.from_options({}).follow(make_sequence(np.random.default_rng(8), Recipe(frames=3))[0]).status == "ok"
-        )
+        sequence, _ = make_orbit_sequence(np.random.default_rng(8), Recipe(frames=3))
+        assert found.from_options({}).follow(sequence).status == "ok"
     with pytest.raises(BoresightError, match="'kalman' is unknown"):
         sequence_estimator_class("kalman")
 

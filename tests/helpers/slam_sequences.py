@@ -46,7 +46,12 @@ def look_down(position_m: FloatArray) -> FloatArray:
 
 def make_sequence(rng: np.random.Generator, recipe: Recipe = Recipe()) -> tuple[TrackSequence, Truth]:
     angles = STEP_RAD * np.arange(recipe.frames)
-    positions = ORBIT_M * np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
+    return sequence_along(
+        rng, ORBIT_M * np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1), recipe
+    )
+
+
+def sequence_along(rng: np.random.Generator, positions: FloatArray, recipe: Recipe) -> tuple[TrackSequence, Truth]:
     seen, points = _tracks(rng, positions, recipe)
     gauge = _gauge(seen, points, positions[0], recipe)
     frames = []

@@ -1,0 +1,171 @@
+"""What an adjustment with dynamics solves for, and what joins its views beside their landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.slam.dynamics.field import Field
+from estimators.slam.dynamics.propagation import propagated, propagated_with_derivatives
+from estimators.slam.state import Adjustment, State
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+_WHITE_SHARE = 0.05
+_WHITE_FLOOR = 1e-8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DynamicState:
+    """Positions and landmarks in the body frame, velocities (V, 3) in inertial axes, parameters (2,); all in m.
+
+    Velocities and parameters are in the units of a `Field`.
+    """
+
+    places: State
+    velocities_m: FloatArray
+    parameters_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arcs:
+    """Free motion (k,) from a view to another, its durations (k,) in T, and the inverse covariances (k, 6, 6)."""
+
+    start: IndexArray
+    end: IndexArray
+    duration: FloatArray
+    information: FloatArray
+
+    def of_view(self, view: int) -> Arcs:
+        """Return those that begin or end at a view."""
+        rows = (self.start == view) | (self.end == view)
+        return Arcs(self.start[rows], self.end[rows], self.duration[rows], self.information[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DynamicPrior:
+    """A quadratic ``(x - x0)' H (x - x0) / 2 + g' (x - x0)`` of some views, the parameters, and some landmarks.
+
+    Parameters
+    ----------
+    views, points
+        (a,), (b,): the views and landmarks by their numbers in the problem.
+    origin_m, information, gradient
+        (n,), (n, n), (n,) with n = 6 a + 2 + 3 b: all positions, all velocities, the parameters, the landmarks.
+    """
+
+    views: IndexArray
+    points: IndexArray
+    origin_m: FloatArray
+    information: FloatArray
+    gradient: FloatArray
+
+    def offset(self, state: DynamicState) -> FloatArray:
+        """(n,) how far ``state`` is from where the quadratic was made."""
+        return gathered(state, self.views, self.points) - self.origin_m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DynamicAdjustment:
+    """Sightings and distances of views that are joined by their motion.
+
+    Parameters
+    ----------
+    vision
+        Sightings and distances; it has neither motions nor a prior of its own. Its ``kept_points`` are those of
+        `prior`, and its ``frozen`` says where derivatives by positions and landmarks are taken.
+    R_body_inertial
+        (V, 3, 3) of each view.
+    field, arcs
+        How they move.
+    free_velocities, free_parameters
+        (V,), (2,): what is solved for.
+    frozen_velocities_m, frozen_parameters_m
+        (V, 3), (2,): where derivatives are taken for what the prior knows; NaN elsewhere.
+    """
+
+    vision: Adjustment
+    R_body_inertial: FloatArray
+    field: Field
+    arcs: Arcs
+    free_velocities: BoolArray
+    free_parameters: BoolArray
+    frozen_velocities_m: FloatArray
+    frozen_parameters_m: FloatArray
+    prior: DynamicPrior | None = None
+
+    def linearisation_point(self, state: DynamicState) -> DynamicState:
+        """Return ``state`` but for the variables whose derivatives are taken at their first estimates."""
+        v, p = self.frozen_velocities_m, self.frozen_parameters_m
+        return DynamicState(
+            self.vision.linearisation_point(state.places),
+            np.where(np.isnan(v), state.velocities_m, v),
+            np.where(np.isnan(p), state.parameters_m, p),
+        )
+
+    def inertial(self, state: DynamicState) -> FloatArray:
+        """(V, 6) positions and velocities in inertial axes."""
+        positions = np.einsum("vji,vj->vi", self.R_body_inertial, state.places.positions_m)
+        return np.concatenate([positions, state.velocities_m], axis=1)
+
+    def arc_residuals(self, state: DynamicState) -> FloatArray:
+        """(k, 6) where arcs end less where their motion leads, inertial axes, not whitened."""
+        at, arcs = self.inertial(state), self.arcs
+        return np.asarray(
+            at[arcs.end] - propagated(self.field, at[arcs.start], state.parameters_m, arcs.duration), dtype=np.float64
+        )
+
+    def arc_jacobians(self, state: DynamicState) -> FloatArray:
+        """(k, 6, 14) of `arc_residuals` by positions of start and end (body), their velocities, and the parameters."""
+        where, arcs = self.linearisation_point(state), self.arcs
+        start = self.inertial(where)[arcs.start]
+        _, moved = propagated_with_derivatives(self.field, start, where.parameters_m, arcs.duration)
+        turned = np.swapaxes(self.R_body_inertial, 1, 2)
+        rows = np.zeros((len(arcs.start), 6, 14))
+        rows[:, :, 0:3] = -moved[:, :, 0:3] @ turned[arcs.start]
+        rows[:, :3, 3:6] = turned[arcs.end]
+        rows[:, :, 6:9] = -moved[:, :, 3:6]
+        rows[:, 3:, 9:12] = np.eye(3)
+        rows[:, :, 12:14] = -moved[:, :, 6:8]
+        return rows
+
+
+def gathered(state: DynamicState, views: IndexArray, points: IndexArray) -> FloatArray:
+    """(6 a + 2 + 3 b,) the values of some views, the parameters, and some landmarks, in the order of a prior."""
+    places = state.places
+    return np.concatenate(
+        [
+            places.positions_m[views].ravel(),
+            state.velocities_m[views].ravel(),
+            state.parameters_m,
+            places.points_m[points].ravel(),
+        ]
+    )
+
+
+def arc_information(durations: FloatArray, acceleration_m: float, length_m: float) -> FloatArray:
+    """(k, 6, 6) inverse covariances of what an acceleration that is unknown, but constant over an arc, does to its end.
+
+    The discrete covariance of piecewise constant acceleration (Bar-Shalom et al. 2001, section 6.3.2); the gradient of
+    gravity changes it by less than a thousandth over 2 deg of an orbit. It has rank 3 of 6: what it says of position
+    and velocity together is sharpened to 5 % of each alone and to 1e-8 of the distance, not to nothing, so that it
+    can be inverted.
+
+    Parameters
+    ----------
+    durations
+        (k,) in T.
+    acceleration_m
+        Standard deviation of a coordinate, m per T^2.
+    length_m
+        L.
+    """
+    gain = acceleration_m * np.stack([0.5 * durations**2, durations], axis=1)
+    covariance = gain[:, :, None] * gain[:, None, :]
+    white = np.maximum(_WHITE_SHARE * gain, _WHITE_FLOOR * length_m)
+    covariance[:, [0, 1], [0, 1]] += white**2
+    return np.asarray(np.kron(np.linalg.inv(covariance), np.eye(3)), dtype=np.float64)

@@ -1,0 +1,145 @@
+"""A fixed-lag smoother of positions, velocities, gravity parameter and solar radiation pressure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.options import parse_options
+from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from estimators.slam.dynamics.marginal import marginalised_dynamic
+from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState
+from estimators.slam.dynamics.solve import covariance_of, minimise_dynamic
+from estimators.slam.dynamics.system import Rows
+from estimators.slam.dynamics.window import Window
+from estimators.slam.following import LostError, check_scale, follow
+from estimators.slam.levenberg import StoppingRule
+from estimators.slam.options import DynamicOptions
+from scenarios.tracks import TrackFrame, TrackSequence
+
+FloatArray = NDArray[np.float64]
+
+
+class DynamicSmoother:
+    """Adjusts the last views, joined by their motion about the body; older ones and lost landmarks are marginalised.
+
+    The motion is that of equation (6) of Delpech et al. (2015): gravity of a point whose parameter is estimated, solar
+    radiation pressure up to a factor that is estimated, and an unknown acceleration in each interval. It takes the
+    place of the predicted displacements, which are not used. It ties the path to the centre of mass, which bearings
+    and ranges alone do not see.
+    """
+
+    name: ClassVar[str] = "dynamic-smoother"
+    version: ClassVar[int] = 1
+
+    def __init__(self, options: DynamicOptions) -> None:
+        self.options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        return cls(parse_options(DynamicOptions, options, cls.name))
+
+    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
+        """Estimate the camera position at every frame from the frames up to it."""
+        return follow(sequence, _Smoother(sequence, self.options))
+
+
+class _Smoother:
+    """The window at work on one sequence."""
+
+    def __init__(self, sequence: TrackSequence, options: DynamicOptions) -> None:
+        self.options = options
+        self.sequence = sequence
+        self.window: Window | None = None
+        self.parameter_sigmas_m: FloatArray = np.zeros(2)
+        self.iterations = 0
+        self.count = 0
+
+    def diagnostics(self) -> dict[str, float]:
+        if self.window is None:
+            return {}
+        length, gm = self.window.field.length_m, self.window.field.gm_m3_s2
+        ratio, factor = (self.window.parameters_m / length).tolist()
+        ratio_sigma, factor_sigma = (self.parameter_sigmas_m / length).tolist()
+        return {
+            "iterations_per_frame": self.iterations / max(self.count - 1, 1),
+            "gm_m3_s2": ratio * gm,
+            "gm_sigma_m3_s2": ratio_sigma * gm,
+            "radiation_factor": factor,
+            "radiation_factor_sigma": factor_sigma,
+        }
+
+    def advance(self, frame: TrackFrame) -> FrameEstimate:
+        number, self.count = self.count, self.count + 1
+        if self.window is None:
+            return self._begin()
+        window = self.window
+        window.journal.frames[number] = frame
+        window.views.append(number)
+        self._check_connected(window, number)
+        window.predict(number)
+        tracks = window.tracks()
+        problem = window.problem(tracks, first_estimates=self.options.first_estimates)
+        rule = StoppingRule(self.options.tolerance * window.journal.median_depth(number - 1), self.options.iterations)
+        solution = minimise_dynamic(problem, window.state(tracks), rule)
+        self.iterations += solution.iterations
+        if not np.isfinite(solution.cost):
+            raise LostError("a landmark is behind a camera that sees it")
+        window.keep(solution.state, tracks)
+        estimate = self._estimate(problem, solution.state, tracks)
+        if len(window.views) > self.options.lag:
+            self._marginalise(window, problem, solution.state, tracks)
+        return estimate
+
+    def _begin(self) -> FrameEstimate:
+        """Place the first view, and all landmarks provisionally at the distance that was measured."""
+        sequence = self.sequence
+        if sequence.forces is None:
+            raise LostError("the sequence tells no forces: dynamic-smoother needs a scenario with a propagated orbit")
+        window = self.window = Window(sequence, sequence.forces)
+        window.begin(sequence)
+        self.parameter_sigmas_m = window.field.sigmas(sequence.forces)
+        journal = window.journal
+        journal.guess(0, journal.median_depth(0))
+        ranged = sorted(item.track for item in sequence.frames[0].ranges if item.track in journal.points_m)
+        points = journal.state((), ranged).points_m
+        covariance = sequence.position_covariance_m2.copy()
+        return FrameEstimate(sequence.position_m.copy(), covariance, np.array(ranged, dtype=np.int64), points, 0.0)
+
+    def _check_connected(self, window: Window, number: int) -> None:
+        shared = window.journal.shared(number - 1, number)
+        if shared < self.options.connectivity:
+            raise LostError(
+                f"tracks are lost: {shared} landmarks are shared with the frame before,"
+                f" {self.options.connectivity} are needed"
+            )
+
+    def _estimate(self, problem: DynamicAdjustment, state: DynamicState, tracks: list[int]) -> FrameEstimate:
+        rows = Rows.of(problem)
+        wanted = np.concatenate([rows.position[-1], rows.parameters])
+        try:
+            joint = covariance_of(problem, state, wanted, rows)
+        except np.linalg.LinAlgError as error:
+            raise LostError("the scale is unobservable: the reduced system has not full rank") from error
+        self.parameter_sigmas_m = np.sqrt(np.maximum(np.diag(joint)[3:], 0.0))
+        places, covariance = state.places, joint[:3, :3]
+        position = places.positions_m[-1]
+        check_scale(covariance, places.points_m, position, self.options.uncertainty_max)
+        return FrameEstimate(position, covariance, np.array(tracks, dtype=np.int64), places.points_m, 0.0)
+
+    def _marginalise(self, window: Window, problem: DynamicAdjustment, state: DynamicState, tracks: list[int]) -> None:
+        """Drop the oldest view, and the landmarks that it saw and that are lost; keep what they tell."""
+        number = np.array(tracks, dtype=np.int64)
+        oldest = np.isin(number, window.journal.frames[window.views[0]].tracks)
+        if problem.prior is not None:
+            oldest[problem.prior.points] = True
+        lost = oldest & ~np.isin(number, window.journal.frames[window.views[-1]].tracks)
+        try:
+            prior = marginalised_dynamic(problem, state, 0, lost)
+        except np.linalg.LinAlgError as error:
+            raise LostError("the scale is unobservable: the oldest view is not determined") from error
+        window.pass_on(prior, state, tracks, lost)

@@ -1,0 +1,149 @@
+"""Normal equations of an adjustment with dynamics: the reduced system of its vision part within a larger, dense one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState
+from estimators.slam.normal import Layout, NormalEquations, normal_equations
+from estimators.slam.residuals import cost
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Rows of the unknowns in the dense system, -1 for what is not solved for.
+
+    First come those of the vision part's reduced system, then velocities, then parameters.
+
+    Parameters
+    ----------
+    layout
+        Of the vision part.
+    position, velocity
+        (V, 3) each.
+    parameters
+        (2,).
+    point
+        (L, 3); -1 for landmarks that are eliminated, too.
+    count
+        Of all rows.
+    """
+
+    layout: Layout
+    position: IndexArray
+    velocity: IndexArray
+    parameters: IndexArray
+    point: IndexArray
+    count: int
+
+    @classmethod
+    def of(cls, problem: DynamicAdjustment) -> Rows:
+        """Give every unknown of ``problem`` its row."""
+        layout = Layout.of(problem.vision)
+        after = 3 * layout.kept
+        velocity = _numbered(np.repeat(problem.free_velocities, 3), after).reshape(-1, 3)
+        after += 3 * int(np.count_nonzero(problem.free_velocities))
+        parameters = _numbered(problem.free_parameters, after)
+        count = after + int(np.count_nonzero(problem.free_parameters))
+        return cls(layout, _threes(layout.view), velocity, parameters, _threes(layout.kept_point), count)
+
+    def of_prior(self, views: IndexArray, points: IndexArray) -> IndexArray:
+        """(6 a + 2 + 3 b,) rows in the order of a prior."""
+        parts = [
+            self.position[views].ravel(),
+            self.velocity[views].ravel(),
+            self.parameters,
+            self.point[points].ravel(),
+        ]
+        return np.concatenate(parts)
+
+    def of_arcs(self, start: IndexArray, end: IndexArray) -> IndexArray:
+        """(k, 14) rows in the order of `DynamicAdjustment.arc_jacobians`."""
+        parameters = np.broadcast_to(self.parameters, (len(start), 2))
+        parts = [self.position[start], self.position[end], self.velocity[start], self.velocity[end], parameters]
+        return np.concatenate(parts, axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DynamicEquations:
+    """The vision part, and (n, n), (n,) what arcs and prior add to the reduced matrix and to the gradient."""
+
+    rows: Rows
+    vision: NormalEquations
+    added: FloatArray
+    gradient: FloatArray
+
+    def reduced(self, damping: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the dense matrix, the right side, and the inverted blocks of the eliminated landmarks.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If a landmark has no distance and ``damping`` is 0.
+        """
+        part, part_right, inverse = self.vision.reduced(damping)
+        joined = len(part)
+        matrix, right = self.added.copy(), -self.gradient
+        matrix[:joined, :joined] += part
+        right[:joined] += part_right
+        below = np.arange(joined, self.rows.count)
+        matrix[below, below] += damping
+        return matrix, right, inverse
+
+    def stepped(self, state: DynamicState, step: FloatArray, inverse: FloatArray) -> tuple[DynamicState, float]:
+        """Return ``state`` after the step (n,) and that of the eliminated landmarks, and the longest of all, m."""
+        kept = step[: 3 * self.rows.layout.kept].reshape(-1, 3)
+        gone = self.vision.back_substituted(kept, inverse)
+        padded = np.append(step, 0.0)  # row -1: no step
+        after = DynamicState(
+            self.vision.stepped(state.places, kept, gone),
+            state.velocities_m + padded[self.rows.velocity],
+            state.parameters_m + padded[self.rows.parameters],
+        )
+        return after, float(max(np.abs(step).max(initial=0.0), np.abs(gone).max(initial=0.0)))
+
+
+def dynamic_equations(problem: DynamicAdjustment, state: DynamicState, rows: Rows) -> DynamicEquations:
+    """Linearise ``problem`` at ``state``."""
+    bin_row = rows.count  # where -1 leads: what is said of the fixed
+    matrix, gradient = np.zeros((bin_row + 1, bin_row + 1)), np.zeros(bin_row + 1)
+    at = rows.of_arcs(problem.arcs.start, problem.arcs.end)
+    jacobians = problem.arc_jacobians(state)
+    weighted = np.swapaxes(jacobians, 1, 2) @ problem.arcs.information
+    np.add.at(matrix, (at[:, :, None], at[:, None, :]), weighted @ jacobians)
+    np.add.at(gradient, at, np.einsum("kij,kj->ki", weighted, problem.arc_residuals(state)))
+    prior = problem.prior
+    if prior is not None:
+        at = rows.of_prior(prior.views, prior.points)
+        matrix[np.ix_(at, at)] += prior.information
+        gradient[at] += prior.information @ prior.offset(state) + prior.gradient
+    vision = normal_equations(problem.vision, state.places, rows.layout)
+    return DynamicEquations(rows, vision, matrix[:-1, :-1], gradient[:-1])
+
+
+def dynamic_cost(problem: DynamicAdjustment, state: DynamicState) -> float:
+    """Half the sum of squares with the prior's quadratic; inf with a landmark behind its camera."""
+    residuals = problem.arc_residuals(state)
+    half = cost(problem.vision, state.places)
+    half += 0.5 * float(np.einsum("ki,kij,kj->", residuals, problem.arcs.information, residuals))
+    if problem.prior is not None:
+        offset = problem.prior.offset(state)
+        half += float(0.5 * offset @ problem.prior.information @ offset + problem.prior.gradient @ offset)
+    return half if np.isfinite(half) else float("inf")
+
+
+def _threes(slots: IndexArray) -> IndexArray:
+    """(k, 3) rows of slots of three; -1 where there is none."""
+    return np.where(slots[:, None] >= 0, 3 * slots[:, None] + np.arange(3), -1)
+
+
+def _numbered(mask: BoolArray, first: int) -> IndexArray:
+    """Count the marked entries from ``first``; -1 elsewhere."""
+    return np.where(mask, first + np.cumsum(mask) - 1, -1).astype(np.int64)

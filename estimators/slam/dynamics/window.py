@@ -1,0 +1,192 @@
+"""The window of a smoother with dynamics: what it holds of its views, and the adjustment that this makes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.slam.dynamics.field import Field
+from estimators.slam.dynamics.problem import Arcs, DynamicAdjustment, DynamicPrior, DynamicState, arc_information
+from estimators.slam.dynamics.propagation import propagated
+from estimators.slam.following import LostError, lookup
+from estimators.slam.journal import Journal
+from estimators.slam.state import Adjustment, State
+from scenarios.tracks import Forces, TrackSequence
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(slots=True)
+class FirstEstimates:
+    """Where views and landmarks were when a prior first spoke of them."""
+
+    positions_m: dict[int, FloatArray] = field(default_factory=dict)
+    velocities_m: dict[int, FloatArray] = field(default_factory=dict)
+    points_m: dict[int, FloatArray] = field(default_factory=dict)
+
+    def keep(
+        self, prior: DynamicPrior, state: DynamicState, views: NDArray[np.int64], tracks: NDArray[np.int64]
+    ) -> None:
+        """Remember what ``prior``, numbered as ``state``, speaks of, under the numbers of ``views`` and ``tracks``."""
+        count = 3 * len(prior.views)
+        told = np.diag(prior.information) > 0.0
+        position, velocity = told[:count:3], told[count : 2 * count : 3]
+        for slot in prior.views[position].tolist():
+            self.positions_m.setdefault(int(views[slot]), state.places.positions_m[slot])
+        for slot in prior.views[velocity].tolist():
+            self.velocities_m.setdefault(int(views[slot]), state.velocities_m[slot])
+        for slot in prior.points.tolist():
+            self.points_m.setdefault(int(tracks[slot]), state.places.points_m[slot])
+
+
+class Window:
+    """Views of one sequence by their numbers, their velocities, and the parameters of the field."""
+
+    def __init__(self, sequence: TrackSequence, forces: Forces) -> None:
+        self.journal = Journal(sequence.camera)
+        self.forces = forces
+        self.field = Field.of(forces, float(np.linalg.norm(sequence.position_m)))
+        self.views: list[int] = []
+        self.velocities_m: dict[int, FloatArray] = {}
+        self.parameters_m = self.field.known
+        self.free_parameters: BoolArray = self.field.sigmas(forces) > 0.0
+        self.free_first = (True, True)
+        self.prior: DynamicPrior | None = None
+        self.absorbed: set[int] = set()
+        self.first = FirstEstimates()
+        self.first_parameters_m: FloatArray = np.full(2, np.nan)
+
+    def begin(self, sequence: TrackSequence) -> None:
+        """Take the first frame in, and what is known of position, velocity and parameters before."""
+        frame = sequence.frames[0]
+        self.views = [0]
+        self.journal.frames[0] = frame
+        self.journal.positions_m[0] = sequence.position_m.copy()
+        self.velocities_m[0] = self.forces.velocity_m_s * self.field.time_s
+        blocks = (
+            sequence.position_covariance_m2,
+            self.forces.velocity_covariance_m2_s2 * self.field.time_s**2,
+            np.diag(self.field.sigmas(self.forces) ** 2),
+        )
+        origin = np.concatenate([sequence.position_m, self.velocities_m[0], self.parameters_m])
+        none = np.zeros(0, dtype=np.int64)
+        self.prior = DynamicPrior(np.zeros(1, dtype=np.int64), none, origin, _information(blocks), np.zeros(8))
+        self.free_first = (bool(np.any(blocks[0])), bool(np.any(blocks[1])))
+
+    def predict(self, number: int) -> None:
+        """Place a new view where the motion of the one before leads."""
+        arc = self._duration(number)
+        start = np.concatenate([self._inertial(number - 1), self.velocities_m[number - 1]])
+        end = propagated(self.field, start[None], self.parameters_m, np.array([arc]))[0]
+        self.journal.positions_m[number] = self.journal.frames[number].R_body_inertial @ end[:3]
+        self.velocities_m[number] = end[3:]
+
+    def tracks(self) -> list[int]:
+        """List the landmarks that the window determines, sorted; those without an estimate get one."""
+        journal = self.journal
+        seen = journal.seen_by(self.views)
+        ranged = {item.track for view in self.views for item in journal.frames[view].ranges}
+        joined = set() if self.prior is None else set(self.prior.points.tolist())
+        tracks = sorted(
+            track
+            for track, by in seen.items()
+            if track not in self.absorbed and (len(by) >= 2 or track in ranged or track in joined)
+        )
+        for track in tracks:
+            if track not in journal.points_m:
+                journal.points_m[track] = journal.triangulate(track, seen[track])
+        return tracks
+
+    def problem(self, tracks: list[int], *, first_estimates: bool) -> DynamicAdjustment:
+        """Make the adjustment of all views of the window and of ``tracks``."""
+        prior = self._local_prior(tracks)
+        kept = np.zeros(len(tracks), dtype=np.bool_)
+        kept[prior.points] = True
+        free = np.ones((2, len(self.views)), dtype=np.bool_)
+        if self.views[0] == 0:
+            free[:, 0] = self.free_first
+        first = self.first if first_estimates else FirstEstimates()
+        vision = Adjustment(
+            camera=self.journal.camera,
+            R_cam_body=self.journal.attitudes(self.views),
+            sightings=self.journal.sightings(self.views, tracks),
+            free_views=free[0],
+            free_points=np.ones(len(tracks), dtype=np.bool_),
+            distances=self.journal.distances(self.views, tracks),
+            kept_points=kept,
+            frozen=State(_known(first.positions_m, self.views), _known(first.points_m, tracks)),
+        )
+        return DynamicAdjustment(
+            vision=vision,
+            R_body_inertial=np.array([self.journal.frames[view].R_body_inertial for view in self.views]),
+            field=self.field,
+            arcs=self._arcs(),
+            free_velocities=free[1],
+            free_parameters=self.free_parameters,
+            frozen_velocities_m=_known(first.velocities_m, self.views),
+            frozen_parameters_m=self.first_parameters_m if first_estimates else np.full(2, np.nan),
+            prior=prior,
+        )
+
+    def state(self, tracks: list[int]) -> DynamicState:
+        """Collect the present estimates."""
+        velocities = np.array([self.velocities_m[view] for view in self.views])
+        return DynamicState(self.journal.state(self.views, tracks), velocities, self.parameters_m)
+
+    def keep(self, state: DynamicState, tracks: list[int]) -> None:
+        """Take the estimates of ``state`` over."""
+        self.journal.keep(state.places, self.views, tracks)
+        self.velocities_m.update(zip(self.views, state.velocities_m, strict=True))
+        self.parameters_m = state.parameters_m
+
+    def pass_on(self, prior: DynamicPrior, state: DynamicState, tracks: list[int], lost: BoolArray) -> None:
+        """Drop the oldest view and ``lost`` landmarks (L,); ``prior``, numbered as ``state``, stands for them."""
+        views, number = np.array(self.views), np.array(tracks, dtype=np.int64)
+        self.first.keep(prior, state, views, number)
+        self.first_parameters_m = np.where(
+            np.isnan(self.first_parameters_m), state.parameters_m, self.first_parameters_m
+        )
+        self.prior = replace(prior, views=views[prior.views], points=number[prior.points])
+        self.absorbed |= set(number[lost].tolist())
+        oldest = self.views.pop(0)
+        del self.journal.frames[oldest], self.velocities_m[oldest]
+
+    def _local_prior(self, tracks: list[int]) -> DynamicPrior:
+        """Return the prior with its variables numbered as the problem does."""
+        if self.prior is None:
+            raise LostError("the sequence has not begun")
+        return replace(self.prior, views=lookup(self.views, self.prior.views), points=lookup(tracks, self.prior.points))
+
+    def _arcs(self) -> Arcs:
+        ends = np.arange(1, len(self.views))
+        durations = np.array([self._duration(view) for view in self.views[1:]])
+        acceleration = self.forces.noise_m_s2 * self.field.time_s**2
+        return Arcs(ends - 1, ends, durations, arc_information(durations, acceleration, self.field.length_m))
+
+    def _duration(self, number: int) -> float:
+        frames = self.journal.frames
+        return (frames[number].time_s - frames[number - 1].time_s) / self.field.time_s
+
+    def _inertial(self, view: int) -> FloatArray:
+        turned = self.journal.frames[view].R_body_inertial.T @ self.journal.positions_m[view]
+        return np.asarray(turned, dtype=np.float64)
+
+
+def _known(values: dict[int, FloatArray], wanted: list[int]) -> FloatArray:
+    """(n, 3) values of what is wanted; NaN where there is none."""
+    nowhere = np.full(3, np.nan)
+    return np.array([values.get(key, nowhere) for key in wanted]).reshape(-1, 3)
+
+
+def _information(covariances: tuple[FloatArray, ...]) -> FloatArray:
+    """Invert blocks of a diagonal; what is certain is not solved for and gets zeros."""
+    size = sum(len(block) for block in covariances)
+    information, at = np.zeros((size, size)), 0
+    for block in covariances:
+        told = np.flatnonzero(np.diag(block) > 0.0)
+        information[np.ix_(at + told, at + told)] = np.linalg.inv(block[np.ix_(told, told)])
+        at += len(block)
+    return information

@@ -1,0 +1,258 @@
+"""Smoothing with dynamics: the motion against scipy, the adjustment against scipy, the truth without noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+from slam_orbits import GM, LIGHT, Drive, OrbitTruth, make_orbit_sequence
+from slam_sequences import ORBIT_M, Recipe
+
+from estimators.slam.dynamics.field import Field
+from estimators.slam.dynamics.marginal import marginalised_dynamic
+from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState, arc_information
+from estimators.slam.dynamics.propagation import propagated, propagated_with_derivatives
+from estimators.slam.dynamics.smoother import DynamicSmoother
+from estimators.slam.dynamics.solve import covariance_of, minimise_dynamic
+from estimators.slam.dynamics.system import Rows, dynamic_equations
+from estimators.slam.dynamics.window import Window
+from estimators.slam.levenberg import StoppingRule
+from estimators.slam.residuals import bearing_residuals, distance_residuals
+from estimators.slam.state import State
+from scenarios.tracks import Forces, TrackSequence
+
+FORCES = Forces(3.3, 0.3, LIGHT, 0.2, 1e-7, np.zeros(3), 1e-6 * np.eye(3))
+FIELD = Field.of(FORCES, ORBIT_M)
+STARTS = np.array([[700.0, -200.0, 300.0, 100.0, 650.0, -300.0], [790.0, 5.0, -8.0, -20.0, 10.0, 800.0]])
+DURATIONS = np.array([0.035, 0.09])
+
+
+def test_motion_is_that_of_scipy_in_si_units() -> None:
+    """Also over a quarter of a revolution at once."""
+    ratio, factor = 1.07, 0.8
+    for start, duration in zip(STARTS, [0.035, 1.5], strict=True):
+
+        def rate(_: float, y: np.ndarray) -> np.ndarray:
+            return np.concatenate([y[3:], -ratio * 3.3 * y[:3] / np.linalg.norm(y[:3]) ** 3 + factor * LIGHT])
+
+        si = np.concatenate([start[:3], start[3:] / FIELD.time_s])
+        true = solve_ivp(rate, (0.0, duration * FIELD.time_s), si, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+        true[3:] *= FIELD.time_s
+        parameters = ORBIT_M * np.array([ratio, factor])
+        found = propagated(FIELD, start[None], parameters, np.array([duration]))[0]
+        np.testing.assert_allclose(found, true, atol=2e-7)
+
+
+def test_derivatives_of_the_motion_are_those_of_central_differences() -> None:
+    parameters = ORBIT_M * np.array([1.07, 0.8])
+    _, found = propagated_with_derivatives(FIELD, STARTS, parameters, DURATIONS)
+    for axis in range(8):
+        step = np.zeros(8)
+        step[axis] = 1e-2
+        ahead = propagated(FIELD, STARTS + step[:6], parameters + step[6:], DURATIONS)
+        behind = propagated(FIELD, STARTS - step[:6], parameters - step[6:], DURATIONS)
+        np.testing.assert_allclose(found[:, :, axis], (ahead - behind) / 2e-2, atol=1e-9)
+
+
+def test_covariance_of_an_arc_is_that_of_drawn_pushes() -> None:
+    """What a constant push does to the end of an arc, in units in which the push is 1 m per T^2."""
+    duration = np.array([0.035])
+    covariance = np.linalg.inv(arc_information(duration, 1.0, ORBIT_M))[0]
+    pushes = np.random.default_rng(3).standard_normal((4000, 3))
+    ends = [
+        propagated(replace(FIELD, radiation_m=push), STARTS[:1], np.full(2, ORBIT_M), duration)[0] for push in pushes
+    ]
+    drawn = np.cov(np.array(ends).T)
+    scale = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(drawn / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=0.08)
+
+
+@pytest.fixture(scope="module")
+def small() -> tuple[DynamicAdjustment, DynamicState, TrackSequence]:
+    """Four views, the position of the first known, at a disturbed state."""
+    rng = np.random.default_rng(5)
+    sequence, truth = make_orbit_sequence(rng, Recipe(frames=4, landmarks=8))
+    assert sequence.forces is not None
+    window = Window(sequence, sequence.forces)
+    window.begin(sequence)
+    window.journal.frames = dict(enumerate(sequence.frames))
+    window.views = [0, 1, 2, 3]
+    window.journal.positions_m = dict(enumerate(truth.positions_m))
+    window.journal.points_m = dict(truth.points_m)
+    window.velocities_m = dict(enumerate(truth.states[:, 3:] * window.field.time_s))
+    tracks = [track for track in window.tracks() if sum(track in f.tracks for f in sequence.frames) >= 2]
+    problem = window.problem(tracks, first_estimates=True)
+    true = window.state(tracks)
+    moved = 1.0 * rng.standard_normal((4, 3)) * problem.vision.free_views[:, None]
+    places = State(true.places.positions_m + moved, true.places.points_m + rng.standard_normal((len(tracks), 3)))
+    velocities = true.velocities_m + rng.standard_normal((4, 3))
+    return problem, DynamicState(places, velocities, true.parameters_m + np.array([20.0, -30.0])), sequence
+
+
+def unpacked(problem: DynamicAdjustment, state: DynamicState, x: np.ndarray) -> DynamicState:
+    points = len(state.places.points_m)
+    parts = np.split(x, np.cumsum([9, 12, 2]))
+    positions = np.concatenate([state.places.positions_m[:1], parts[0].reshape(3, 3)])
+    return DynamicState(State(positions, parts[3].reshape(points, 3)), parts[1].reshape(4, 3), parts[2])
+
+
+def packed(state: DynamicState) -> np.ndarray:
+    places = state.places
+    return np.concatenate(
+        [places.positions_m[1:].ravel(), state.velocities_m.ravel(), state.parameters_m, places.points_m.ravel()]
+    )
+
+
+def all_residuals(problem: DynamicAdjustment, state: DynamicState, sequence: TrackSequence) -> np.ndarray:
+    """Written anew in SI units: motion by DOP853, and what is known before from the sequence."""
+    forces = sequence.forces
+    assert forces is not None
+    field = problem.field
+    ratio, factor = state.parameters_m / field.length_m
+    at = np.einsum("vji,vj->vi", [f.R_body_inertial for f in sequence.frames], state.places.positions_m)
+    velocities = state.velocities_m / field.time_s
+    rows = [bearing_residuals(problem.vision, state.places).ravel(), distance_residuals(problem.vision, state.places)]
+    for k in range(3):
+
+        def rate(_: float, y: np.ndarray) -> np.ndarray:
+            pull = -ratio * forces.gm_m3_s2 * y[:3] / np.linalg.norm(y[:3]) ** 3
+            return np.concatenate([y[3:], pull + factor * forces.radiation_m_s2])
+
+        dt = sequence.frames[k + 1].time_s - sequence.frames[k].time_s
+        y0 = np.concatenate([at[k], velocities[k]])
+        end = solve_ivp(rate, (0.0, dt), y0, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+        residual = np.concatenate([at[k + 1] - end[:3], (velocities[k + 1] - end[3:]) * field.time_s])
+        rows.append(np.linalg.cholesky(problem.arcs.information[k]).T @ residual)
+    sigma = np.sqrt(forces.velocity_covariance_m2_s2[0, 0])
+    rows.append((velocities[0] - forces.velocity_m_s) / sigma)
+    rows.append([(ratio - 1.0) * forces.gm_m3_s2 / forces.gm_sigma_m3_s2, (factor - 1.0) / forces.radiation_sigma])
+    return np.concatenate(rows)
+
+
+def test_minimum_and_covariance_are_those_of_scipy(
+    small: tuple[DynamicAdjustment, DynamicState, TrackSequence],
+) -> None:
+    problem, state, sequence = small
+    solution = minimise_dynamic(problem, state, StoppingRule(1e-7))
+    foreign = least_squares(
+        lambda x: all_residuals(problem, unpacked(problem, state, x), sequence),
+        packed(state), xtol=1e-14, ftol=1e-14, gtol=1e-12, x_scale="jac",
+    )  # fmt: skip
+    assert solution.cost == pytest.approx(foreign.cost, rel=1e-6)
+    sigma = np.sqrt(np.diag(np.linalg.inv(foreign.jac.T @ foreign.jac)))
+    assert np.all(np.abs(packed(solution.state) - foreign.x) < 1e-3 * sigma)
+    rows = Rows.of(problem)
+    wanted = np.concatenate([rows.position[3], rows.velocity[1], rows.parameters])
+    places = np.concatenate([[6, 7, 8], [12, 13, 14], [21, 22]])
+    covariance = np.linalg.inv(foreign.jac.T @ foreign.jac)[np.ix_(places, places)]
+    found = covariance_of(problem, solution.state, wanted, rows)
+    scale = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(found / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=1e-3)
+
+
+def test_prior_of_the_departed_stands_for_them(
+    small: tuple[DynamicAdjustment, DynamicState, TrackSequence],
+) -> None:
+    """With the oldest view and some landmarks marginalised, matrix and gradient of the rest are as before."""
+    problem, state, _ = small
+    state = minimise_dynamic(problem, state, StoppingRule(1e-7)).state
+    seen = problem.vision.sightings
+    lost = np.zeros(len(problem.vision.free_points), dtype=bool)
+    lost[seen.point[seen.view == 0][:2]] = True
+    prior = marginalised_dynamic(problem, state, 0, lost)
+    stays = (seen.view != 0) & ~lost[seen.point]
+    kept = np.zeros(len(lost), dtype=bool)
+    kept[prior.points] = True
+    measured = problem.vision.distances
+    assert set(measured.view.tolist()) == {0}
+    rest = replace(
+        problem,
+        vision=replace(
+            problem.vision,
+            sightings=type(seen)(seen.view[stays], seen.point[stays], seen.uv_px[stays], seen.sigma_px[stays]),
+            distances=type(measured)(),
+            free_views=np.array([False, True, True, True]),
+            free_points=~lost,
+            kept_points=kept,
+        ),
+        arcs=replace(problem.arcs, **{
+            name: getattr(problem.arcs, name)[1:] for name in ("start", "end", "duration", "information")
+        }),
+        free_velocities=np.array([False, True, True, True]),
+        prior=prior,
+    )  # fmt: skip
+    whole_rows, rest_rows = Rows.of(problem), Rows.of(rest)
+    for rows_of in (lambda rows: rows.position[3], lambda rows: rows.velocity[1], lambda rows: rows.parameters):
+        whole = covariance_of(problem, state, rows_of(whole_rows), whole_rows)
+        np.testing.assert_allclose(covariance_of(rest, state, rows_of(rest_rows), rest_rows), whole, rtol=1e-5)
+    _, right, _ = dynamic_equations(rest, state, rest_rows).reduced()
+    _, before, _ = dynamic_equations(problem, state, whole_rows).reduced()
+    largest = np.abs(dynamic_equations(problem, state, whole_rows).reduced()[0]).max()
+    assert np.abs(right).max() <= np.abs(before).max() + 1e-9 * largest
+
+
+def errors(estimate, truth: OrbitTruth) -> np.ndarray:
+    found = np.array([frame.position_m for frame in estimate.frames])
+    return np.linalg.norm(found - truth.positions_m[: len(found)], axis=1)
+
+
+def test_noise_free_sequence_returns_the_truth_and_the_parameters() -> None:
+    """What is believed of velocity, gravity and light is wrong all the same."""
+    drive = Drive(noise_m_s2=0.0, gm_sigma=1.0, radiation_sigma=1.0)
+    sequence, truth = make_orbit_sequence(np.random.default_rng(1), Recipe(frames=60, noise_px=0.0), drive)
+    forces = replace(sequence.forces, gm_m3_s2=1.05 * GM, radiation_m_s2=0.9 * LIGHT)
+    estimate = DynamicSmoother.from_options({"tolerance": 1e-10}).follow(replace(sequence, forces=forces))
+    assert estimate.status == "ok", estimate.reason
+    assert errors(estimate, truth).max() < 1e-3
+    assert estimate.diagnostics["gm_m3_s2"] == pytest.approx(GM, rel=1e-6)
+    assert estimate.diagnostics["radiation_factor"] == pytest.approx(1.0 / 0.9, rel=1e-5)
+
+
+def test_errors_are_what_the_covariance_says() -> None:
+    """Squared normalised errors of 10 trials: chi-square; the bounds are left by chance once in 10000."""
+    position, parameter = 0.0, 0.0
+    trials = 10
+    for trial in range(trials):
+        sequence, truth = make_orbit_sequence(np.random.default_rng([3, trial]), Recipe(frames=25))
+        estimate = DynamicSmoother.from_options({"lag": 6}).follow(sequence)
+        last = estimate.frames[-1]
+        error = last.position_m - truth.positions_m[-1]
+        assert last.covariance_m2 is not None
+        position += error @ np.linalg.solve(last.covariance_m2, error)
+        found = estimate.diagnostics
+        parameter += ((found["gm_m3_s2"] - GM) / found["gm_sigma_m3_s2"]) ** 2
+    for total, freedom in ((position, 3 * trials), (parameter, trials)):
+        low, high = chi2.ppf([5e-5, 1.0 - 5e-5], freedom)
+        assert low < total < high
+
+
+def test_long_lag_is_the_batch_and_a_short_one_near_it() -> None:
+    sequence, _ = make_orbit_sequence(np.random.default_rng(4), Recipe(frames=14))
+    batch = DynamicSmoother.from_options({"lag": 14}).follow(sequence).frames[-1]
+    short = DynamicSmoother.from_options({"lag": 4}).follow(sequence).frames[-1]
+    assert batch.covariance_m2 is not None
+    assert short.covariance_m2 is not None
+    away = short.position_m - batch.position_m
+    assert 0.0 < away @ np.linalg.solve(batch.covariance_m2, away) < 0.1
+    np.testing.assert_allclose(np.trace(short.covariance_m2), np.trace(batch.covariance_m2), rtol=0.05)
+
+
+def test_error_of_the_first_position_is_found_out() -> None:
+    """Gravity tells where the centre of mass is: within half a revolution an error of 20 m becomes a tenth."""
+    sequence, truth = make_orbit_sequence(np.random.default_rng(9), Recipe(frames=91), Drive(noise_m_s2=1e-9))
+    shift = np.array([12.0, -16.0, 0.0])
+    unsure = replace(sequence, position_m=sequence.position_m + shift, position_covariance_m2=400.0 * np.eye(3))
+    found = errors(DynamicSmoother.from_options({}).follow(unsure), truth)
+    assert found[0] == pytest.approx(20.0)
+    assert found[-1] < 2.0
+
+
+def test_without_forces_it_ends_with_a_reason() -> None:
+    sequence, _ = make_orbit_sequence(np.random.default_rng(9), Recipe(frames=3))
+    estimate = DynamicSmoother.from_options({}).follow(replace(sequence, forces=None))
+    assert (estimate.status, len(estimate.frames)) == ("failed", 0)
+    assert "the sequence tells no forces" in estimate.reason
