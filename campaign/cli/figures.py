@@ -37,18 +37,19 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
 
 def _figures(arguments: argparse.Namespace) -> int:
     # Imported here: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
-    from campaign.paper.page import gather, paper_campaigns, paper_page
+    from campaign.paper.page import gather, paper_called, paper_campaigns, paper_page
     from reports.console import rich_table
     from reports.paper import paper_grid, verdict_tally, write_paper
 
     out = console()
     if arguments.trials is not None and not arguments.run:
         raise BoresightError("--trials says how much is to be run: give --run too")
+    paper = paper_called(arguments.paper)
     if arguments.run:
-        found, _ = gather(arguments.runs)
-        for name in (name for name in paper_campaigns() if name not in found):
+        found, _ = gather(paper, arguments.runs)
+        for name in (name for name in paper_campaigns(paper) if name not in found):
             run_or_finish(name, arguments)
-    page = paper_page(arguments.runs, arguments.jobs)
+    page = paper_page(paper, arguments.runs, arguments.jobs)
     folder = arguments.out or Path("figures") / arguments.paper
     try:
         written = write_paper(page, folder)

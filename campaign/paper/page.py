@@ -3,39 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from typing import cast
 
 from campaign.paper.gather import FinishedRun, newest_finished, run_folders
-from campaign.paper.rowell2015 import FIGURES, METHODS, PaperFigure
+from campaign.paper.kinds import Paper, PaperFigure
 from campaign.resolve import CATALOG, campaign_names
 from reports.content import NamedFigure
-from reports.designs import design_grids
 from reports.paper import PaperLine, PaperPage, paper_lines
 from reports.published import load_published
-from reports.sensitivity import mesh_variants, sensitivity_grid
-from reports.tables import Grid
 from scenarios.errors import BoresightError
 from scenarios.load import load_campaign
 
-_ALSO = ("navcam67p-real",)
-_SENSITIVITY = "rowell2015-sensitivity"
-_TITLE = "Rowell et al. (2015): every figure and every number"
+
+def paper_called(name: str) -> Paper:
+    """Return the paper of that name, one of `campaign.paper.PAPERS`."""
+    return cast("Paper", import_module(f"campaign.paper.{name}").PAPER)
 
 
-def paper_campaigns() -> list[str]:
-    """List the campaigns of the paper in the catalogue, in the order of its sections."""
-    order = ("database", "centroid", "convergence", "simulated", "real", "real-like")
-    known = [f"rowell2015-{name}" for name in order]
-    others = [name for name in campaign_names() if name.startswith(_SENSITIVITY)]
-    return [name for name in (*known, *_ALSO, *others) if name in campaign_names()]
+def paper_campaigns(paper: Paper) -> list[str]:
+    """List the campaigns of a paper in the catalogue, in the order of its sections."""
+    known = campaign_names()
+    return [name for name in paper.campaigns if name in known]
 
 
-def gather(runs: Path) -> tuple[dict[str, FinishedRun], list[str]]:
+def gather(paper: Paper, runs: Path) -> tuple[dict[str, FinishedRun], list[str]]:
     """Find the newest finished run of each campaign of the paper; say of each that is missing how to run it."""
     folders = run_folders(runs)
     found, missing = {}, []
-    for name in paper_campaigns():
+    for name in paper_campaigns(paper):
         run = newest_finished(folders, name)
         if run is None:
             missing.append(f"{name}: no finished run under {runs}/; to run it: boresight run {name}")
@@ -44,22 +41,23 @@ def gather(runs: Path) -> tuple[dict[str, FinishedRun], list[str]]:
     return found, missing
 
 
-def paper_page(runs: Path, jobs: int) -> PaperPage:
+def paper_page(paper: Paper, runs: Path, jobs: int) -> PaperPage:
     """Draw all figures and set all numbers of the paper beside ours, as far as they have been run."""
-    found, missing = gather(runs)
+    found, missing = gather(paper, runs)
     figures: list[NamedFigure] = []
-    for figure in FIGURES:
+    for figure in paper.figures:
         try:
             figures += drawn(figure, found, jobs)
         except BoresightError as error:
             missing.append(f"figure {figure.number}: {error}")
-    lines = [line for name in paper_campaigns() for line in _lines(name, found.get(name))]
-    sources = {load_published(name).source for name in _reports().values()}
+    reports = _reports(paper)
+    lines = [line for name, report in reports.items() for line in _lines(paper, name, report, found.get(name))]
+    sources = {load_published(name).source for name in reports.values()}
     return PaperPage(
-        title=_TITLE,
+        title=paper.title,
         source="; ".join(sorted(sources)),
         lines=tuple(lines),
-        grids=tuple(grid for run in found.values() for grid in _sensitivity(run)),
+        grids=tuple(grid for run in found.values() for grid in paper.grids(run)),
         figures=tuple(figures),
         runs=tuple((name, _how(run)) for name, run in found.items()),
         missing=tuple(missing),
@@ -82,27 +80,15 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int) -> l
     return [figure.named(drawing, f"_{names[i]}" if i else "") for i, drawing in enumerate(figure.draw(runs, jobs))]
 
 
-def _reports() -> dict[str, str]:
+def _reports(paper: Paper) -> dict[str, str]:
     """Return the key of the published values of each campaign that has one."""
-    specs = {name: load_campaign(name, CATALOG).spec for name in paper_campaigns()}
+    specs = {name: load_campaign(name, CATALOG).spec for name in paper_campaigns(paper)}
     return {name: spec.report for name, spec in specs.items() if spec.report}
 
 
-def _lines(name: str, run: FinishedRun | None) -> list[PaperLine]:
-    report = _reports().get(name)
-    if report is None:
-        return []
-    labels = [label for method in METHODS for label in run.labels(method)] if run else []
+def _lines(paper: Paper, name: str, report: str, run: FinishedRun | None) -> list[PaperLine]:
+    labels = [label for method in paper.methods for label in run.labels(method)] if run else []
     return list(paper_lines(name, load_published(report), run.content if run else None, labels))
-
-
-def _sensitivity(run: FinishedRun) -> list[Grid]:
-    """Return the tables of a run that varies what the paper leaves open."""
-    if not run.manifest["name"].startswith(_SENSITIVITY):
-        return []
-    content, paper = run.content, load_published("rowell2015-simulated")
-    grids = [*design_grids(content.run), sensitivity_grid(content.records, mesh_variants(content.run), paper)]
-    return [replace(grid, title=f"{run.manifest['name']}: {grid.title}") for grid in grids if grid]
 
 
 def _how(run: FinishedRun) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from campaign.fit_figures import SecondLook, alignment_of, credit_lines, fit_of, median_trial, second_look, single_image
 from campaign.paper.gather import FinishedRun
+from campaign.paper.kinds import Paper, PaperFigure, Runs
 from campaign.paper.shapes import broadside_view, built_again, cluster_view, surface_view
 from campaign.products.landmark_database import KIND as DATABASE
 from campaign.world import World, open_world, typical_range_m
 from estimators.landmark.build import BuiltDatabase, DatabaseOptions
 from reports.content import NamedFigure, centroid_offsets, landmark_figures, pose_figure
+from reports.designs import design_grids
 from reports.figures import (
     draw_alignment_panels,
     draw_centroid_offsets,
@@ -28,12 +30,13 @@ from reports.figures import (
 )
 from reports.published import load_published
 from reports.run_data import select
+from reports.sensitivity import mesh_variants, sensitivity_grid
+from reports.tables import Grid
 from scenarios.errors import BoresightError
 from scenarios.geometry import View
 
 RECOGNISER = "landmark-harris"
-METHODS = (RECOGNISER, "centroid", DATABASE)
-"""Names of what the paper itself describes; other estimators of a run are not held against it."""
+_SENSITIVITY = ("rowell2015-sensitivity", "rowell2015-sensitivity-sun")
 
 _SIGNIFICANT_PHASE_DEG = 40.0
 _FIGURE_5 = {
@@ -49,24 +52,6 @@ _FIGURE_5 = {
         "non-linear-minimal": "non-linear only, minimal",
     },
 }
-
-Runs = Mapping[str, FinishedRun]
-Draw = Callable[[Runs, int], Iterator[NamedFigure]]
-
-
-@dataclass(frozen=True, slots=True)
-class PaperFigure:
-    """A figure of the paper: its number, the campaigns of which it needs one, and how it is drawn."""
-
-    number: int
-    campaigns: tuple[str, ...]
-    draw: Draw
-
-    def named(self, figure: NamedFigure, suffix: str = "") -> NamedFigure:
-        """Give a figure the paper's number."""
-        return replace(
-            figure, stem=f"figure_{self.number:02d}{suffix}", caption=f"Figure {self.number}. {figure.caption}"
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,16 +244,33 @@ def _look(run: FinishedRun, label: str, rows: pd.DataFrame) -> tuple[SecondLook,
     return look, what, credit_lines(campaign.scenario(name).spec)
 
 
+def _grids(run: FinishedRun) -> list[Grid]:
+    """Return the tables of a run that varies what the paper leaves open."""
+    if run.manifest["name"] not in _SENSITIVITY:
+        return []
+    content, paper = run.content, load_published("rowell2015-simulated")
+    grids = [*design_grids(content.run), sensitivity_grid(content.records, mesh_variants(content.run), paper)]
+    return [replace(grid, title=f"{run.manifest['name']}: {grid.title}") for grid in grids if grid]
+
+
 _REAL = ("rowell2015-real", "rowell2015-real-like", "navcam67p-real")
-FIGURES = (
-    PaperFigure(1, ("rowell2015-database",), _figure_1),
-    PaperFigure(2, ("rowell2015-database",), _figure_2),
-    PaperFigure(3, ("rowell2015-simulated",), _figure_3),
-    PaperFigure(4, ("rowell2015-centroid",), _figure_4),
-    PaperFigure(5, ("rowell2015-convergence",), _figure_5),
-    PaperFigure(6, ("rowell2015-simulated",), _figure_6),
-    PaperFigure(7, ("rowell2015-simulated",), _figure_7),
-    PaperFigure(8, _REAL, _figure_8),
-    PaperFigure(9, _REAL, _figure_9),
-    PaperFigure(10, ("rowell2015-simulated", *_REAL), _figure_10),
+_FIGURES = (
+    PaperFigure("1", ("rowell2015-database",), _figure_1),
+    PaperFigure("2", ("rowell2015-database",), _figure_2),
+    PaperFigure("3", ("rowell2015-simulated",), _figure_3),
+    PaperFigure("4", ("rowell2015-centroid",), _figure_4),
+    PaperFigure("5", ("rowell2015-convergence",), _figure_5),
+    PaperFigure("6", ("rowell2015-simulated",), _figure_6),
+    PaperFigure("7", ("rowell2015-simulated",), _figure_7),
+    PaperFigure("8", _REAL, _figure_8),
+    PaperFigure("9", _REAL, _figure_9),
+    PaperFigure("10", ("rowell2015-simulated", *_REAL), _figure_10),
+)
+_ORDER = ("database", "centroid", "convergence", "simulated", "real", "real-like")
+PAPER = Paper(
+    title="Rowell et al. (2015): every figure and every number",
+    campaigns=(*(f"rowell2015-{name}" for name in _ORDER), "navcam67p-real", *_SENSITIVITY),
+    methods=(RECOGNISER, "centroid", DATABASE),
+    figures=_FIGURES,
+    grids=_grids,
 )

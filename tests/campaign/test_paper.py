@@ -15,8 +15,7 @@ from tiny_campaign import SCENE, compute, write_campaign
 from campaign.cli import main
 from campaign.cli.figures import run_or_finish
 from campaign.paper.gather import newest_finished, run_folders
-from campaign.paper.page import drawn, gather, paper_campaigns
-from campaign.paper.rowell2015 import FIGURES
+from campaign.paper.page import drawn, gather, paper_called, paper_campaigns
 from campaign.paper.shapes import broadside_view, built_again, cluster_view, surface_view
 from campaign.resolve import resolve
 from campaign.store import RunFolder
@@ -26,6 +25,7 @@ from renderers.mitsuba3 import choose_variant
 from reports.published import load_published
 from scenarios.errors import BoresightError
 
+PAPER = paper_called("rowell2015")
 BASE = "{images: 40, min_observations: 6, clusters: {seed_radius_m: 15}}"
 HEAD = "scenarios: [scene]\nseed: 3\n"
 CAMPAIGNS = {
@@ -82,7 +82,7 @@ def test_figures_are_named_by_the_numbers_of_the_paper(page):
 
 def test_what_is_missing_is_said_in_one_line_each(page):
     text = (page / "table.md").read_text(encoding="utf-8")
-    missing = [name for name in paper_campaigns() if name not in CAMPAIGNS]
+    missing = [name for name in paper_campaigns(PAPER) if name not in CAMPAIGNS]
     assert missing
     for name in missing:
         assert len(re.findall(rf"^- {name}: no finished run .* boresight run {name}$", text, re.M)) == 1
@@ -121,7 +121,7 @@ def test_a_second_call_without_runs_leaves_no_old_figures(page, runs, tmp_path, 
     assert main(["figures", "rowell2015", "--runs", str(tmp_path), "--out", str(out)]) == 0
     assert sorted(path.name for path in out.iterdir()) == ["index.html", "mine.png", "table.csv", "table.md"]
     said = capsys.readouterr().out
-    assert said.count("no finished run") == len(paper_campaigns())
+    assert said.count("no finished run") == len(paper_campaigns(PAPER))
     assert set(pd.read_csv(out / "table.csv")["verdict"]) == {"not measured"}
 
 
@@ -141,7 +141,7 @@ def test_campaigns_without_their_data_are_told_and_left_out(tmp_path, monkeypatc
     words = ["figures", "rowell2015", "--run", "--trials", "1", "--runs", str(tmp_path / "runs"), "--out", str(out)]
     assert main(words) == 0
     said = capsys.readouterr().out
-    for name in paper_campaigns():
+    for name in paper_campaigns(PAPER):
         assert len(re.findall(rf"^{name}: .* was not found", said, re.M)) == 1, name
     assert (out / "index.html").exists()
 
@@ -177,18 +177,18 @@ def test_the_newest_finished_run_is_taken_and_unfinished_ones_are_not(tmp_path):
 
 
 def test_a_run_of_another_version_keeps_its_numbers_and_loses_its_pictures(runs):
-    found, _ = gather(runs)
+    found, _ = gather(PAPER, runs)
     run = found["rowell2015-database"]
     stale = replace(run, manifest={**run.manifest, "digest": "another"})
     with pytest.raises(BoresightError, match="another version"):
-        drawn(FIGURES[0], {"rowell2015-database": stale}, 1)
+        drawn(PAPER.figures[0], {"rowell2015-database": stale}, 1)
     assert stale.content.records
 
 
 def test_a_further_campaign_stands_beside_the_first(runs):
-    found, _ = gather(runs)
+    found, _ = gather(PAPER, runs)
     twice = {"rowell2015-real": found["rowell2015-simulated"], "navcam67p-real": found["rowell2015-simulated"]}
-    figures = drawn(FIGURES[8], twice, 1)
+    figures = drawn(PAPER.figures[8], twice, 1)
     assert [figure.stem for figure in figures] == ["figure_09", "figure_09_navcam67p-real"]
     assert all(figure.caption.startswith("Figure 9. ") for figure in figures)
 
