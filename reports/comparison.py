@@ -51,7 +51,7 @@ def compare(records: Sequence[Record], comparison: Comparison) -> tuple[Compared
     compared = []
     for scenario, estimator in pairs:
         for published in comparison.values:
-            if published.scenario not in ("", scenario):
+            if published.scenario not in ("", scenario) or published.estimator not in ("", estimator):
                 continue
             ours = _ours(records, scenario, estimator, published) or _ours(records, scenario, "", published)
             if ours is None and published.stage == DERIVED:
@@ -69,6 +69,7 @@ def _ours(records: Sequence[Record], scenario: str, estimator: str, published: P
         stage=published.stage,
         measure=published.measure,
         statistic=published.statistic,
+        reference=published.against,
     )
 
 

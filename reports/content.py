@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from reports.comparison import ComparedClaim, ComparedValue, compare, compare_claims
 from reports.consistency import consistency_grid, consistency_records
+from reports.contrasts import ratio_records, reduction_records
 from reports.derived import derived_records
 from reports.design_figures import design_figures
 from reports.designs import design_grids
@@ -35,7 +36,7 @@ from reports.paired import paired_records
 from reports.published import Comparison, load_published
 from reports.run_data import RunData, read_run, select
 from reports.sensitivity import mesh_variants, sensitivity_grid
-from reports.sequences import sequence_figures, sequence_grid
+from reports.sequences import sequence_figures, sequence_grids
 from reports.statistics import LARGE, MEDIAN, FloatArray
 from reports.tables import (
     Grid,
@@ -92,6 +93,8 @@ class Content:
     def grids(self) -> list[Grid]:
         """List the tables of the report, in order; of a grid of scenarios, those of the grid alone."""
         failures = failure_grid(self.run)
+        if not self.run.epochs.empty:
+            return [*sequence_grids(self.records, self.compared, self.run), *([] if failures is None else [failures])]
         if self.run.manifest.grid is not None:
             return [*design_grids(self.run), *([] if failures is None else [failures])]
         optional = (
@@ -99,7 +102,6 @@ class Content:
             comparison_grid(self.compared),
             claim_grid(self.claims),
             trade_grid(self.run),
-            sequence_grid(self.records),
             detail_grid(self.records),
             diagnostic_grid(self.records),
             paired_grid(self.records),
@@ -138,7 +140,9 @@ def read_content(folder: Path) -> Content:
     run = read_run(folder)
     comparison = load_published(run.manifest.report) if run.manifest.report else None
     derived = derived_records(run, comparison.radius_m) if comparison and comparison.radius_m else ()
-    records = (*measure_run(run), *derived, *outlier_records(run), *paired_records(run), *consistency_records(run))
+    reductions = tuple(reduction_records(run, comparison)) if comparison else ()
+    beside = (*paired_records(run), *ratio_records(run), *consistency_records(run))
+    records = (*measure_run(run), *derived, *reductions, *outlier_records(run), *beside)
     compared = compare(records, comparison) if comparison else ()
     claims = compare_claims(records, comparison) if comparison else ()
     return Content(run, records, comparison, compared, claims, tuple(_notes(run, comparison)))
@@ -184,6 +188,10 @@ def _scenario_lines(run: RunData) -> Iterator[str]:
 def draw_figures(content: Content) -> Iterator[NamedFigure]:
     """Draw every figure that the run's tables allow; of a grid of scenarios those of the grid alone."""
     run = content.run
+    if not run.epochs.empty:
+        for stem, figure, caption, alt in sequence_figures(run):
+            yield NamedFigure(file_stem(stem), figure, caption, alt)
+        return
     if run.manifest.grid is not None:
         for stem, figure, caption, alt in design_figures(run):
             yield NamedFigure(file_stem(stem), figure, caption, alt)
@@ -197,8 +205,6 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
         yield from _trade_figures(content, scenario)
         yield _cumulative_figure(content, scenario)
     yield from _centroid_figures(content)
-    for scenario, figure, caption, alt in sequence_figures(run):
-        yield NamedFigure(file_stem("traces", scenario), figure, caption, alt)
 
 
 def published_medians(content: Content, scenario: str, estimator: str) -> dict[tuple[str, str], float]:

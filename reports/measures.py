@@ -10,7 +10,19 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from reports.run_data import POSE_COLUMNS, RunData, select
-from reports.statistics import MEAN, MEDIAN, P75, P95, RMS, ROOT_MEDIAN_SQUARE, Measured, Statistic, measure
+from reports.statistics import (
+    DEVIATION,
+    MEAN,
+    MEDIAN,
+    P75,
+    P95,
+    RMS,
+    ROOT_MEDIAN_SQUARE,
+    Measured,
+    Statistic,
+    measure,
+    measure_deviation,
+)
 
 CONTROL = "prior"
 """Name of the control estimator, and of the stage before anything was estimated."""
@@ -26,8 +38,8 @@ DIAGNOSTICS = "diagnostics"
 SEQUENCE = "sequence"
 """Stage of what a trial of a sequence comes to."""
 
-DEVIATION = "deviation"
-"""Statistic of the scatter about the mean; it has no interval."""
+REDUCTION = "reduction"
+"""Stage of what an error comes down by from one scenario or estimator, which the ``reference`` names, to another."""
 
 SEQUENCE_COLUMNS = (
     "error_after_1_m",
@@ -57,6 +69,13 @@ UNITS = {
     "database_facets": "",
     "database_bytes": "bytes",
     "seconds": "s",
+    "error_after_1_m": "m",
+    "error_after_2_m": "m",
+    "error_after_1_reduction": "%",
+    "error_after_2_reduction": "%",
+    "landmark_rmse_m": "m",
+    "settled_landmark_rmse_m": "m",
+    "mean_position_nees": "",
 }
 # Units of numbers that estimators report, by the end of their names.
 _REDUCTIONS = {"position_reduction_m": POSE_COLUMNS[0], "attitude_reduction_deg": POSE_COLUMNS[1]}
@@ -327,11 +346,10 @@ def sequence_measures(run: RunData) -> list[Record]:
         rows = select(run.rows, scenario, estimator)
         subject = _Subject(scenario, estimator, SEQUENCE, len(rows))
         for name in SEQUENCE_COLUMNS:
-            known = rows[name].dropna()
+            known = rows[name].dropna().to_numpy(dtype=np.float64)
             if len(known):
                 records += subject.records(name, rows[name], clusters_of(run, rows), (MEDIAN, MEAN, RMS, P95))
-                spread = float(known.std(ddof=1)) if len(known) > 1 else None
-                records.append(subject.record(name, DEVIATION, Measured(spread), len(known)))
+                records.append(subject.record(name, DEVIATION, measure_deviation(known), len(known)))
     return records
 
 

@@ -2,27 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from matplotlib.figure import Figure
 
+from reports.comparison import ComparedValue
+from reports.contrasts import RATIO
+from reports.designs import design_grids
+from reports.figures.revolutions import draw_revolutions
 from reports.figures.traces import draw_traces
-from reports.measures import DEVIATION, SEQUENCE, Record, find
-from reports.run_data import RunData
-from reports.statistics import MEAN, MEDIAN, P95, RMS
-from reports.tables import NO_VALUE, Grid, counts, number, value_of
+from reports.measures import SEQUENCE, Record, find
+from reports.run_data import RunData, select
+from reports.statistics import DEVIATION, MEAN, MEDIAN, P95, RMS
+from reports.tables import (
+    NO_VALUE,
+    Grid,
+    comparison_grid,
+    counts,
+    diagnostic_grid,
+    number,
+    timing_grid,
+    value_of,
+)
+
+Drawn = tuple[str, Figure, str, str]
+"""Stem of the file, the figure, its caption and its description."""
+_NUMBERED = re.compile(r"(?P<stem>.+)-(?P<number>\d+)")
 
 _LABELS = {
     "error_after_1_m": "position error after 1 revolution",
     "error_after_2_m": "position error after 2 revolutions",
     "landmark_rmse_m": "landmark RMSE",
     "settled_landmark_rmse_m": "landmark RMSE without new ones",
+    "error_after_1_ratio": "Ratio of the position errors after 1 revolution",
+    "error_after_2_ratio": "Ratio of the position errors after 2 revolutions",
     "mean_position_nees": "mean NEES of the position (3 expected)",
 }
+_RATIO_NOTE = (
+    "Mean error of the line's estimator over that of the column's, over the trials of which both have one, with its"
+    " 95 % bootstrap interval; both follow the same tracks. Below 1 the line's estimator is the better."
+)
 _NOTE = (
     "A landmark RMSE is over the landmarks that a frame sees, all frames of a sequence together; new ones are those"
     " that the frame is the first to see. The tails dominate means and deviations."
 )
+
+
+def sequence_grids(records: Sequence[Record], compared: Sequence[ComparedValue], run: RunData) -> list[Grid]:
+    """List the tables of a run of sequences."""
+    found = (
+        comparison_grid(compared),
+        *ratio_grids(records),
+        sequence_grid(records),
+        *design_grids(run),
+        diagnostic_grid(records),
+        timing_grid(records),
+    )
+    return [grid for grid in found if grid is not None]
+
+
+def ratio_grids(records: Sequence[Record]) -> Iterator[Grid]:
+    """Tabulate the mean error of each estimator over that of each other one, a grid for each scenario and error."""
+    ratios = [r for r in records if r.stage == RATIO]
+    for scenario, name in dict.fromkeys((r.scenario, r.measure) for r in ratios):
+        own = [r for r in ratios if (r.scenario, r.measure) == (scenario, name)]
+        labels = list(dict.fromkeys(label for r in own for label in (r.estimator, r.reference)))
+        rows = tuple(
+            (one, *(value_of(find(own, estimator=one, reference=other), interval=True) for other in labels))
+            for one in labels
+        )
+        title = f"{_LABELS[name]}, {scenario}"
+        yield Grid(title, ("mean error of / over", *labels), rows, frozenset({0}), _RATIO_NOTE)
 
 
 def sequence_grid(records: Sequence[Record]) -> Grid | None:
@@ -59,20 +110,65 @@ def _mean_and_deviation(records: Sequence[Record], line: Record) -> str:
     return f"{number(mean.value)} +- {number(deviation.value)}"
 
 
-def sequence_figures(run: RunData) -> Iterator[tuple[str, Figure, str, str]]:
-    """Draw the errors along the frames of each scenario: scenario, figure, caption and description."""
-    if run.epochs.empty:  # not a run of sequences
-        return
+def sequence_figures(run: RunData) -> Iterator[Drawn]:
+    """Draw the errors along the frames of each scenario, and where scenarios or estimators are a series, over it."""
     for scenario in dict.fromkeys(scenario for scenario, _ in run.pairs()):
-        here = run.epochs[run.epochs["scenario"] == scenario]
         labels = [name for where, name in run.pairs() if where == scenario]
-        by_label = {name: here[here["estimator"] == name] for name in labels}
-        title = f"Errors along the orbit, {scenario}"
-        trials = here["trial"].nunique()
-        yield (
-            scenario,
-            draw_traces(by_label, title, run.manifest.credits),
-            f"{title}: median over {trials} trials, and the band of 5 to 95 % of them; a trial that failed ends with"
-            " its last good frame.",
-            f"Position error and landmark error against the anomaly for {', '.join(labels)}.",
+        yield (f"traces_{scenario}", *trace_figure(run, scenario, labels))
+    series = revolution_series(run)
+    if series:
+        yield ("revolutions", *revolution_figure(run, series))
+
+
+def trace_figure(run: RunData, scenario: str, labels: Sequence[str]) -> tuple[Figure, str, str]:
+    """Draw the errors of some estimators along the frames: the figure, its caption and its description."""
+    here = run.epochs[run.epochs["scenario"] == scenario]
+    title = f"Errors along the orbit, {scenario}"
+    trials = here["trial"].nunique()
+    return (
+        draw_traces({name: here[here["estimator"] == name] for name in labels}, title, run.manifest.credits),
+        f"{title}: median over {trials} trials, and the band of 5 to 95 % of them; a thin line: the first trial; a"
+        " trial that failed ends with its last good frame.",
+        f"Position error and landmark error against the anomaly for {', '.join(labels)}.",
+    )
+
+
+def revolution_series(run: RunData) -> dict[str, dict[str, tuple[str, str]]]:
+    """Group what forms a series: label of a line to level to (scenario, estimator); nothing where nothing does.
+
+    An axis of a grid is a series for every estimator; estimators of one scenario whose labels differ in a number at
+    the end alone, such as ba-slam-3 and ba-slam-5, are one.
+    """
+    design = run.manifest.grid
+    if design is not None:
+        levels = {one.name: "-".join(one.levels.values()) for one in design.scenarios}
+        return _lines(
+            (name, levels[scenario], (scenario, name)) for scenario, name in run.pairs() if scenario in levels
         )
+    matched = ((_NUMBERED.fullmatch(name), (scenario, name)) for scenario, name in run.pairs())
+    return _lines((m["stem"], m["number"], pair) for m, pair in matched if m)
+
+
+def _lines(found: Iterable[tuple[str, str, tuple[str, str]]]) -> dict[str, dict[str, tuple[str, str]]]:
+    lines: dict[str, dict[str, tuple[str, str]]] = {}
+    for line, level, pair in found:
+        lines.setdefault(line, {})[level] = pair
+    return {line: levels for line, levels in lines.items() if len(levels) > 1}
+
+
+def revolution_figure(
+    run: RunData, series: Mapping[str, Mapping[str, tuple[str, str]]], abscissa: str = ""
+) -> tuple[Figure, str, str]:
+    """Draw mean and deviation of the errors after each revolution over a series (figures 4.1 and 4.2)."""
+    errors = {
+        line: {level: select(run.rows, *pair) for level, pair in levels.items()} for line, levels in series.items()
+    }
+    axes = run.manifest.grid.axes if run.manifest.grid is not None else ()
+    abscissa = abscissa or ", ".join(axis.label for axis in axes) or "views"
+    title = f"Position error after whole revolutions by {abscissa}"
+    return (
+        draw_revolutions(errors, abscissa, title),
+        f"{title}: mean over the trials; thick bar: its 95 % interval; thin bar: one standard deviation of the trials;"
+        " tick: median.",
+        f"Mean position error after each revolution against {abscissa} for {', '.join(series)}.",
+    )

@@ -57,6 +57,8 @@ RMS = Statistic("RMS", None, power=2)
 ROOT_MEDIAN_SQUARE = Statistic("root-median-square", 0.5, power=2)
 P75 = Statistic("75th percentile", 0.75)
 P95 = Statistic("95th percentile", 0.95)
+DEVIATION = "deviation"
+"""Name of the standard deviation of a sample, which is no power mean."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,16 @@ def measure(values: FloatArray, clusters: NDArray[np.generic], statistics: Seque
     tail = 50.0 * (1.0 - LEVEL)
     bounds = np.percentile(draws, [tail, 100.0 - tail], axis=1)
     return [Measured(p, float(low), float(high)) for p, low, high in zip(points, *bounds, strict=True)]
+
+
+def measure_deviation(values: FloatArray) -> Measured:
+    """Return the standard deviation (with n - 1) of ``values`` (n,), each a trial of its own, and its interval."""
+    if len(values) < 2:
+        return Measured(None)
+    rng = content_rng(values)
+    drawn = values[rng.integers(0, len(values), size=(RESAMPLES, len(values)))]
+    low, high = np.percentile(drawn.std(axis=1, ddof=1), [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)])
+    return Measured(float(values.std(ddof=1)), float(low), float(high))
 
 
 def large_sample_interval(values: FloatArray, statistic: Statistic) -> tuple[float, float]:

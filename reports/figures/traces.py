@@ -20,7 +20,7 @@ _FULL_TURN_DEG = 360.0
 
 @styled
 def draw_traces(epochs: Mapping[str, pd.DataFrame], title: str, credit_lines: Sequence[str] = ()) -> Figure:
-    """Draw the median error over trials against the anomaly, with the band of 5 to 95 % of them.
+    """Draw the median error over trials against the anomaly, with the band of 5 to 95 % of them and the first trial.
 
     A panel of which no estimator has a value, such as the landmarks of dead reckoning, is left out.
 
@@ -60,4 +60,7 @@ def _draw(axes: Axes, table: pd.DataFrame, name: str, label: str, index: int) ->
     low, high = (over_trials.quantile(q).to_numpy() for q in _BAND)
     anomaly = middle.index.to_numpy(dtype=float)
     axes.fill_between(anomaly, low, high, color=colour, alpha=0.18, linewidth=0)
+    first = known[known["trial"] == known["trial"].min()]
+    if len(first) < len(known):
+        axes.plot(first["anomaly_deg"], first[name], color=colour, linewidth=0.5, alpha=0.8)
     axes.plot(anomaly, middle.to_numpy(), color=colour, linestyle=LINE_STYLES[index % len(LINE_STYLES)], label=label)

@@ -10,10 +10,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from reports.measures import DERIVED, DIAGNOSTICS, UNITS, unit_of
+from reports.measures import DERIVED, DIAGNOSTICS, REDUCTION, UNITS, unit_of
 from scenarios.errors import BoresightError
 
-_FILES = ("rowell2015.yaml",)
+_FILES = ("delpech2015.yaml", "rowell2015.yaml")
 _SCALE = {
     ("", ""): 1.0,
     ("m", "m"): 1.0,
@@ -46,6 +46,10 @@ class PublishedValue(_Model):
         ``about`` the printed number, or ``above`` it, whatever the tolerance.
     scenario
         Name of the scenario that it is for; '' for every one.
+    estimator
+        Label of the estimator that it is for; '' for every one.
+    against
+        For a reduction: the scenario or the estimator whose mean the reduction is from.
     better
         Which side of the band is an improvement.
     place
@@ -59,6 +63,8 @@ class PublishedValue(_Model):
     tolerance: float | None = Field(None, gt=0)
     relation: Literal["about", "above"] = "about"
     scenario: str = ""
+    estimator: str = ""
+    against: str = ""
     better: Literal["lower", "higher", "neither"] = "neither"
     place: str = Field(min_length=1)
 
@@ -66,6 +72,8 @@ class PublishedValue(_Model):
     def _known(self) -> Self:
         if self.measure not in UNITS and self.stage not in (DIAGNOSTICS, DERIVED):
             raise ValueError(f"measure {self.measure!r} is not one of {', '.join(UNITS)}")
+        if (self.stage == REDUCTION) != bool(self.against):
+            raise ValueError(f"a {REDUCTION} names what it is against, and nothing else does")
         if (self._part("unit"), unit_of(self.measure)) not in _SCALE:
             raise ValueError(f"{self.printed!r}: unit {self._part('unit')!r} does not fit {self.measure}")
         return self
@@ -133,7 +141,7 @@ class Comparison(_Model):
     def _distinct(self) -> Self:
         if not self.values and not self.claims:
             raise ValueError("neither values nor claims are given")
-        keys = [(value.scenario, value.measure, value.stage, value.statistic) for value in self.values]
+        keys = [(v.scenario, v.estimator, v.against, v.measure, v.stage, v.statistic) for v in self.values]
         repeated = {key for key in keys if keys.count(key) > 1}
         if repeated:
             raise ValueError(f"values are given twice: {sorted(repeated)}")

@@ -1,0 +1,60 @@
+"""Errors after whole revolutions over a series (figures 4.1 and 4.2 of Delpech et al. 2015)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from reports.figures.style import SERIES_COLOURS, new_figure, styled
+from reports.statistics import MEAN, measure
+
+_PANELS = {"error_after_1_m": "after 1 revolution", "error_after_2_m": "after 2 revolutions"}
+_WIDTH = 0.6
+
+
+@styled
+def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa: str, title: str) -> Figure:
+    """Draw the mean error over trials at each level of a series, with its interval and the deviation of the trials.
+
+    Parameters
+    ----------
+    errors
+        Label of each line to level to the rows of its trials; a panel of which no row has a value is left out.
+    abscissa
+        What the levels are.
+    title
+        Printed above the panels.
+    """
+    tables = [table for levels in errors.values() for table in levels.values()]
+    shown = [name for name in _PANELS if any(table[name].notna().any() for table in tables)]
+    figure, panels = new_figure(len(shown), width_in=4.0 * len(shown))
+    levels = list(dict.fromkeys(level for line in errors.values() for level in line))
+    for axes, name in zip(panels, shown, strict=True):
+        for i, (label, line) in enumerate(errors.items()):
+            shift = _WIDTH * ((i + 0.5) / len(errors) - 0.5)
+            _draw(axes, {levels.index(level) + shift: table[name] for level, table in line.items()}, label, i)
+        axes.set_xticks(range(len(levels)), levels)
+        axes.set(xlabel=abscissa, ylabel=f"position error {_PANELS[name]}, m")
+        axes.set_ylim(bottom=0.0)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
+    figure.suptitle(title, fontsize=9.5)
+    return figure
+
+
+def _draw(axes: Axes, errors: Mapping[float, pd.Series], label: str, index: int) -> None:
+    colour = SERIES_COLOURS[index % len(SERIES_COLOURS)]
+    known = {x: values.dropna().to_numpy(dtype=np.float64) for x, values in errors.items() if values.notna().any()}
+    means = [float(values.mean()) for values in known.values()]
+    for (x, values), mean in zip(known.items(), means, strict=True):
+        spread = float(values.std(ddof=1)) if len(values) > 1 else 0.0
+        found = measure(values, np.arange(len(values)), (MEAN,))[0]
+        axes.vlines(x, max(mean - spread, 0.0), mean + spread, color=colour, linewidth=0.8)
+        if found.low is not None and found.high is not None:
+            axes.vlines(x, found.low, found.high, color=colour, linewidth=3.0)
+        axes.plot(x, float(np.median(values)), marker="_", color=colour, markersize=9, linestyle="none")
+    axes.plot(list(known), means, marker="o", markersize=4, linewidth=1.0, color=colour, label=label)
