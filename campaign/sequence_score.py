@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -133,6 +134,18 @@ def _root_mean(squares: FloatArray) -> float | None:
     return float(np.sqrt(squares.mean())) if len(squares) else None
 
 
+def final_landmark_rmse(estimate: SequenceEstimate, sequence: TrackSequence, truth: SequenceTruth) -> float | None:
+    """RMS error of all landmarks that were seen twice or more, m, each as it was estimated when it was seen last."""
+    times_seen: Counter[int] = Counter()
+    squares: dict[int, float] = {}
+    for frame, seen in zip(estimate.frames, sequence.frames, strict=False):
+        times_seen.update(seen.tracks.tolist())
+        current = np.isin(frame.tracks, seen.tracks)
+        errors = np.sum((frame.points_m[current] - truth.points_m[frame.tracks[current]]) ** 2, axis=1)
+        squares.update(zip(frame.tracks[current].tolist(), errors.tolist(), strict=True))
+    return _root_mean(np.array([square for track, square in squares.items() if times_seen[track] > 1]))
+
+
 def summary(epochs: Sequence[Epoch]) -> dict[str, float | None]:
     """Sum up a trial: errors after whole revolutions, RMS of its landmarks, mean NEES of its positions."""
     return {
@@ -145,7 +158,7 @@ def summary(epochs: Sequence[Epoch]) -> dict[str, float | None]:
 
 def no_summary() -> dict[str, float | None]:
     """Return the same keys without a value."""
-    return summary(())
+    return {**summary(()), "final_landmark_rmse_m": None}
 
 
 def _after(epochs: Sequence[Epoch], revolutions: int) -> float | None:

@@ -46,6 +46,7 @@ SEQUENCE_COLUMNS = (
     "error_after_2_m",
     "landmark_rmse_m",
     "settled_landmark_rmse_m",
+    "final_landmark_rmse_m",
     "mean_position_nees",
 )
 
@@ -75,6 +76,7 @@ UNITS = {
     "error_after_2_reduction": "%",
     "landmark_rmse_m": "m",
     "settled_landmark_rmse_m": "m",
+    "final_landmark_rmse_m": "m",
     "mean_position_nees": "",
 }
 # Units of numbers that estimators report, by the end of their names.

@@ -35,6 +35,7 @@ _LABELS = {
     "error_after_2_m": "position error after 2 revolutions",
     "landmark_rmse_m": "landmark RMSE",
     "settled_landmark_rmse_m": "landmark RMSE without new ones",
+    "final_landmark_rmse_m": "landmark RMSE as seen last",
     "error_after_1_ratio": "Ratio of the position errors after 1 revolution",
     "error_after_2_ratio": "Ratio of the position errors after 2 revolutions",
     "mean_position_nees": "mean NEES of the position (3 expected)",
@@ -45,7 +46,8 @@ _RATIO_NOTE = (
 )
 _NOTE = (
     "A landmark RMSE is over the landmarks that a frame sees, all frames of a sequence together; new ones are those"
-    " that the frame is the first to see. The tails dominate means and deviations."
+    " that the frame is the first to see. As seen last: each landmark once, as estimated when it was seen for the last"
+    " time, if it was seen twice or more. The tails dominate means and deviations."
 )
 
 

@@ -13,7 +13,7 @@ from campaign.experiments.registry import Bench, Record, Records
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
-from campaign.sequence_score import check_sequence, no_summary, score_epochs, summary
+from campaign.sequence_score import check_sequence, final_landmark_rmse, no_summary, score_epochs, summary
 from estimators.slam.contract import SequenceEstimate, SequenceEstimator
 from estimators.slam.registry import sequence_estimator_class
 from scenarios.bodies import load_body
@@ -110,6 +110,7 @@ def _scored(
     row: Record = {
         **circumstances,
         **summary(epochs),
+        "final_landmark_rmse_m": final_landmark_rmse(estimate, sequence, truth),
         "status": estimate.status,
         "reason": estimate.reason,
         "n_landmarks": epochs[-1]["n_landmarks"] if epochs else 0,

@@ -66,6 +66,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("error_after_1_m", pa.float64(), "of a sequence: position error at the frame that ends revolution 1"),
         Column("error_after_2_m", pa.float64(), "the same of revolution 2"),
         *_landmark_errors("root mean square over all frames of a sequence and"),
+        Column("final_landmark_rmse_m", pa.float64(), "over landmarks seen twice or more, each when it was seen last"),
         Column("mean_position_nees", pa.float64(), "of a sequence: mean over the frames of nees in epochs"),
     ),
     "stages": (*_key(), Column("stage", pa.string(), "prior, or a stage of the estimator"), *_pose_error()),

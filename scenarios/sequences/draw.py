@@ -144,9 +144,12 @@ def _predicted_moves(
 def _ranges(
     lives: Lives, uv_px: FloatArray, pose: Pose, camera: Camera, knowledge: KnowledgeSpec, rng: np.random.Generator
 ) -> tuple[TrackRange, ...]:
-    """Measure the distances of the landmarks that are seen nearest the principal point in the first frame."""
+    """Measure the distances of some landmarks that are seen in the first frame."""
     off_axis = np.linalg.norm(uv_px - [camera.cx_px, camera.cy_px], axis=1)
-    chosen = lives.seen[0][np.argsort(off_axis, kind="stable")[: knowledge.ranges]]
+    first = lives.seen[0]
+    lasting = knowledge.range_to == "lasting"
+    last = np.sum([np.isin(first, seen) for seen in lives.seen], axis=0) if lasting else np.zeros(len(first))
+    chosen = first[np.lexsort((off_axis, -last))[: knowledge.ranges]]
     true = np.linalg.norm(lives.points_m[chosen] - pose.camera_position_m, axis=1)
     errors = knowledge.range_sigma_m * rng.normal(size=len(chosen))
     return tuple(

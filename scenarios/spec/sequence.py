@@ -67,6 +67,11 @@ class KnowledgeSpec(SpecModel):
         0.5, ge=0, description="lambda: length of the error of a predicted displacement over the displacement's"
     )
     ranges: int = Field(1, ge=0, le=100, description="Landmarks of the first frame whose distance is measured")
+    range_to: Literal["central", "lasting"] = Field(
+        "central",
+        description="The landmarks seen nearest the principal point, or those whose tracks will last: what a navigator"
+        " gets who starts with a landmark that stays in track",
+    )
     range_sigma_m: float = Field(0.1, gt=0, description="Standard deviation of such a distance")
     position_sigma_m: float = Field(0.0, ge=0, description="Of each coordinate of the first camera position")
     attitude_sigma_deg: float = Field(0.0, ge=0, description="Of a frame's attitude about each camera axis")

@@ -194,6 +194,7 @@ CHANGES: dict[str, tuple[str, str]] = {
     "sequence.vision.outlier_share": (SEQUENCE, "0.1"),
     "sequence.knowledge.motion_error": (SEQUENCE, "0.4"),
     "sequence.knowledge.ranges": (SEQUENCE, "2"),
+    "sequence.knowledge.range_to": (SEQUENCE, "lasting"),
     "sequence.knowledge.range_sigma_m": (SEQUENCE, "0.2"),
     "sequence.knowledge.position_sigma_m": (SEQUENCE, "1"),
     "sequence.knowledge.attitude_sigma_deg": (SEQUENCE, "0.1"),

@@ -118,7 +118,8 @@ def test_tolerances_follow_the_stated_rule(name, stage_rule):
 
 def test_names_are_listed_and_an_unknown_one_is_refused_with_them():
     kinds = ("centroid", "convergence", "database", "real", "real-context", "real-like", "simulated")
-    assert published_names() == [f"rowell2015-{kind}" for kind in kinds]
+    slam = ("ba-landmarks", "ba-views", "comparison")
+    assert published_names() == [f"delpech2015-{kind}" for kind in slam] + [f"rowell2015-{kind}" for kind in kinds]
     with pytest.raises(BoresightError, match=r"'rowell2016'.*rowell2015-simulated"):
         load_published("rowell2016")
 
@@ -233,3 +234,38 @@ def test_claims_of_the_paper_name_the_solvers_of_its_campaign():
     records = [replace(OURS, estimator=label, stage="final") for label in sorted(labels)]
     verdicts = [c.verdict for c in compare_claims(records, comparison)]
     assert verdicts == ["undecided", "undecided", "not measured", "not measured"]
+
+
+# Table 3 of Delpech et al. (2015), typed apart from the package's file: (EKF, BA) for 10, 15 and 20 landmarks.
+TABLE_3 = {
+    ("error_after_1_m", "mean"): ((25.0, 17.08), (24.07, 17.42), (8.98, 10.25)),
+    ("error_after_1_m", "deviation"): ((25.8, 9.5), (20.0, 10.3), (5.4, 7.6)),
+    ("landmark_rmse_m", "mean"): ((3.72, 8.33), (2.72, 7.21), (1.45, 5.48)),
+    ("landmark_rmse_m", "deviation"): ((1.9, 2.2), (2.1, 2.6), (1.8, 1.47)),
+    ("seconds", "mean"): ((0.020, 0.077), (0.049, 0.118), (0.119, 0.158)),
+}
+
+
+def test_table_3_is_that_of_the_paper_with_tolerances_by_its_rule():
+    values = {
+        (v.scenario, v.estimator, v.measure, v.statistic): v for v in load_published("delpech2015-comparison").values
+    }
+    assert len(values) == 30
+    for (measure, statistic), rows in TABLE_3.items():
+        for n, pair in zip((10, 15, 20), rows, strict=True):
+            for method, printed in zip(("ekf-slam", "ba-slam"), pair, strict=True):
+                mine = values[f"apophis-sphere-sequence-{n}", method, measure, statistic]
+                assert mine.value == printed
+                spread = TABLE_3[measure, "deviation"][(10, 15, 20).index(n)] if measure != "seconds" else None
+                if spread is not None:
+                    s = spread[0 if method == "ekf-slam" else 1]
+                    runs = {"mean": 100, "deviation": 200}[statistic]
+                    assert mine.tolerance == pytest.approx(2 * s / runs**0.5, rel=0.03)
+                else:
+                    assert mine.tolerance is None
+
+
+def test_a_reduction_says_what_it_is_from():
+    text = resources.files("reports.published").joinpath("delpech2015.yaml").read_text(encoding="utf-8")
+    with pytest.raises(BoresightError, match="names what it is against"):
+        parse(text.replace("against: ba-slam-3, ", "", 1), "x.yaml")

@@ -1,0 +1,58 @@
+"""Ratios of mean errors between estimators, and reductions between scenarios, against numbers worked out by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from reports.contrasts import ratio_records, reduction_records
+from reports.published import Comparison, PublishedValue
+
+RNG = np.random.default_rng(5)
+COMMON = RNG.gamma(3.0, 2.0, 200)
+
+
+def run_of(errors):
+    """A run whose rows hold errors by (scenario, estimator), as far as these records read one."""
+    rows = pd.concat(
+        pd.DataFrame(
+            {"scenario": s, "estimator": e, "trial": np.arange(len(v)), "error_after_1_m": v, "error_after_2_m": np.nan}
+        )
+        for (s, e), v in errors.items()
+    )
+    return SimpleNamespace(rows=rows, epochs=rows, pairs=lambda: list(errors))
+
+
+def test_the_ratio_of_two_estimators_is_paired():
+    run = run_of({("a", "one"): 2.0 * COMMON, ("a", "two"): COMMON})
+    records = {(r.estimator, r.reference): r for r in ratio_records(run)}
+    assert set(records) == {("one", "two"), ("two", "one")}  # no second revolution, no record of it
+    record = records["one", "two"]
+    assert (record.value, record.low, record.high) == pytest.approx((2.0, 2.0, 2.0))  # what is common cancels
+    assert records["two", "one"].value == pytest.approx(0.5)
+
+
+def test_trials_without_an_error_are_counted_out():
+    holes = COMMON.copy()
+    holes[:30] = np.nan
+    record = next(iter(ratio_records(run_of({("a", "one"): holes, ("a", "two"): COMMON}))))
+    assert (record.n_ok, record.n) == (170, 200)
+    assert record.value == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("against", ["b", "two"])
+def test_a_reduction_is_from_a_scenario_or_from_an_estimator(against):
+    other = ("b", "one") if against == "b" else ("a", "two")
+    before, after = COMMON, 0.4 * RNG.permutation(COMMON)
+    published = PublishedValue(
+        scenario="a", estimator="one", against=against, measure="error_after_1_reduction", stage="reduction",
+        statistic="mean", printed="60 %", tolerance=10, place="here",
+    )  # fmt: skip
+    run = run_of({("a", "one"): after, other: before})
+    (record,) = reduction_records(run, Comparison(conditions="", values=(published,)))
+    assert record.value == pytest.approx(60.0)
+    # The delta method's deviation of a ratio of two independent means with the same relative scatter.
+    sigma = 100 * 0.4 * np.sqrt(2.0 / len(COMMON)) * COMMON.std() / COMMON.mean()
+    assert (record.high - record.low) / (2 * 1.96 * sigma) == pytest.approx(1.0, abs=0.15)
+    assert record.unit == "%"
