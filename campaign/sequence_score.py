@@ -59,16 +59,22 @@ def _check_frame(frame: FrameEstimate, index: int, known: set[int]) -> None:
 
 
 def score_epochs(estimate: SequenceEstimate, sequence: TrackSequence, truth: SequenceTruth) -> list[Epoch]:
-    """Score every frame that there is an estimate for: the columns of the table ``epochs`` without its key."""
+    """Score every frame that there is an estimate for: the columns of the table ``epochs`` without its key.
+
+    An estimate stands in the body's axes as the spacecraft knows them. It is scored in inertial space: the truth is
+    turned into those axes, so that an error of the known rotation counts where it makes the positions wrong, and not by
+    another name for the same place.
+    """
     older = np.empty(0, dtype=np.int64)
     epochs = []
     for index, (frame, seen) in enumerate(zip(estimate.frames, sequence.frames, strict=False)):
+        turn = known_from_true(truth.path.R_body_inertial[index], seen.R_body_inertial)
         epochs.append(
             {
                 "frame": index,
                 "anomaly_deg": float(truth.anomaly_deg[index]),
-                **_position(frame, index, truth),
-                **_landmarks(frame, seen.tracks, older, truth.points_m),
+                **_position(frame, index, truth, turn),
+                **_landmarks(frame, seen.tracks, older, truth.points_m @ turn.T),
                 "n_tracks": len(seen.tracks),
             }
         )
@@ -76,10 +82,14 @@ def score_epochs(estimate: SequenceEstimate, sequence: TrackSequence, truth: Seq
     return epochs
 
 
-def _position(frame: FrameEstimate, index: int, truth: SequenceTruth) -> Epoch:
-    pose = truth.poses[index]
-    error = frame.position_m - pose.camera_position_m
-    axes = orbit_frame(truth, index)
+def known_from_true(true: FloatArray, known: FloatArray) -> FloatArray:
+    """(3, 3) rotation from the body's true axes to those that it is believed to have, by its two R_body_inertial."""
+    return np.eye(3) if np.array_equal(true, known) else known @ true.T
+
+
+def _position(frame: FrameEstimate, index: int, truth: SequenceTruth, turn: FloatArray) -> Epoch:
+    error = frame.position_m - turn @ truth.poses[index].camera_position_m
+    axes = orbit_frame(truth, index) @ turn.T
     radial, along, cross = axes @ error
     covariance = frame.covariance_m2
     return {
@@ -93,15 +103,15 @@ def _position(frame: FrameEstimate, index: int, truth: SequenceTruth) -> Epoch:
 
 
 def orbit_frame(truth: SequenceTruth, index: int) -> FloatArray:
-    """(3, 3) rows, body axes, at a frame of the true path: radial, along-track and cross-track.
+    """(3, 3) rows, true body axes, at a frame of the true path: radial, along-track and cross-track.
 
-    The direction of motion is taken from the frames on both sides, made orthogonal to the radial one.
+    The plane of motion in inertial space is taken from the frames on both sides.
     """
-    at = truth.poses[index].camera_position_m
-    after = truth.poses[min(index + 1, len(truth.poses) - 1)].camera_position_m
-    before = truth.poses[max(index - 1, 0)].camera_position_m
+    at, positions = truth.poses[index].camera_position_m, truth.path.positions_m
+    after, before = positions[min(index + 1, len(positions) - 1)], positions[max(index - 1, 0)]
+    moved = truth.path.R_body_inertial[index] @ (after - before)
     radial = at / np.linalg.norm(at)
-    cross = np.cross(radial, after - before)
+    cross = np.cross(radial, moved)
     cross /= np.linalg.norm(cross)
     return np.stack([radial, np.cross(cross, radial), cross])
 
@@ -138,10 +148,11 @@ def final_landmark_rmse(estimate: SequenceEstimate, sequence: TrackSequence, tru
     """RMS error of all landmarks that were seen twice or more, m, each as it was estimated when it was seen last."""
     times_seen: Counter[int] = Counter()
     squares: dict[int, float] = {}
-    for frame, seen in zip(estimate.frames, sequence.frames, strict=False):
+    for frame, seen, true in zip(estimate.frames, sequence.frames, truth.path.R_body_inertial, strict=False):
+        turn = known_from_true(true, seen.R_body_inertial)
         times_seen.update(seen.tracks.tolist())
         current = np.isin(frame.tracks, seen.tracks)
-        errors = np.sum((frame.points_m[current] - truth.points_m[frame.tracks[current]]) ** 2, axis=1)
+        errors = np.sum((frame.points_m[current] - truth.points_m[frame.tracks[current]] @ turn.T) ** 2, axis=1)
         squares.update(zip(frame.tracks[current].tolist(), errors.tolist(), strict=True))
     return _root_mean(np.array([square for track, square in squares.items() if times_seen[track] > 1]))
 

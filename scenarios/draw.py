@@ -32,6 +32,11 @@ class Stream(IntEnum):
     TRACK_NOISE = 9
     MOTION = 10
     MISMATCH = 11
+    ACCELERATION = 12
+    FORCES = 13
+    ROTATION = 14
+    RANGES = 15
+    REVISIT = 16
 
 
 def generator(seed: int, stream: Stream, trial: int) -> np.random.Generator:

@@ -65,7 +65,8 @@ class TrackFrame:
     sigma_px
         Standard deviation of the error of a coordinate.
     motion_m
-        (3,) predicted displacement of the camera since the frame before, body axes; zero for the first frame.
+        (3,) predicted displacement of the camera since the frame before, as this frame's body axes see it against the
+        last frame's, so that it holds how the body turned as well; zero for the first frame.
     motion_covariance_m2
         (3, 3) covariance of its error.
     ranges
@@ -77,7 +78,8 @@ class TrackFrame:
         (3, 3) rotation ``x_body = R_body_inertial x_inertial`` as the spacecraft knows it; both have their origin at
         the centre of mass.
     attitude_sigma_rad
-        Standard deviation of the error of `R_cam_body` about each camera axis.
+        Standard deviation of the error of `R_cam_body` about each camera axis: that of the star tracker, independent
+        from frame to frame, and that of `R_body_inertial`, which grows with time.
     """
 
     time_s: float
@@ -106,6 +108,8 @@ class TrackSequence:
     position_m, position_covariance_m2
         (3,) and (3, 3): the first camera position in the body frame and the covariance of its error; all zero where
         it is known perfectly.
+    forces
+        What is known of the forces on the camera; None where nothing is.
     """
 
     camera: Camera

@@ -76,7 +76,7 @@ class SequenceTrials:
         section = _section(scenario)
         camera = scenario.spec.camera.camera().pinhole
         name = scenario.spec.name
-        return cls(name, section, camera, _ground(scenario, section), _estimators(campaign), campaign.seed)
+        return cls(name, section, camera, ground_of(scenario), _estimators(campaign), campaign.seed)
 
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and estimators."""
@@ -152,8 +152,9 @@ def _estimators(campaign: ResolvedCampaign) -> dict[str, SequenceEstimator]:
     }
 
 
-def _ground(scenario: LoadedScenario, section: SequenceSpec) -> Ground:
-    """Take the ideal sphere, or the scenario's body; refuse an orbit that leads into it."""
+def ground_of(scenario: LoadedScenario) -> Ground:
+    """Take the ideal sphere, or the scenario's body; refuse an orbit that begins in it."""
+    section = _section(scenario)
     if section.sphere_radius_m is not None:
         return SphereGround(section.sphere_radius_m)
     mesh = load_body(scenario.spec.body, scenario.search_dirs).mesh

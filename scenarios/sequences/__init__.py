@@ -2,5 +2,18 @@
 
 from scenarios.sequences.draw import SequenceTruth, draw_sequence
 from scenarios.sequences.ground import Ground, MeshGround, SphereGround
+from scenarios.sequences.knowledge import Sighting, known_sequence
+from scenarios.sequences.path import Path, travel, unmodelled
 
-__all__ = ["Ground", "MeshGround", "SequenceTruth", "SphereGround", "draw_sequence"]
+__all__ = [
+    "Ground",
+    "MeshGround",
+    "Path",
+    "SequenceTruth",
+    "Sighting",
+    "SphereGround",
+    "draw_sequence",
+    "known_sequence",
+    "travel",
+    "unmodelled",
+]

@@ -25,6 +25,11 @@ class Ground(Protocol):
         """Tell grounds apart."""
         ...
 
+    @property
+    def reach_m(self) -> float:
+        """Largest distance of the surface from the origin."""
+        ...
+
     def sample(self, n: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Draw n points, (n, 3) m, uniform over the area, and their outward normals (n, 3)."""
         ...
@@ -39,6 +44,11 @@ class SphereGround:
     """A sphere about the origin: a point is in sight up to the limb."""
 
     radius_m: float
+
+    @property
+    def reach_m(self) -> float:
+        """The radius."""
+        return self.radius_m
 
     def sample(self, n: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Draw points: z is uniform on a sphere (Archimedes)."""
@@ -57,6 +67,11 @@ class MeshGround:
     """A closed mesh; the ground between hides what lies behind."""
 
     mesh: TriangleMesh
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of the farthest vertex."""
+        return self.mesh.radius_m
 
     @cached_property
     def _cumulated_areas(self) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Pose
+from scenarios.geometry import Pose, View
 from scenarios.sequences.ground import Ground
 from scenarios.spec.sequence import VisionSpec
 
@@ -31,23 +31,20 @@ class Sightline:
     ----------
     ground
         What hides its own far side.
-    camera
-        Its image bounds the field of view.
-    sun_dir_body
-        (3,) direction of the Sun where only lit ground is seen; None where light does not matter.
+    lit_only
+        Whether only ground that faces the Sun is seen.
     """
 
     ground: Ground
-    camera: Camera
-    sun_dir_body: FloatArray | None
+    lit_only: bool = False
 
-    def visible(self, points_m: FloatArray, normals: FloatArray, T_cam_body: Pose) -> BoolArray:
+    def visible(self, points_m: FloatArray, normals: FloatArray, view: View) -> BoolArray:
         """(n,): points in the field of view, in sight and, where that is asked for, lit."""
-        seen = self.camera.contains(self.camera.project(T_cam_body.transform(points_m)))
-        if self.sun_dir_body is not None:
-            seen &= normals @ self.sun_dir_body > 0.0
+        seen = view.camera.contains(view.camera.project(view.T_cam_body.transform(points_m)))
+        if self.lit_only:
+            seen &= normals @ view.sun_dir_body > 0.0
         rows = np.flatnonzero(seen)
-        seen[rows] = self.ground.in_sight(points_m[rows], normals[rows], T_cam_body.camera_position_m)
+        seen[rows] = self.ground.in_sight(points_m[rows], normals[rows], view.T_cam_body.camera_position_m)
         return seen
 
 
@@ -59,14 +56,14 @@ class Lives:
     seen: tuple[IndexArray, ...]
 
 
-def population(vision: VisionSpec, sightline: Sightline, poses: Sequence[Pose]) -> float:
+def population(vision: VisionSpec, sightline: Sightline, views: Sequence[View]) -> float:
     """Return the expected number of landmarks on the whole ground that puts N into a frame on average.
 
     N over the visible share of the area, which points drawn once for all tell as the mean over frames of the orbit.
     """
     points, normals = sightline.ground.sample(_PROBES, np.random.default_rng(_PROBE_SEED))
-    some = poses[:: max(1, len(poses) // _PROBED_FRAMES)]
-    share = float(np.mean([sightline.visible(points, normals, pose).mean() for pose in some]))
+    some = views[:: max(1, len(views) // _PROBED_FRAMES)]
+    share = float(np.mean([sightline.visible(points, normals, view).mean() for view in some]))
     if share == 0.0:
         raise BoresightError("sequence: the camera sees none of the body: check orbit, camera, body and lit_only")
     return vision.landmarks_per_frame / share
@@ -75,7 +72,7 @@ def population(vision: VisionSpec, sightline: Sightline, poses: Sequence[Pose]) 
 def live(
     vision: VisionSpec,
     sightline: Sightline,
-    poses: Sequence[Pose],
+    views: Sequence[View],
     total: float,
     rng: np.random.Generator,
 ) -> Lives:
@@ -90,11 +87,11 @@ def live(
     points, normals = np.empty((0, 3)), np.empty((0, 3))
     alive = np.empty(0, dtype=np.int64)
     seen: list[IndexArray] = []
-    for i, pose in enumerate(poses):
-        before = poses[i - 1] if i else None
-        keep = 1.0 if before is None else vision.survival(_change_deg(before, pose))
-        alive = _survivors(alive, sightline.visible(points[alive], normals[alive], pose), keep, vision, rng)
-        born, born_normals = _births(vision, sightline, (before, pose), keep, (total, len(alive)), rng)
+    for i, view in enumerate(views):
+        before = views[i - 1] if i else None
+        keep = 1.0 if before is None else vision.survival(_change_deg(before.T_cam_body, view.T_cam_body))
+        alive = _survivors(alive, sightline.visible(points[alive], normals[alive], view), keep, vision, rng)
+        born, born_normals = _births(vision, sightline, (before, view), keep, (total, len(alive)), rng)
         alive = np.concatenate([alive, np.arange(len(points), len(points) + len(born))])
         points, normals = np.concatenate([points, born]), np.concatenate([normals, born_normals])
         seen.append(alive)
@@ -120,7 +117,7 @@ def _survivors(
 def _births(
     vision: VisionSpec,
     sightline: Sightline,
-    around: tuple[Pose | None, Pose],
+    around: tuple[View | None, View],
     keep: float,
     numbers: tuple[float, int],
     rng: np.random.Generator,
@@ -140,12 +137,12 @@ def _births(
 
 
 def _draw_births(
-    sightline: Sightline, around: tuple[Pose | None, Pose], keep: float, n: int, rng: np.random.Generator
+    sightline: Sightline, around: tuple[View | None, View], keep: float, n: int, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    before, pose = around
+    before, view = around
     points, normals = sightline.ground.sample(n, rng)
     luck = rng.uniform(size=n)
-    free = sightline.visible(points, normals, pose)
+    free = sightline.visible(points, normals, view)
     rows = np.flatnonzero(free & (luck < keep))
     if before is not None:
         free[rows] &= ~sightline.visible(points[rows], normals[rows], before)

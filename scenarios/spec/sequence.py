@@ -7,19 +7,27 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel
+from scenarios.spec.motion import BodyMotionSpec, ForcesSpec
 
 
 class OrbitSpec(SpecModel):
-    """A circular orbit about the body's origin; the boresight stays on the origin and x along the velocity."""
+    """An orbit about the body's origin; the boresight stays on the origin and x along the velocity.
 
+    It is a circle, or begins as one and is propagated under ``forces``; then radius and anomaly are those of the circle
+    at the same time. The Sun stands along its normal, as over the terminator. Inertial axes are the body's axes at the
+    first frame.
+    """
+
+    model: Literal["circular", "propagated"] = "circular"
     radius_m: float = Field(790.0, gt=0, description="Radius: 600 m above a sphere of 190 m in Delpech et al. (2015)")
     normal_body: tuple[float, float, float] = Field(
-        (0.0, 0.0, 1.0), description="Normal of the orbit, body axes; over the terminator it points to the Sun"
+        (0.0, 0.0, 1.0), description="Normal of the orbit, inertial axes; over the terminator it points to the Sun"
     )
     start_deg: float = Field(0.0, description="Anomaly of the first frame, from where the orbit comes nearest body x")
     step_deg: float = Field(2.0, gt=0, le=90, description="Anomaly between frames")
     revolutions: float = Field(2.0, gt=0, le=1000)
     gm_m3_s2: float = Field(3.54, gt=0, description="Gravity of the body, which sets the times; 5.3e10 kg by default")
+    forces: ForcesSpec = ForcesSpec()
 
     @model_validator(mode="after")
     def _has_a_plane(self) -> Self:
@@ -27,6 +35,12 @@ class OrbitSpec(SpecModel):
             raise ValueError("normal_body is zero: give the direction of the orbit's normal")
         if self.frames < 2:
             raise ValueError(f"{self.revolutions:g} revolutions in steps of {self.step_deg:g} deg are less than a step")
+        return self
+
+    @model_validator(mode="after")
+    def _forces_act_on_a_propagated_orbit(self) -> Self:
+        if self.model == "circular" and self.forces != ForcesSpec():
+            raise ValueError("forces have no part in a circular orbit: say model: propagated, or leave them out")
         return self
 
     @property
@@ -66,15 +80,37 @@ class KnowledgeSpec(SpecModel):
     motion_error: float = Field(
         0.5, ge=0, description="lambda: length of the error of a predicted displacement over the displacement's"
     )
-    ranges: int = Field(1, ge=0, le=100, description="Landmarks of the first frame whose distance is measured")
+    ranges: int = Field(1, ge=0, le=100, description="Landmarks whose distance is measured in the first frame")
     range_to: Literal["central", "lasting"] = Field(
         "central",
         description="The landmarks seen nearest the principal point, or those whose tracks will last: what a navigator"
         " gets who starts with a landmark that stays in track",
     )
     range_sigma_m: float = Field(0.1, gt=0, description="Standard deviation of such a distance")
+    range_every: int = Field(
+        0, ge=0, description="As many are measured again in every so many-th frame; 0 for the first frame alone"
+    )
     position_sigma_m: float = Field(0.0, ge=0, description="Of each coordinate of the first camera position")
     attitude_sigma_deg: float = Field(0.0, ge=0, description="Of a frame's attitude about each camera axis")
+    pole_sigma_deg: float = Field(
+        0.0, ge=0, description="Of the direction of the body's angular velocity, about each of two axes across it"
+    )
+    spin_sigma: float = Field(0.0, ge=0, lt=1, description="Of the body's rate of rotation, relative")
+    dynamics: bool = Field(False, description="Whether the spacecraft knows the forces on it, as well as said below")
+    gm_sigma: float = Field(0.0, ge=0, lt=1, description="Of the gravity parameter, relative")
+    radiation_sigma: float = Field(0.0, ge=0, lt=1, description="Of the size of the radiation pressure, relative")
+    velocity_sigma_m_s: float = Field(0.0, ge=0, description="Of each coordinate of the velocity at the first frame")
+    noise_m_s2: float | None = Field(
+        None, gt=0, description="What it takes for the unmodelled acceleration; left out: what acts in truth"
+    )
+
+    @model_validator(mode="after")
+    def _dynamics_are_asked_for(self) -> Self:
+        given = [name for name in ("gm_sigma", "radiation_sigma", "velocity_sigma_m_s") if getattr(self, name)]
+        given += ["noise_m_s2"] if self.noise_m_s2 is not None else []
+        if given and not self.dynamics:
+            raise ValueError(f"{given[0]} has no part where the forces are not known: say dynamics: true, or leave it")
+        return self
 
 
 class SequenceSpec(SpecModel):
@@ -84,6 +120,7 @@ class SequenceSpec(SpecModel):
         None, gt=0, description="Landmarks on an ideal sphere of this radius; left out: on the scenario's body"
     )
     orbit: OrbitSpec = OrbitSpec()
+    body_motion: BodyMotionSpec = BodyMotionSpec()
     vision: VisionSpec = VisionSpec()
     knowledge: KnowledgeSpec = KnowledgeSpec()
 
@@ -93,4 +130,19 @@ class SequenceSpec(SpecModel):
             raise ValueError(
                 f"orbit.radius_m {self.orbit.radius_m:g} is not above the sphere of {self.sphere_radius_m:g} m"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _a_sphere_pulls_like_a_point(self) -> Self:
+        if self.sphere_radius_m is not None and self.orbit.forces.gravity == "polyhedral":
+            raise ValueError(
+                "orbit.forces.gravity: a sphere pulls like a point: leave polyhedral or sphere_radius_m out"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _rotation_errors_need_a_rotation(self) -> Self:
+        wrong = [name for name in ("pole_sigma_deg", "spin_sigma") if getattr(self.knowledge, name)]
+        if wrong and self.body_motion.kind == "none":
+            raise ValueError(f"knowledge.{wrong[0]}: the body does not turn: give body_motion.kind, or leave it out")
         return self

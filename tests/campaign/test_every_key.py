@@ -19,6 +19,7 @@ import pytest
 import trimesh
 from tiny_mission import make_mission
 
+from campaign.experiments.sequence import ground_of
 from campaign.experiments.single_image import SingleImage
 from campaign.products import Shelf
 from campaign.world import open_world
@@ -26,7 +27,7 @@ from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
 from scenarios.geometry import View, look_at
 from scenarios.load import LoadedScenario, load_scenario
-from scenarios.sequences import SphereGround, draw_sequence
+from scenarios.sequences import draw_sequence
 from scenarios.spec.base import SpecModel
 from scenarios.spec.scenario import ScenarioSpec
 
@@ -75,6 +76,17 @@ sequence:
   orbit: {step_deg: 6, revolutions: 0.2}
   vision: {landmarks_per_frame: 30}
 """
+
+PROPAGATED = SEQUENCE.replace("{step_deg", "{model: propagated, forces: {area_to_mass_m2_kg: 0.02}, step_deg")
+EGG = """
+body: {shape: egg.obj, unit: m}
+camera: {width_px: 64, height_px: 64, fov_deg: 30}
+sequence:
+  orbit: {model: propagated, step_deg: 6, revolutions: 0.2}
+"""
+SPIN = SEQUENCE + "  body_motion: {kind: spin}\n"
+TUMBLING = SEQUENCE + "  body_motion: {kind: tumbling, axis_body: [0.5, 0, 1]}\n"
+DYNAMICS = PROPAGATED + "  knowledge: {dynamics: true}\n"
 
 KERNELS = "[naif.tls, tiny.tsc, tiny.tf, tiny.ti, tiny.bsp, tiny.bc]"
 SPICE = f"""
@@ -183,6 +195,16 @@ CHANGES: dict[str, tuple[str, str]] = {
     "sequence.orbit.step_deg": (SEQUENCE, "5"),
     "sequence.orbit.revolutions": (SEQUENCE, "0.3"),
     "sequence.orbit.gm_m3_s2": (SEQUENCE, "3"),
+    "sequence.orbit.model": (SEQUENCE, "propagated"),
+    "sequence.orbit.forces.gravity": (EGG, "polyhedral"),
+    "sequence.orbit.forces.area_to_mass_m2_kg": (PROPAGATED, "0.03"),
+    "sequence.orbit.forces.reflectivity": (PROPAGATED, "1.4"),
+    "sequence.orbit.forces.sun_distance_au": (PROPAGATED, "0.9"),
+    "sequence.orbit.forces.noise_m_s2": (PROPAGATED, "1.0e-7"),
+    "sequence.body_motion.kind": (SEQUENCE, "spin"),
+    "sequence.body_motion.period_h": (SPIN, "12"),
+    "sequence.body_motion.axis_body": (SPIN, "[1, 0, 1]"),
+    "sequence.body_motion.inertia": (TUMBLING, "[0.5, 0.9, 1]"),
     "sequence.vision.landmarks_per_frame": (SEQUENCE, "20"),
     "sequence.vision.count": (SEQUENCE, "constant"),
     "sequence.vision.lit_only": (SEQUENCE, "true"),
@@ -198,6 +220,14 @@ CHANGES: dict[str, tuple[str, str]] = {
     "sequence.knowledge.range_sigma_m": (SEQUENCE, "0.2"),
     "sequence.knowledge.position_sigma_m": (SEQUENCE, "1"),
     "sequence.knowledge.attitude_sigma_deg": (SEQUENCE, "0.1"),
+    "sequence.knowledge.range_every": (SEQUENCE, "5"),
+    "sequence.knowledge.pole_sigma_deg": (SPIN, "1"),
+    "sequence.knowledge.spin_sigma": (SPIN, "0.01"),
+    "sequence.knowledge.dynamics": (PROPAGATED, "true"),
+    "sequence.knowledge.gm_sigma": (DYNAMICS, "0.05"),
+    "sequence.knowledge.radiation_sigma": (DYNAMICS, "0.2"),
+    "sequence.knowledge.velocity_sigma_m_s": (DYNAMICS, "0.001"),
+    "sequence.knowledge.noise_m_s2": (DYNAMICS, "1.0e-7"),
     "images.folder": (REAL, "other"),
     "images.table": (REAL, "more.csv"),
     "images.first_row": (REAL, "bottom"),
@@ -312,11 +342,16 @@ def sequence_fingerprint(scenario: LoadedScenario) -> str:
     spec = scenario.spec
     parts: list[bytes] = []
     for trial in range(2):
-        ground = SphereGround(spec.sequence.sphere_radius_m)
+        ground = ground_of(scenario)
         truth, sequence = draw_sequence(spec.sequence, spec.camera.camera(), ground, 3, trial)
         parts += [repr((sequence.camera, [(f.time_s, f.sigma_px, f.ranges) for f in sequence.frames])).encode()]
         arrays = [truth.points_m, sequence.position_m, sequence.position_covariance_m2]
+        known = sequence.forces
+        if known is not None:
+            parts += [repr((known.gm_m3_s2, known.gm_sigma_m3_s2, known.radiation_sigma, known.noise_m_s2)).encode()]
+            arrays += [known.radiation_m_s2, known.velocity_m_s, known.velocity_covariance_m2_s2]
         for frame in sequence.frames:
+            arrays += [frame.again, frame.R_body_inertial, np.float64(frame.attitude_sigma_rad)]
             arrays += [frame.R_cam_body, frame.tracks, frame.uv_px, frame.motion_m, frame.motion_covariance_m2]
         parts += [array.tobytes() for array in arrays]
     return hashlib.sha256(b"|".join(parts)).hexdigest()

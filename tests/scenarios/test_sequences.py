@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from pydantic import ValidationError
 
-from scenarios.geometry import Camera, TriangleMesh
+from scenarios.geometry import Camera, TriangleMesh, View
 from scenarios.sequences import MeshGround, SphereGround, draw_sequence
 from scenarios.sequences.lives import Sightline
 from scenarios.sequences.orbit import poses, times_s
@@ -32,6 +32,10 @@ def spec(vision=None, knowledge=None, **orbit):
 
 def drawn(trial=0, vision=None, knowledge=None, seed=5, ground=SPHERE, **orbit):
     return draw_sequence(spec(vision, knowledge, **orbit), CAMERA, ground, seed, trial)
+
+
+def look(camera, pose):
+    return View(camera, pose, np.array([0.0, 0.0, 1.0]))
 
 
 def positions(truth):
@@ -84,11 +88,11 @@ def test_a_sphere_is_seen_where_the_ray_meets_it_first():
     first = (-b - np.sqrt(np.maximum(b * b - a * c, 0.0))) / a
     expected = first > 1.0 - 1e-9
     assert 0.3 < expected.mean() < 0.45
-    np.testing.assert_array_equal(Sightline(SPHERE, CAMERA, None).visible(points, normals, pose), expected)
+    np.testing.assert_array_equal(Sightline(SPHERE).visible(points, normals, look(CAMERA, pose)), expected)
     narrow = Camera.from_fov(1024, 1024, np.radians(10.0))
     slope = np.abs(pose.transform(points)[:, :2] / pose.transform(points)[:, 2:]).max(axis=1)
     expected &= slope <= np.tan(np.radians(5.0))
-    np.testing.assert_array_equal(Sightline(SPHERE, narrow, None).visible(points, normals, pose), expected)
+    np.testing.assert_array_equal(Sightline(SPHERE).visible(points, normals, look(narrow, pose)), expected)
 
 
 def test_a_mesh_hides_what_stands_before_it_and_is_sampled_by_area():
@@ -124,10 +128,10 @@ def test_the_tracks_that_stay_visible_live_on_with_the_repeatability(step_deg, k
     lived = could = 0
     for trial in range(6):
         truth, sequence = drawn(trial, vision={"landmarks_per_frame": 60}, step_deg=step_deg)
-        sight = Sightline(SPHERE, CAMERA, None)
+        sight = Sightline(SPHERE)
         for before, after, pose in zip(sequence.frames, sequence.frames[1:], truth.poses[1:], strict=False):
             points = truth.points_m[before.tracks]
-            visible = sight.visible(points, points / RADIUS_M, pose)
+            visible = sight.visible(points, points / RADIUS_M, look(CAMERA, pose))
             stayed = np.isin(before.tracks, after.tracks)
             assert not (stayed & ~visible).any()
             lived, could = lived + stayed.sum(), could + visible.sum()

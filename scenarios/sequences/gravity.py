@@ -1,0 +1,101 @@
+"""The pull of a small body: of a point, and of a polyhedron of one density."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.geometry import TriangleMesh
+
+FloatArray = NDArray[np.float64]
+
+
+class Gravity(Protocol):
+    """The pull of a body that rests in the axes of the argument, about their origin."""
+
+    def acceleration(self, position_m: FloatArray) -> FloatArray:
+        """(3,) m/s2 at a position (3,) m."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class PointMass:
+    """All mass in the origin."""
+
+    gm_m3_s2: float
+
+    def acceleration(self, position_m: FloatArray) -> FloatArray:
+        """-GM r / r^3: the first term of equation (6) of Delpech et al. (2015), whose sign is lost in print."""
+        return np.asarray(-self.gm_m3_s2 * position_m / np.linalg.norm(position_m) ** 3, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Polyhedron:
+    """A closed mesh of one density, after Werner and Scheeres (1997), Celest. Mech. Dyn. Astron. 65, 313.
+
+    Their sums over edges are taken facet by facet here: an edge's dyad is the sum of what its two facets give,
+    ``E_e = n_A (m_A)^T + n_B (m_B)^T`` with m the normal of the edge in the plane of the facet, so that
+
+    ``a = (G sigma) sum_f n_f [(n_f . r_f) omega_f - sum_(e of f) (m_fe . r_e) L_e]``,
+
+    r from the field point to a point of the facet or edge. G sigma is GM over the volume. The formula holds inside the
+    body as well, but not on an edge.
+    """
+
+    mesh: TriangleMesh
+    gm_m3_s2: float
+
+    def acceleration(self, position_m: FloatArray) -> FloatArray:
+        """(3,) m/s2 at a position (3,) m in the mesh's axes."""
+        corners = self.mesh.corners_m - position_m
+        distances = np.sqrt(np.einsum("fki,fki->fk", corners, corners))
+        flux = np.einsum("fi,fi->f", self.mesh.normals, corners[:, 0]) * _solid_angles(corners, distances)
+        edges = np.einsum("fki,fki->fk", self._edge_normals, corners) * self._logs(distances)
+        return np.asarray((flux - edges.sum(axis=1)) @ self.mesh.normals * self._g_sigma, dtype=np.float64)
+
+    def laplacian(self, position_m: FloatArray) -> float:
+        """Divergence of the acceleration, 1/s2: -4 pi G sigma inside and 0 outside."""
+        corners = self.mesh.corners_m - position_m
+        return float(-self._g_sigma * _solid_angles(corners, np.linalg.norm(corners, axis=2)).sum())
+
+    @cached_property
+    def _g_sigma(self) -> float:
+        return self.gm_m3_s2 / self.mesh.volume_m3
+
+    @cached_property
+    def _edges_m(self) -> FloatArray:
+        """(F, 3, 3): each facet's edges, from corner k to the next one."""
+        return np.roll(self.mesh.corners_m, -1, axis=1) - self.mesh.corners_m
+
+    @cached_property
+    def _lengths_m(self) -> FloatArray:
+        lengths: FloatArray = np.linalg.norm(self._edges_m, axis=2)
+        return lengths
+
+    @cached_property
+    def _edge_normals(self) -> FloatArray:
+        """(F, 3, 3): unit vectors in the plane of the facet, at a right angle to the edge and out of the facet."""
+        across = np.cross(self._edges_m, self.mesh.normals[:, None])
+        out: FloatArray = np.divide(
+            across, self._lengths_m[..., None], out=np.zeros_like(across), where=self._lengths_m[..., None] > 0.0
+        )
+        return out
+
+    def _logs(self, distances_m: FloatArray) -> FloatArray:
+        """(F, 3): L_e, the potential of a wire along each edge."""
+        both = distances_m + np.roll(distances_m, -1, axis=1)
+        return np.asarray(np.log((both + self._lengths_m) / (both - self._lengths_m)), dtype=np.float64)
+
+
+def _solid_angles(corners: FloatArray, distances: FloatArray) -> FloatArray:
+    """(F,): signed solid angles of facets whose corners (F, 3, 3) are seen from the origin."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    r_a, r_b, r_c = distances.T
+    dots = [np.einsum("fi,fi->f", x, y) for x, y in ((a, b), (b, c), (c, a))]
+    triple = np.einsum("fi,fi->f", a, np.cross(b, c))
+    solid: FloatArray = 2.0 * np.arctan2(triple, r_a * r_b * r_c + r_c * dots[0] + r_a * dots[1] + r_b * dots[2])
+    return solid

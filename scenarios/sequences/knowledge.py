@@ -1,0 +1,180 @@
+"""What the spacecraft knows beside its images: motion, attitude, forces and distances, each as wrong as asked."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from scenarios.draw import Stream, draw_direction, generator
+from scenarios.geometry import Camera, Pose
+from scenarios.sequences.path import Path
+from scenarios.sequences.rotation import angular_velocity, attitude_law
+from scenarios.spec.sequence import KnowledgeSpec, SequenceSpec
+from scenarios.tracks import Forces, TrackFrame, TrackRange, TrackSequence
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+_ALL_LATITUDES_RAD = (-0.5 * np.pi, 0.5 * np.pi)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """What the vision layer gives of a frame: tracks (n,), pixels (n, 2), and the true landmarks (n, 3) m, body axes.
+
+    ``again`` are the pairs (track, older track) that it takes for one landmark.
+    """
+
+    tracks: IndexArray
+    uv_px: FloatArray
+    points_m: FloatArray
+    again: IndexArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+
+
+def known_sequence(
+    spec: SequenceSpec, camera: Camera, path: Path, sightings: Sequence[Sighting], address: tuple[int, int]
+) -> TrackSequence:
+    """Put together what the spacecraft knows of a path and its sightings; ``address`` is (seed, trial).
+
+    Positions of the camera are known in inertial axes, and turned into the body's as these are known.
+    """
+    knowledge, (seed, trial) = spec.knowledge, address
+    attitudes = known_rotation(path, spec, generator(seed, Stream.ROTATION, trial))
+    moves = predicted_moves(path, attitudes, knowledge, generator(seed, Stream.MOTION, trial))
+    rng, star_tracker = generator(seed, Stream.KNOWLEDGE, trial), np.radians(knowledge.attitude_sigma_deg)
+    position = attitudes[0] @ (path.positions_m[0] + knowledge.position_sigma_m * rng.normal(size=3))
+    ranges = [_ranges(sightings, path.poses[0], camera, knowledge, rng)]
+    ranges += _later_ranges(sightings, path, camera, knowledge, generator(seed, Stream.RANGES, trial))
+    turns = star_tracker * rng.normal(size=(len(path.poses), 3))
+    sigmas = np.hypot(star_tracker, rotation_sigma_rad(path.times_s, spec))
+    frames = tuple(
+        TrackFrame(
+            time_s=float(path.times_s[i]),
+            R_cam_body=_known_attitude(path.poses[i], path.R_body_inertial[i], attitudes[i], turns[i]),
+            tracks=sighting.tracks,
+            uv_px=sighting.uv_px,
+            sigma_px=spec.vision.noise_px,
+            motion_m=moves[i][0],
+            motion_covariance_m2=moves[i][1],
+            ranges=ranges[i],
+            again=sighting.again,
+            R_body_inertial=attitudes[i],
+            attitude_sigma_rad=float(sigmas[i]),
+        )
+        for i, sighting in enumerate(sightings)
+    )
+    forces = known_forces(path, spec, generator(seed, Stream.FORCES, trial))
+    return TrackSequence(camera, frames, position, np.eye(3) * knowledge.position_sigma_m**2, forces)
+
+
+def _known_attitude(pose: Pose, true: FloatArray, known: FloatArray, turn: FloatArray) -> FloatArray:
+    """R_cam_body from the star tracker, wrong by a rotation vector, and the body's attitude as it is known."""
+    rotation = pose.rotation if np.array_equal(known, true) else pose.rotation @ true @ known.T
+    return Rotation.from_rotvec(turn).as_matrix() @ rotation if turn.any() else rotation
+
+
+def known_rotation(path: Path, spec: SequenceSpec, rng: np.random.Generator) -> FloatArray:
+    """R_body_inertial, (F, 3, 3), as it follows from an angular velocity that is known with errors.
+
+    The first attitude is known: it says what the body's axes are. What is wrong of the pole and the rate grows from
+    there on by the body's own equations.
+    """
+    motion, knowledge = spec.body_motion, spec.knowledge
+    if not knowledge.pole_sigma_deg and not knowledge.spin_sigma:
+        return path.R_body_inertial
+    rate = angular_velocity(motion)
+    tilts = np.radians(knowledge.pole_sigma_deg) * rng.normal(size=2)
+    longer = 1.0 + knowledge.spin_sigma * rng.normal()
+    believed = longer * Rotation.from_rotvec(_across(rate).T @ tilts).apply(rate)
+    return attitude_law(motion, believed, float(path.times_s[-1]))(path.times_s)
+
+
+def rotation_sigma_rad(times_s: FloatArray, spec: SequenceSpec) -> FloatArray:
+    """(F,) standard deviation about each axis of the error of a spin, by its own law: the mean over the axes.
+
+    About the pole the angle is wrong by its relative error; a tilt of the pole turns the body about an axis across it
+    by 2 tilt |sin(angle / 2)|. Of tumbling this tells the order of magnitude.
+    """
+    motion, knowledge = spec.body_motion, spec.knowledge
+    angle = np.linalg.norm(angular_velocity(motion)) * times_s
+    about = knowledge.spin_sigma * angle
+    across = 2.0 * np.radians(knowledge.pole_sigma_deg) * np.sin(0.5 * angle)
+    return np.asarray(np.sqrt((about**2 + 2.0 * across**2) / 3.0), dtype=np.float64)
+
+
+def _across(axis: FloatArray) -> FloatArray:
+    """(2, 3) rows at a right angle to an axis and to each other."""
+    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    first /= np.linalg.norm(first)
+    second = np.cross(axis, first)
+    return np.stack([first, second / np.linalg.norm(second)])
+
+
+def predicted_moves(
+    path: Path, known: FloatArray, knowledge: KnowledgeSpec, rng: np.random.Generator
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Predict the displacement before each frame, (3,) in body axes, and the covariance of its error, (3, 3).
+
+    The error has a random direction and the length lambda |displacement| in inertial space: lambda^2 |d|^2 / 3 on each
+    axis. To it comes how the body turns below the camera, by its ``known`` attitude, (F, 3, 3).
+    """
+    moves = [(np.zeros(3), np.zeros((3, 3)))]
+    frames = zip(path.positions_m, known, strict=True)
+    for (before, old), (after, new) in itertools.pairwise(frames):
+        true = after - before
+        length = knowledge.motion_error * float(np.linalg.norm(true))
+        moved = true + length * draw_direction(_ALL_LATITUDES_RAD, rng)
+        moves.append((new @ moved + (new - old) @ before, np.eye(3) * length**2 / 3.0))
+    return moves
+
+
+def _later_ranges(
+    sightings: Sequence[Sighting], path: Path, camera: Camera, knowledge: KnowledgeSpec, rng: np.random.Generator
+) -> list[tuple[TrackRange, ...]]:
+    """Measure distances in the frames after the first, where that is asked for."""
+    every = knowledge.range_every
+    return [
+        _ranges(sightings[i:], path.poses[i], camera, knowledge, rng) if every and i % every == 0 else ()
+        for i in range(1, len(sightings))
+    ]
+
+
+def _ranges(
+    sightings: Sequence[Sighting], pose: Pose, camera: Camera, knowledge: KnowledgeSpec, rng: np.random.Generator
+) -> tuple[TrackRange, ...]:
+    """Measure the distances of some landmarks of the first of the sightings, whose lives the later ones tell."""
+    here = sightings[0]
+    off_axis = np.linalg.norm(here.uv_px - [camera.cx_px, camera.cy_px], axis=1)
+    lasting = knowledge.range_to == "lasting"
+    last = np.sum([np.isin(here.tracks, s.tracks) for s in sightings], axis=0) if lasting else np.zeros(len(off_axis))
+    rows = np.lexsort((off_axis, -last))[: knowledge.ranges]
+    true = np.linalg.norm(here.points_m[rows] - pose.camera_position_m, axis=1)
+    errors = knowledge.range_sigma_m * rng.normal(size=len(rows))
+    return tuple(
+        TrackRange(int(track), float(distance), knowledge.range_sigma_m)
+        for track, distance in zip(here.tracks[rows], true + errors, strict=True)
+    )
+
+
+def known_forces(path: Path, spec: SequenceSpec, rng: np.random.Generator) -> Forces | None:
+    """Return what the spacecraft knows of the forces; None where it knows nothing of them."""
+    knowledge, orbit = spec.knowledge, spec.orbit
+    if not knowledge.dynamics:
+        return None
+    gm = orbit.gm_m3_s2 * (1.0 + knowledge.gm_sigma * rng.normal())
+    radiation = path.radiation_m_s2 * (1.0 + knowledge.radiation_sigma * rng.normal())
+    velocity = path.velocities_m_s[0] + knowledge.velocity_sigma_m_s * rng.normal(size=3)
+    return Forces(
+        gm_m3_s2=float(gm),
+        gm_sigma_m3_s2=float(knowledge.gm_sigma * orbit.gm_m3_s2),
+        radiation_m_s2=radiation,
+        radiation_sigma=knowledge.radiation_sigma,
+        noise_m_s2=orbit.forces.noise_m_s2 if knowledge.noise_m_s2 is None else knowledge.noise_m_s2,
+        velocity_m_s=velocity,
+        velocity_covariance_m2_s2=np.eye(3) * knowledge.velocity_sigma_m_s**2,
+    )
