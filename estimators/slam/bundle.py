@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from estimators.options import parse_options
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.following import LostError, follow
-from estimators.slam.gauge import Gauge, handed_over, measured_gauge
+from estimators.slam.gauge import Gauge, estimated_anew, gauge_rows, handed_over, measured_gauge
 from estimators.slam.journal import Journal
 from estimators.slam.keyframes import offset_views, trailing_views
 from estimators.slam.levenberg import StoppingRule, minimise, reduced_rank_deficiency
 from estimators.slam.options import BundleOptions
-from estimators.slam.state import Adjustment, Distances
+from estimators.slam.state import Adjustment
 from scenarios.tracks import TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
@@ -25,8 +25,9 @@ FloatArray = NDArray[np.float64]
 class BundleSlam:
     """Sequential bundle adjustment over a window of views; positions alone are free, since the attitude is known.
 
-    The oldest view of the window stays where it was estimated last. There is no covariance: the window does not know
-    the error of what it is fixed to.
+    The oldest view of the window stays where it was estimated last. A range that is measured on the way takes the
+    place of the gauge in the adjustment of its view, and the gauge goes on with the distance that it then has. There
+    is no covariance: the window does not know the error of what it is fixed to.
     """
 
     name: ClassVar[str] = "ba-slam"
@@ -78,6 +79,8 @@ class _Window:
         if self.options.steps == "motion-structure-full":
             self._adjust(views, tracks, rule, views_free=False)
         self._adjust(views, tracks, rule, views_free=True)
+        if len(self.journal.distances(views[-1:], tracks).view):
+            self.gauge = estimated_anew(self.journal, self._gauge(), self.options.gauge_sigma_m)
         points = np.array([self.journal.points_m[track] for track in tracks])
         return FrameEstimate(self.journal.positions_m[number], None, np.array(tracks, dtype=np.int64), points, 0.0)
 
@@ -136,12 +139,7 @@ class _Window:
             sightings=self.journal.sightings(views, tracks),
             free_views=np.array([views_free and slot > 0 for slot in range(len(views))]),
             free_points=np.ones(len(tracks), dtype=np.bool_),
-            distances=Distances(
-                np.zeros(1, dtype=np.int64),
-                np.array([tracks.index(gauge.track)], dtype=np.int64),
-                np.array([gauge.range_m]),
-                np.array([gauge.sigma_m]),
-            ),
+            distances=gauge_rows(self.journal, gauge, views, tracks),
         )
 
     def _gauge(self) -> Gauge:

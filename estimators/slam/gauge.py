@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimators.slam.following import LostError
 from estimators.slam.journal import Journal
+from estimators.slam.state import Distances
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,25 @@ def measured_gauge(journal: Journal, view: int) -> Gauge:
         raise LostError("no range is measured at the first frame: the scale is unobservable")
     best = min(ranges, key=lambda item: (item.sigma_m, item.track))
     return Gauge(view, best.track, best.range_m, best.sigma_m)
+
+
+def gauge_rows(journal: Journal, gauge: Gauge, views: Sequence[int], tracks: Sequence[int]) -> Distances:
+    """Return what holds the scale of a window: the ranges that its leading view measured, or else the gauge."""
+    lead = journal.distances(views[-1:], tracks)
+    if len(lead.view):
+        return replace(lead, view=lead.view + len(views) - 1)
+    return Distances(
+        np.array([views.index(gauge.view)], dtype=np.int64),
+        np.array([tracks.index(gauge.track)], dtype=np.int64),
+        np.array([gauge.range_m]),
+        np.array([gauge.sigma_m]),
+    )
+
+
+def estimated_anew(journal: Journal, gauge: Gauge, sigma_m: float) -> Gauge:
+    """Return a gauge with its present estimate, as after an adjustment to a range that was measured later."""
+    distance = float(np.linalg.norm(journal.points_m[gauge.track] - journal.positions_m[gauge.view]))
+    return Gauge(gauge.view, gauge.track, distance, sigma_m)
 
 
 def handed_over(journal: Journal, gauge: Gauge, views: Sequence[int], sigma_m: float) -> Gauge:

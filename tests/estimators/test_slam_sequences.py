@@ -7,16 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from slam_orbits import make_orbit_sequence
+from slam_orbits import Drive, make_orbit_sequence
 from slam_sequences import Recipe, Truth, make_sequence
 
 from estimators.slam.bundle import BundleSlam
 from estimators.slam.contract import SequenceEstimate
+from estimators.slam.dynamics.smoother import DynamicSmoother
 from estimators.slam.ekf import EkfSlam
 from estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
 from scenarios.errors import BoresightError
-from scenarios.tracks import TrackSequence
+from scenarios.tracks import TrackRange, TrackSequence
 
 QUIET = Recipe(frames=40, noise_px=0.0, repeatability=0.95)
 ALL = [BundleSlam, EkfSlam, FixedLagSmoother, BatchAdjustment]
@@ -136,6 +137,27 @@ def test_error_of_the_smoother_is_what_its_covariance_says() -> None:
         assert last.covariance_m2 is not None
         total += error @ np.linalg.solve(last.covariance_m2, error)
     assert 11.9 < total < 79.0
+
+
+@pytest.mark.parametrize("estimator", [*ALL, DynamicSmoother])
+def test_later_range_corrects_the_scale(estimator: type[FixedLagSmoother]) -> None:
+    """The first range is wrong by 1 %, as it may be by its standard deviation; one at frame 12 is right."""
+    drive = Drive(noise_m_s2=1e-5, velocity_sigma_m_s=0.05, spinning=False)
+    sequence, truth = make_orbit_sequence(np.random.default_rng(11), QUIET, drive)
+    sequence = replace(sequence, frames=tuple(replace(frame, sigma_px=0.67) for frame in sequence.frames))
+    first, later = sequence.frames[0], sequence.frames[12]
+    wrong = replace(first.ranges[0], range_m=1.01 * first.ranges[0].range_m, sigma_m=6.0)
+    track = int(np.intersect1d(sequence.frames[11].tracks, later.tracks)[0])
+    distance = float(np.linalg.norm(truth.points_m[track] - truth.positions_m[12]))
+    misled = changed(sequence, 0, ranges=(wrong,))
+    righted = changed(misled, 12, ranges=(TrackRange(track, distance, 0.01),))
+    for given, low, high in ((misled, 0.005, 0.05), (righted, 0.0, 0.001)):
+        estimate = estimator.from_options({}).follow(given)
+        assert estimate.status == "ok", estimate.reason
+        frame = estimate.frames[13]
+        slot = int(np.flatnonzero(frame.tracks == track)[0])
+        found = np.linalg.norm(frame.points_m[slot] - frame.position_m)
+        assert low <= abs(found / np.linalg.norm(truth.points_m[track] - truth.positions_m[13]) - 1.0) < high
 
 
 @pytest.mark.parametrize("estimator", [EkfSlam, FixedLagSmoother, BatchAdjustment])

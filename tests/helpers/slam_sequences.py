@@ -38,9 +38,10 @@ class Recipe:
 
 
 def look_down(position_m: FloatArray) -> FloatArray:
-    """R_cam_body of a camera that looks at the origin, its x axis along the orbit normal."""
+    """R_cam_body of a camera that looks at the origin, its x axis as near the orbit normal as it may."""
     z = -position_m / np.linalg.norm(position_m)
-    x = np.array([0.0, 0.0, 1.0])
+    x = np.array([0.0, 0.0, 1.0]) - z[2] * z
+    x /= np.linalg.norm(x)
     return np.stack([x, np.cross(z, x), z])
 
 
