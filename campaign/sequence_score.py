@@ -49,6 +49,7 @@ def _check_frame(frame: FrameEstimate, index: int, known: set[int]) -> None:
         ("position_m", frame.position_m, (3,)),
         ("covariance_m2", frame.covariance_m2, (3, 3)),
         ("points_m", frame.points_m, (n, 3)),
+        ("velocity_m_s", frame.velocity_m_s, (3,)),
     )
     for name, array, shape in wanted:
         if array is not None and (np.shape(array) != shape or not np.isfinite(array).all()):

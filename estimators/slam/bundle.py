@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -15,6 +16,7 @@ from estimators.slam.gauge import Gauge, estimated_anew, gauge_rows, handed_over
 from estimators.slam.journal import Journal
 from estimators.slam.keyframes import offset_views, trailing_views
 from estimators.slam.levenberg import StoppingRule, minimise, reduced_rank_deficiency
+from estimators.slam.motion_filter import Propagator
 from estimators.slam.options import BundleOptions
 from estimators.slam.state import Adjustment
 from scenarios.tracks import TrackFrame, TrackSequence
@@ -53,6 +55,7 @@ class _Window:
         self.options = options
         self.journal = Journal(sequence.camera)
         self.first_m = sequence.position_m
+        self.propagator = Propagator(sequence, options) if options.motion == "constant-gain" else None
         self.trailing: list[int] = []
         self.gauge: Gauge | None = None
         self.handovers = 0
@@ -69,9 +72,15 @@ class _Window:
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         number = len(self.journal.frames)
+        if self.propagator is not None:
+            frame = self.propagator.predict(frame)
         self.journal.frames[number] = frame
-        if number == 0:
-            return self._begin(frame)
+        estimate = self._begin(frame) if number == 0 else self._follow(number)
+        if self.propagator is None:
+            return estimate
+        return replace(estimate, velocity_m_s=self.propagator.correct(estimate.position_m))
+
+    def _follow(self, number: int) -> FrameEstimate:
         rule = StoppingRule(self.options.tolerance * self.journal.median_depth(number - 1), self.options.iterations)
         self.journal.place(number, rule)
         views = [*self._trailing(number), number]

@@ -29,6 +29,8 @@ class FrameEstimate:
         (n,) and (n, 3): the landmarks that the method holds at this frame, body frame.
     seconds
         Time that this frame took.
+    velocity_m_s
+        (3,) velocity relative to the body's centre, inertial axes; None where the method has none.
     """
 
     position_m: FloatArray
@@ -36,6 +38,7 @@ class FrameEstimate:
     tracks: IndexArray
     points_m: FloatArray
     seconds: float
+    velocity_m_s: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

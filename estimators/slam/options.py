@@ -40,6 +40,19 @@ class BundleOptions(SolverOptions):
         "motion-structure-full", description="Adjust motion only and structure only before the full adjustment, or not"
     )
     gauge_sigma_m: float = Field(0.01, gt=0, description="Standard deviation given to a gauge that was handed over")
+    motion: Literal["given", "constant-gain"] = Field(
+        "given",
+        description="Predict the next position by the displacement that comes with it, or by forces and a filter of"
+        " position and velocity with a constant gain",
+    )
+    motion_position_sigma_m: float = Field(
+        1.0, gt=0, description="Standard deviation of an adjusted position that the constant gain is made of"
+    )
+    motion_noise_m_s2: float | None = Field(
+        None,
+        gt=0,
+        description="Unmodelled acceleration that the constant gain is made of; left out: what the forces say",
+    )
 
 
 class FilterOptions(SpecModel):

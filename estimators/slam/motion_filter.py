@@ -1,0 +1,154 @@
+"""The motion propagator of BA-SLAM, section 3.2 of Delpech et al. (2015): position and velocity, a constant gain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
+
+from estimators.slam.dynamics.field import Field
+from estimators.slam.dynamics.propagation import propagated
+from estimators.slam.following import LostError
+from estimators.slam.options import BundleOptions
+from scenarios.tracks import Forces, TrackFrame, TrackSequence
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SteadyGain:
+    """Of one axis: the gains of position and velocity (1/s), and the variance of an innovation, m^2."""
+
+    position: float
+    velocity_s: float
+    innovation_m2: float
+
+
+@lru_cache(maxsize=64)
+def steady_gain(duration_s: float, acceleration_m_s2: float, position_m: float) -> SteadyGain:
+    """Return the gain that a Kalman filter of one axis ends with, by the discrete algebraic Riccati equation.
+
+    The axes are independent: the gradient of gravity, gm / r^3 times duration^2, is a thousandth where a frame is 2 deg
+    of the orbit from the next.
+
+    Parameters
+    ----------
+    duration_s
+        Between two frames.
+    acceleration_m_s2
+        Standard deviation of what is not modelled, zeta of equation (6), constant in each interval.
+    position_m
+        Standard deviation of a measured position.
+    """
+    move = np.array([[1.0, duration_s], [0.0, 1.0]])
+    push = acceleration_m_s2 * np.array([[0.5 * duration_s**2], [duration_s]])
+    seen = np.array([[1.0, 0.0]])
+    predicted = solve_discrete_are(move.T, seen.T, push @ push.T, np.array([[position_m**2]]))
+    variance = float(predicted[0, 0] + position_m**2)
+    return SteadyGain(float(predicted[0, 0]) / variance, float(predicted[1, 0]) / variance, variance)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionFilter:
+    """Six states in inertial axes about the body's centre, moved by equation (6) and corrected with a constant gain.
+
+    Equation (6) is printed as ``mu / r^3 r``, which would push: gravity is ``-mu / r^3 r``.
+
+    Parameters
+    ----------
+    field
+        Gravity and solar radiation pressure.
+    acceleration_m_s2, sigma_m
+        Standard deviations that the gain is made of: of what is not modelled, and of a position of the adjustment.
+    time_s
+        Epoch of the state.
+    position_m, velocity_m_s
+        (3,) each.
+    """
+
+    field: Field
+    acceleration_m_s2: float
+    sigma_m: float
+    time_s: float
+    position_m: FloatArray
+    velocity_m_s: FloatArray
+
+    @classmethod
+    def at_first(
+        cls, sequence: TrackSequence, forces: Forces, acceleration_m_s2: float, sigma_m: float
+    ) -> MotionFilter:
+        """Begin with the first position of a sequence and the velocity that is known there."""
+        first = sequence.frames[0]
+        position = first.R_body_inertial.T @ sequence.position_m
+        field = Field.of(forces, float(np.linalg.norm(position)))
+        return cls(field, acceleration_m_s2, sigma_m, first.time_s, position, forces.velocity_m_s.copy())
+
+    def predicted(self, time_s: float) -> MotionFilter:
+        """Move to a later epoch."""
+        unit = self.field.time_s
+        start = np.concatenate([self.position_m, self.velocity_m_s * unit])[None]
+        end = propagated(self.field, start, self.field.known, np.array([(time_s - self.time_s) / unit]))[0]
+        return replace(self, time_s=time_s, position_m=end[:3], velocity_m_s=end[3:] / unit)
+
+    def corrected(self, position_m: FloatArray, gain: SteadyGain) -> MotionFilter:
+        """Take in a position (3,), inertial axes."""
+        innovation = position_m - self.position_m
+        return replace(
+            self,
+            position_m=self.position_m + gain.position * innovation,
+            velocity_m_s=self.velocity_m_s + gain.velocity_s * innovation,
+        )
+
+    def gain(self, duration_s: float) -> SteadyGain:
+        """Return the constant gain for frames that follow one another at an interval."""
+        return steady_gain(duration_s, self.acceleration_m_s2, self.sigma_m)
+
+
+class Propagator:
+    """The filter beside an adjustment: it predicts the displacement of a frame, then takes the adjusted position in.
+
+    Raises
+    ------
+    LostError
+        If nothing is known of the forces, or of what they leave out: without it the gain would be zero.
+    """
+
+    def __init__(self, sequence: TrackSequence, options: BundleOptions) -> None:
+        self.sequence = sequence
+        self.options = options
+        self.filter: MotionFilter | None = None
+        self.adjusted_m = sequence.position_m
+        self.R_body_inertial: FloatArray = np.eye(3)
+        self.gain: SteadyGain | None = None
+
+    def predict(self, frame: TrackFrame) -> TrackFrame:
+        """Put the filter's prediction in the place of the displacement that a frame brings."""
+        self.R_body_inertial = frame.R_body_inertial
+        if self.filter is None:
+            self.filter = self._first()
+            return frame
+        self.gain = self.filter.gain(frame.time_s - self.filter.time_s)
+        self.filter = self.filter.predicted(frame.time_s)
+        moved = frame.R_body_inertial @ self.filter.position_m - self.adjusted_m
+        return replace(frame, motion_m=moved, motion_covariance_m2=np.eye(3) * self.gain.innovation_m2)
+
+    def correct(self, position_m: FloatArray) -> FloatArray:
+        """Take in the adjusted position (3,), body axes; return the velocity (3,), inertial axes, m/s."""
+        self.adjusted_m = position_m
+        if self.filter is None:
+            raise LostError("a position is corrected before it is predicted")
+        if self.gain is not None:
+            self.filter = self.filter.corrected(self.R_body_inertial.T @ position_m, self.gain)
+        return self.filter.velocity_m_s
+
+    def _first(self) -> MotionFilter:
+        forces = self.sequence.forces
+        if forces is None:
+            raise LostError("the sequence tells no forces: motion: constant-gain needs knowledge.dynamics: true")
+        noise = self.options.motion_noise_m_s2 or forces.noise_m_s2
+        if not noise > 0.0:
+            raise LostError("the unmodelled acceleration is zero, and so would be the gain: set motion_noise_m_s2")
+        return MotionFilter.at_first(self.sequence, forces, noise, self.options.motion_position_sigma_m)
