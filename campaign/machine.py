@@ -16,7 +16,7 @@ from renderers.mitsuba3 import limit_threads
 
 PACKAGES = (
     "boresight", "numpy", "scipy", "opencv-python-headless", "mitsuba", "drjit", "trimesh", "pandas", "pyarrow",
-    "matplotlib", "joblib", "pydantic", "astropy",
+    "matplotlib", "joblib", "pydantic", "astropy", "numba",
 )  # fmt: skip
 
 

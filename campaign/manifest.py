@@ -48,7 +48,7 @@ def make_manifest(
         "command": request.command,
         "commit": _commit(),
         "versions": package_versions(),
-        "machine": {**describe(), "variant": campaign.variant},
+        "machine": {**describe(), "variant": campaign.variant, "kernels": campaign.kernels},
         "left_out": {s.spec.name: dict(open_images(s).left_out) for s in campaign.scenarios if s.spec.images},
         "notes": [note for s in campaign.scenarios for note in left_out_notes(s)],
         "products": [_product(request.out, product) for product in products],

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from campaign.experiments.registry import experiment_class
 from campaign.images import images_digest
 from estimators.registry import base_of, needed_sensors
+from estimators.slam.kernels import kernel_variant
 from renderers.detector import Detector
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.beliefs import believed_spec
@@ -40,7 +41,8 @@ CATALOG = Path(__file__).parent / "catalog"
 class ResolvedCampaign:
     """A campaign with its scenarios read: what the rows depend on, and nothing else.
 
-    ``variations`` tells, by the name of a scenario, where in the campaign's grid it stands.
+    ``kernels`` are those of adjustments, '' where rows do not depend on them. ``variations`` tells, by the name of a
+    scenario, where in the campaign's grid it stands.
     Equality and hash are those of the digest, so a worker can keep what it built for a campaign.
     """
 
@@ -48,6 +50,7 @@ class ResolvedCampaign:
     scenarios: tuple[LoadedScenario, ...]
     seed: int
     variant: str = ""
+    kernels: str = ""
     variations: Mapping[str, Variation] = field(default_factory=dict)
 
     @cached_property
@@ -73,6 +76,7 @@ class ResolvedCampaign:
             ],
             "renderer": [MitsubaRenderer.name, MitsubaRenderer.version, self.variant],
             "detector": Detector.version,
+            **({"kernels": self.kernels} if self.kernels else {}),
         }
 
     @cached_property
@@ -129,7 +133,8 @@ def resolve(
     for entry in spec.estimators:
         _versions(spec, entry)
         _check_sensors(entry, scenarios)
-    return ResolvedCampaign(spec, scenarios, spec.seed if seed is None else seed, variant, variations)
+    kernels = kernel_variant() if experiment_class(spec.experiment).kernels else ""
+    return ResolvedCampaign(spec, scenarios, spec.seed if seed is None else seed, variant, kernels, variations)
 
 
 def _scenarios(loaded: LoadedCampaign, overrides: Sequence[str]) -> Iterator[tuple[LoadedScenario, Variation | None]]:
@@ -187,5 +192,6 @@ def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
         )
     except (KeyError, ValidationError):
         return None
-    campaign = ResolvedCampaign(spec, scenarios, int(manifest["seed"]), manifest["machine"]["variant"])
+    machine = manifest["machine"]
+    campaign = ResolvedCampaign(spec, scenarios, int(manifest["seed"]), machine["variant"], machine.get("kernels", ""))
     return campaign if campaign.digest == manifest["digest"] else None

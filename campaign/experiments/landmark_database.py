@@ -41,6 +41,7 @@ class DatabaseTrials:
     kind: ClassVar[str] = "landmark-database"
     version: ClassVar[int] = 1
     block_trials: ClassVar[int] = 1
+    kernels: ClassVar[bool] = False
 
     @classmethod
     def method_version(cls, name: str) -> int:

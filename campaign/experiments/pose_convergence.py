@@ -55,6 +55,7 @@ class PoseConvergence:
     kind: ClassVar[str] = "pose-convergence"
     version: ClassVar[int] = 1
     block_trials: ClassVar[int] = 1000
+    kernels: ClassVar[bool] = False
 
     @classmethod
     def method_version(cls, name: str) -> int:

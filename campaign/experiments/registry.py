@@ -31,12 +31,14 @@ class Experiment(Protocol):
     """A kind of trial: the only code that sees truth and estimate together.
 
     ``version`` is part of every run's digest: raise it when rows change for another reason than the parts they are
-    made of. ``block_trials`` is how many trials are computed, stored and resumed together.
+    made of. ``block_trials`` is how many trials are computed, stored and resumed together. ``kernels`` tells whether
+    rows are worked out by the kernels of `estimators.slam.kernels`, of which there are two kinds.
     """
 
     kind: ClassVar[str]
     version: ClassVar[int]
     block_trials: ClassVar[int]
+    kernels: ClassVar[bool]
 
     @classmethod
     def method_version(cls, name: str) -> int:

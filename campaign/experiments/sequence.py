@@ -55,6 +55,7 @@ class SequenceTrials:
     kind: ClassVar[str] = "sequence"
     version: ClassVar[int] = 1
     block_trials: ClassVar[int] = 5
+    kernels: ClassVar[bool] = True
 
     @classmethod
     def method_version(cls, name: str) -> int:

@@ -56,6 +56,7 @@ class SingleImage:
     kind: ClassVar[str] = "single-image"
     version: ClassVar[int] = 2
     block_trials: ClassVar[int] = 10
+    kernels: ClassVar[bool] = False
 
     @classmethod
     def method_version(cls, name: str) -> int:

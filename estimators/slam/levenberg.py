@@ -1,13 +1,19 @@
-"""Levenberg-Marquardt on an adjustment, equation (4), with the Schur complement and a check of the rank."""
+"""Levenberg-Marquardt on an adjustment, equation (4), with the Schur complement and a check of the rank.
+
+Each function has compiled kernels for it (`estimators.slam.compiled`), whose reference is the arithmetic in numpy here.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, eigvalsh
 
+from estimators.slam.compiled.flat import flat, floats
+from estimators.slam.kernels import compiled_kernels, kernel_variant
 from estimators.slam.normal import Layout, NormalEquations, normal_equations
 from estimators.slam.residuals import cost
 from estimators.slam.state import Adjustment, State
@@ -37,6 +43,11 @@ class StoppingRule:
 
 def minimise(problem: Adjustment, state: State, rule: StoppingRule) -> Solution:
     """Minimise ``cost`` from ``state``; damping starts at 1e-6 of the mean diagonal."""
+    kernels = _kernels(problem)
+    if kernels is not None:
+        start = floats(state.positions_m), floats(state.points_m)
+        positions, points, *end = kernels.minimise(flat(problem), *start, rule.step_m, rule.iterations)
+        return Solution(State(positions, points), *end)
     layout = Layout.of(problem)
     value = cost(problem, state)
     if not np.isfinite(value):
@@ -59,6 +70,10 @@ def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
 
     Levenberg-Marquardt comes to a stop on an undetermined scale as well, wherever that happens to be.
     """
+    kernels = _kernels(problem)
+    if kernels is not None:
+        at = floats(state.positions_m), floats(state.points_m)
+        return int(kernels.rank_deficiency(flat(problem), *at, RANK_TOLERANCE))
     layout = Layout.of(problem)
     if layout.kept == 0:
         return 0
@@ -78,12 +93,26 @@ def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
     scipy.linalg.LinAlgError
         If the reduced matrix is not positive definite.
     """
+    kernels = _kernels(problem)
+    if kernels is not None:
+        at = floats(state.positions_m), floats(state.points_m)
+        definite, known = kernels.view_covariance(flat(problem), *at, view)
+        if not definite:
+            raise LinAlgError("the reduced matrix is not positive definite")
+        return np.asarray(known, dtype=np.float64)
     layout = Layout.of(problem)
     matrix, _, _ = normal_equations(problem, state, layout).reduced()
     slot = 3 * int(layout.view[view])
     columns = np.eye(len(matrix))[:, slot : slot + 3]
     covariance = cho_solve(cho_factor(matrix), columns)[slot : slot + 3]
     return np.asarray(0.5 * (covariance + covariance.T), dtype=np.float64)
+
+
+def _kernels(problem: Adjustment) -> ModuleType | None:
+    """Return the compiled kernels; nothing where numpy is chosen, or where a lens distorts, which they do not know."""
+    if kernel_variant() == "numpy" or problem.camera.distortion is not None:
+        return None
+    return compiled_kernels()
 
 
 def _first_damping(system: NormalEquations) -> float:

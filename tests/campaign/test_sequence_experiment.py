@@ -11,6 +11,7 @@ from scipy.spatial.distance import mahalanobis
 
 from campaign.cli.main import main
 from campaign.experiments.sequence import SequenceTrials
+from campaign.resolve import resolve
 from campaign.sequence_score import check_sequence, score_epochs, summary
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.dead_reckoning import DeadReckoning
@@ -24,6 +25,15 @@ CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
 SPEC = SequenceSpec.model_validate({"sphere_radius_m": 190, "orbit": {"revolutions": 1.0, "step_deg": 6}})
 GROUND = SphereGround(190.0)
 SHIFT_M = np.array([1.0, -2.0, 2.0])
+
+
+def test_kernels_decide_rows_of_sequences_alone(monkeypatch: pytest.MonkeyPatch):
+    keys = {}
+    for kernels in ("numba", "numpy"):
+        monkeypatch.setenv("BORESIGHT_KERNELS", kernels)
+        keys[kernels] = {name: resolve(name).digest for name in ("delpech2015-smoke", "quickstart")}
+    assert keys["numba"]["delpech2015-smoke"] != keys["numpy"]["delpech2015-smoke"]
+    assert keys["numba"]["quickstart"] == keys["numpy"]["quickstart"]
 
 
 @pytest.fixture(scope="module")

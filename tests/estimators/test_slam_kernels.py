@@ -1,0 +1,181 @@
+"""The compiled kernels against their reference in numpy, and against dense linear algebra."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from slam_sequences import Recipe, make_sequence
+
+from estimators.slam.bundle import BundleSlam
+from estimators.slam.compiled import descent, equations
+from estimators.slam.compiled import envelope as packed
+from estimators.slam.compiled.flat import flat
+from estimators.slam.journal import Journal
+from estimators.slam.kernels import VARIABLE, kernel_variant
+from estimators.slam.levenberg import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
+from estimators.slam.normal import Layout, normal_equations
+from estimators.slam.residuals import cost
+from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
+from estimators.slam.state import Adjustment, Distances, Motions, Prior, State
+from scenarios.errors import BoresightError
+
+RULE = StoppingRule(1e-6)
+
+
+def window(seed: int) -> tuple[Adjustment, State]:
+    """Five views and their landmarks with everything that a problem can hold, at a disturbed state."""
+    rng = np.random.default_rng([31, seed])
+    sequence, truth = make_sequence(rng, Recipe(frames=5, landmarks=6 + 2 * seed, range_all=True))
+    journal = Journal(sequence.camera)
+    journal.frames = dict(enumerate(sequence.frames))
+    journal.positions_m = dict(enumerate(truth.positions_m))
+    journal.points_m = dict(truth.points_m)
+    views = list(range(5))
+    tracks = sorted(track for track, by in journal.seen_by(views).items() if len(by) >= 2)
+    true = journal.state(views, tracks)
+    state = State(
+        true.positions_m + rng.normal(size=true.positions_m.shape), true.points_m + rng.normal(size=(len(tracks), 3))
+    )
+    problem = Adjustment(
+        camera=sequence.camera,
+        R_cam_body=journal.attitudes(views),
+        sightings=journal.sightings(views, tracks),
+        free_views=np.ones(5, dtype=bool),
+        free_points=np.ones(len(tracks), dtype=bool),
+        distances=journal.distances(views, tracks),
+        motions=journal.motions(views),
+    )
+    variables = np.array([0, 2]), rng.permutation(len(tracks))[:3]
+    origin = np.concatenate([true.positions_m[variables[0]], true.points_m[variables[1]]])
+    root = rng.normal(size=(15, 20))
+    prior = Prior(*variables, origin, root @ root.T, rng.normal(size=15))
+    frozen = State(np.full((5, 3), np.nan), np.full((len(tracks), 3), np.nan))
+    frozen.positions_m[0] = true.positions_m[0]
+    frozen.points_m[variables[1]] = origin[2:]
+    kept = np.arange(len(tracks)) % 4 == 0
+    choices = [
+        {"free_views": np.array([False, True, True, True, True]), "motions": Motions()},
+        {"prior": prior},
+        {"prior": prior, "frozen": frozen},
+        {"prior": prior, "distances": Distances(), "kept_points": kept},
+        {"free_views": np.array([False, True, True, False, True]), "free_points": ~kept},
+        {"free_views": np.zeros(5, dtype=bool)},
+    ]
+    return replace(problem, **choices[seed % len(choices)]), state
+
+
+@pytest.fixture
+def reference(monkeypatch: pytest.MonkeyPatch):
+    """Call a function with the arithmetic in numpy."""
+
+    def call(function, *arguments):
+        with monkeypatch.context() as patch:
+            patch.setenv(VARIABLE, "numpy")
+            return function(*arguments)
+
+    return call
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_equations_are_those_of_numpy(seed: int) -> None:
+    problem, state = window(seed)
+    at = state.positions_m, state.points_m
+    assert equations.cost(flat(problem), *at) == pytest.approx(cost(problem, state), rel=1e-12)
+    layout = equations.make_layout(flat(problem))
+    system = equations.linearise(flat(problem), layout, *at)
+    done, matrix, right, inverse = descent.reduced(system, layout, 0.3)
+    assert done
+    expected, expected_right, expected_inverse = normal_equations(problem, state, Layout.of(problem)).reduced(0.3)
+    for found, wanted in [
+        (packed.dense(matrix, layout.shape), expected),
+        (right, expected_right),
+        (inverse, expected_inverse),
+    ]:
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max(initial=1.0))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_minimum_is_that_of_numpy(seed: int, reference) -> None:
+    problem, state = window(seed)
+    solution, expected = minimise(problem, state, RULE), reference(minimise, problem, state, RULE)
+    assert (solution.iterations, solution.converged) == (expected.iterations, expected.converged)
+    assert solution.converged
+    assert solution.cost == pytest.approx(expected.cost, rel=1e-12)
+    np.testing.assert_allclose(solution.state.positions_m, expected.state.positions_m, rtol=1e-12, atol=1e-9)
+    np.testing.assert_allclose(solution.state.points_m, expected.state.points_m, rtol=1e-12, atol=1e-9)
+    at = expected.state
+    assert reduced_rank_deficiency(problem, at) == reference(reduced_rank_deficiency, problem, at) == 0
+    if problem.free_views[4]:
+        covariance = reference(view_covariance, problem, at, 4)
+        np.testing.assert_allclose(view_covariance(problem, at, 4), covariance, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("fixed", [0, 1])
+def test_missing_rank_is_that_of_numpy(fixed: int, reference) -> None:
+    problem, state = window(0)
+    views = np.arange(5) >= fixed
+    adrift = replace(problem, free_views=views, distances=Distances(), motions=Motions())
+    at = minimise(adrift, state, RULE).state
+    assert reduced_rank_deficiency(adrift, at) == reference(reduced_rank_deficiency, adrift, at) == 4 - 3 * fixed
+
+
+def test_envelope_solves_what_lapack_solves() -> None:
+    """A band with a bulge, whose factor must not leave the envelope."""
+    rng = np.random.default_rng(3)
+    reach = np.array([1, 2, 6, 4, 5, 6, 7, 7])
+    shape = packed.make_envelope(reach.copy())
+    values = np.zeros(shape.begin[-1])
+    wanted = np.zeros((24, 24))
+    for i, last in enumerate(reach):
+        for j in range(i, last + 1):
+            block = rng.normal(size=(3, 3)) + (40.0 * np.eye(3) if i == j else 0.0)
+            block = 0.5 * (block + block.T) if i == j else block
+            packed.add_block(values, shape, i, j, block, 1.0)
+            wanted[3 * i : 3 * i + 3, 3 * j : 3 * j + 3] += block
+            if j > i:
+                wanted[3 * j : 3 * j + 3, 3 * i : 3 * i + 3] += block.T
+    np.testing.assert_array_equal(packed.dense(values, shape), wanted)
+    right = rng.normal(size=24)
+    solution = right.copy()
+    assert packed.factorise(values, shape)
+    packed.solve(values, shape, solution)
+    np.testing.assert_allclose(solution, np.linalg.solve(wanted, right), rtol=1e-12)
+    np.testing.assert_allclose(np.triu(packed.dense(values, shape)), np.linalg.cholesky(wanted).T, atol=1e-12)
+
+
+@pytest.mark.parametrize("estimator", [BundleSlam, FixedLagSmoother, BatchAdjustment])
+def test_sequence_is_followed_as_with_numpy(estimator: type[BundleSlam], reference) -> None:
+    sequence, _ = make_sequence(np.random.default_rng(12), Recipe(frames=25, landmarks=12))
+    found = estimator.from_options({}).follow(sequence)
+    expected = reference(estimator.from_options({}).follow, sequence)
+    assert found.diagnostics == expected.diagnostics
+    for one, other in zip(found.frames, expected.frames, strict=True):
+        np.testing.assert_allclose(one.position_m, other.position_m, atol=1e-7)
+        np.testing.assert_array_equal(one.tracks, other.tracks)
+
+
+def test_unknown_kernels_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "fortran")
+    with pytest.raises(BoresightError, match="BORESIGHT_KERNELS: 'fortran' is unknown"):
+        kernel_variant()
+
+
+def test_machine_code_is_kept_where_the_user_wants_it(tmp_path: Path) -> None:
+    """The envelope's kernels alone, in a process of their own: none of them lands beside the source."""
+    code = (
+        "import numpy as np; from estimators.slam.compiled.envelope import make_envelope;"
+        "print(make_envelope(np.array([2, 1, 2])).reach.tolist())"
+    )
+    for home in ({"BORESIGHT_CACHE": str(tmp_path)}, {"BORESIGHT_CACHE": os.devnull}):
+        clean = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
+        done = subprocess.run(
+            [sys.executable, "-c", code], env={**clean, **home}, capture_output=True, text=True, check=True
+        )
+        assert done.stdout.strip() == "[2, 2, 2]"
+    assert list(tmp_path.glob("kernels/*/*/envelope.make_envelope-*.nbi"))
