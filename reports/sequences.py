@@ -11,7 +11,7 @@ from reports.comparison import ComparedValue
 from reports.contrasts import RATIO
 from reports.designs import design_grids
 from reports.figures.revolutions import draw_revolutions
-from reports.figures.traces import draw_traces
+from reports.figures.traces import LANDMARKS, POSITION, draw_traces
 from reports.measures import SEQUENCE, Record, find
 from reports.run_data import RunData, select
 from reports.statistics import DEVIATION, MEAN, MEDIAN, P95, RMS
@@ -122,13 +122,15 @@ def sequence_figures(run: RunData) -> Iterator[Drawn]:
         yield ("revolutions", *revolution_figure(run, series))
 
 
-def trace_figure(run: RunData, scenario: str, labels: Sequence[str]) -> tuple[Figure, str, str]:
+def trace_figure(
+    run: RunData, scenario: str, labels: Sequence[str], panels: Sequence[str] = (POSITION, LANDMARKS)
+) -> tuple[Figure, str, str]:
     """Draw the errors of some estimators along the frames: the figure, its caption and its description."""
     here = run.epochs[run.epochs["scenario"] == scenario]
     title = f"Errors along the orbit, {scenario}"
     trials = here["trial"].nunique()
     return (
-        draw_traces({name: here[here["estimator"] == name] for name in labels}, title, run.manifest.credits),
+        draw_traces({name: here[here["estimator"] == name] for name in labels}, title, run.manifest.credits, panels),
         f"{title}: median over {trials} trials, and the band of 5 to 95 % of them; a thin line: the first trial; a"
         " trial that failed ends with its last good frame.",
         f"Position error and landmark error against the anomaly for {', '.join(labels)}.",

@@ -10,16 +10,19 @@ from matplotlib.figure import Figure
 
 from reports.figures.style import LINE_STYLES, SERIES_COLOURS, add_credits, new_figure, styled
 
-_PANELS = (
-    ("position_error_m", "camera position error, m"),
-    ("landmark_rmse_m", "RMS error of the frame's landmarks, m"),
-)
+POSITION, LANDMARKS = "position_error_m", "landmark_rmse_m"
+_PANELS = {POSITION: "camera position error, m", LANDMARKS: "RMS error of the frame's landmarks, m"}
 _BAND = (0.05, 0.95)
 _FULL_TURN_DEG = 360.0
 
 
 @styled
-def draw_traces(epochs: Mapping[str, pd.DataFrame], title: str, credit_lines: Sequence[str] = ()) -> Figure:
+def draw_traces(
+    epochs: Mapping[str, pd.DataFrame],
+    title: str,
+    credit_lines: Sequence[str] = (),
+    panels: Sequence[str] = (POSITION, LANDMARKS),
+) -> Figure:
     """Draw the median error over trials against the anomaly, with the band of 5 to 95 % of them and the first trial.
 
     A panel of which no estimator has a value, such as the landmarks of dead reckoning, is left out.
@@ -32,18 +35,20 @@ def draw_traces(epochs: Mapping[str, pd.DataFrame], title: str, credit_lines: Se
         Printed above the panels.
     credit_lines
         Credits of real images.
+    panels
+        Which errors to show.
     """
-    shown = [panel for panel in _PANELS if any(table[panel[0]].notna().any() for table in epochs.values())]
-    figure, panels = new_figure(len(shown), width_in=4.4 * len(shown))
-    for axes, (name, label) in zip(panels, shown, strict=True):
+    shown = [name for name in panels if any(table[name].notna().any() for table in epochs.values())]
+    figure, places = new_figure(len(shown), width_in=4.4 * len(shown))
+    for axes, name in zip(places, shown, strict=True):
         for i, (estimator, table) in enumerate(epochs.items()):
             _draw(axes, table, name, estimator, i)
         last = max((float(table["anomaly_deg"].max()) for table in epochs.values()), default=0.0)
         for turn in range(1, int(last / _FULL_TURN_DEG) + 1):
             axes.axvline(turn * _FULL_TURN_DEG, color="black", linewidth=0.6, linestyle=":")
-        axes.set(xlabel="anomaly, deg", ylabel=label)
+        axes.set(xlabel="anomaly, deg", ylabel=_PANELS[name])
         axes.set_ylim(bottom=0.0)
-    handles, labels = panels[0].get_legend_handles_labels()
+    handles, labels = places[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)

@@ -1,0 +1,71 @@
+"""The figures of Delpech et al. (2015), each drawn from the newest finished runs of its campaigns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from campaign.paper.gather import FinishedRun
+from campaign.paper.kinds import Draw, Paper, PaperFigure, Runs
+from reports.content import NamedFigure
+from reports.designs import design_grids
+from reports.figures.traces import LANDMARKS, POSITION
+from reports.sequences import ratio_grids, revolution_figure, revolution_series, sequence_grid, trace_figure
+from reports.tables import Grid
+from scenarios.errors import BoresightError
+
+_SENSITIVITY = "delpech2015-sensitivity"
+
+
+def _trace(method: str, panel: str) -> Draw:
+    """Draw one panel of the errors of a method along the frames."""
+
+    def draw(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+        del jobs
+        for run in runs.values():
+            data, labels = run.content.run, run.labels(method)
+            scenario = next(scenario for scenario, name in data.pairs() if name in labels)
+            yield NamedFigure("", *trace_figure(data, scenario, labels, (panel,)))
+
+    return draw
+
+
+def _series(abscissa: str) -> Draw:
+    """Draw the errors after one and two revolutions over a series."""
+
+    def draw(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+        del jobs
+        for run in runs.values():
+            data = run.content.run
+            series = revolution_series(data)
+            if not series:
+                raise BoresightError(f"{run.folder.path}: its scenarios and estimators are no series by {abscissa}")
+            yield NamedFigure("", *revolution_figure(data, series, abscissa))
+
+    return draw
+
+
+def _grids(run: FinishedRun) -> list[Grid]:
+    """Return what a run tells beside the published numbers: all statistics, and the ratios between its methods."""
+    content = run.content
+    found = [*ratio_grids(content.records)]
+    found += design_grids(content.run) if run.manifest["name"] == _SENSITIVITY else []
+    table = sequence_grid(content.records)
+    return [replace(grid, title=f"{run.manifest['name']}: {grid.title}") for grid in (table, *found) if grid]
+
+
+_ORDER = ("ba-trace", "ba-landmarks", "ba-views", "ekf-trace", "comparison", "images", "sensitivity")
+PAPER = Paper(
+    title="Delpech et al. (2015): every figure and every number",
+    campaigns=(*(f"delpech2015-{name}" for name in _ORDER), "trade-slam"),
+    methods=("ba-slam", "ekf-slam"),
+    figures=(
+        PaperFigure("3.1", ("delpech2015-ba-trace",), _trace("ba-slam", POSITION)),
+        PaperFigure("3.2", ("delpech2015-ba-trace",), _trace("ba-slam", LANDMARKS)),
+        PaperFigure("4.1", ("delpech2015-ba-landmarks",), _series("landmarks a frame")),
+        PaperFigure("4.2", ("delpech2015-ba-views",), _series("views")),
+        PaperFigure("5.1", ("delpech2015-ekf-trace",), _trace("ekf-slam", POSITION)),
+        PaperFigure("5.2", ("delpech2015-ekf-trace",), _trace("ekf-slam", LANDMARKS)),
+    ),
+    grids=_grids,
+)

@@ -1,0 +1,74 @@
+"""The page of Delpech et al. (2015), from small runs that go by the names of its campaigns."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+from ruamel.yaml import YAML
+
+from campaign.cli import main
+from campaign.resolve import CATALOG
+
+TRIALS = 2
+RUN = ("ba-trace", "ekf-trace", "ba-landmarks", "ba-views", "comparison")
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """The campaigns of the catalogue with few trials, a frame every 6 deg and for it tracks that live longer and better predicted motion."""
+    folder = tmp_path_factory.mktemp("delpech")
+    yaml = YAML(typ="safe", pure=True)
+    for name in (f"delpech2015-{kind}" for kind in RUN):
+        spec = yaml.load((CATALOG / f"{name}.yaml").read_text(encoding="utf-8"))
+        spec["trials"] = TRIALS
+        spec["set"] = {**spec.get("set", {}), "sequence.orbit.step_deg": 6, "sequence.knowledge.motion_error": 0.1}
+        spec["set"]["sequence.vision.repeatability"] = 0.99
+        file = folder / f"{name}.yaml"
+        with file.open("w", encoding="utf-8") as stream:
+            yaml.dump(spec, stream)
+        assert main(["run", str(file), "--jobs", "1", "--out", str(folder / "runs" / name)]) == 0
+    return folder / "runs"
+
+
+@pytest.fixture(scope="module")
+def page(runs):
+    """What the command writes."""
+    out = runs.parent / "figures"
+    assert main(["figures", "delpech2015", "--runs", str(runs), "--out", str(out)]) == 0
+    return out
+
+
+def test_figures_have_the_numbers_of_the_paper(page):
+    drawn = {path.stem for path in page.glob("figure_*.png")}
+    assert {f"figure_{n}" for n in ("3.1", "3.2", "4.1", "4.2", "5.1", "5.2")} <= drawn
+    text = (page / "table.md").read_text(encoding="utf-8")
+    assert "Figure 4.2. Position error after whole revolutions by views" in text
+
+
+def test_the_numbers_are_those_of_the_rows(page, runs):
+    table = pd.read_csv(page / "table.csv")
+    rows = pd.read_parquet(runs / "delpech2015-comparison" / "rows")
+    for n in (10, 15, 20):
+        for method in ("ekf-slam", "ba-slam"):
+            scenario = f"apophis-sphere-sequence-{n}"
+            mine = rows[(rows["scenario"] == scenario) & (rows["estimator"] == method)]
+            told = table[
+                (table["scenario"] == scenario) & (table["estimator"] == method)
+                & (table["quantity"].str.startswith("error after 1")) & (table["campaign"] == "delpech2015-comparison")
+            ].set_index("statistic")  # fmt: skip
+            assert told.loc["mean", "ours"] == pytest.approx(mine["error_after_1_m"].mean())
+            assert told.loc["deviation", "ours"] == pytest.approx(mine["error_after_1_m"].std())
+            assert told.loc["mean", "n"] == TRIALS
+
+
+def test_reductions_stand_beside_the_sentences_of_the_paper(page, runs):
+    table = pd.read_csv(page / "table.csv")
+    told = table[(table["campaign"] == "delpech2015-ba-views") & (table["estimator"] == "ba-slam-7")]
+    rows = pd.read_parquet(runs / "delpech2015-ba-views" / "rows")
+    mean = (
+        rows.pivot_table(index="trial", columns="estimator", values="error_after_2_m")[["ba-slam-3", "ba-slam-7"]]
+        .dropna()
+        .mean()
+    )
+    mine = told[told["quantity"].str.startswith("error after 2")]["ours"].item()
+    assert mine == pytest.approx(100 * (1 - mean["ba-slam-7"] / mean["ba-slam-3"]))
