@@ -15,7 +15,7 @@ RUN = ("ba-trace", "ekf-trace", "ba-landmarks", "ba-views", "comparison")
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """The campaigns of the catalogue with few trials, a frame every 6 deg and for it tracks that live longer and better predicted motion."""
+    """Run the campaigns of the catalogue with few trials and frames; what it takes to follow 6 deg steps is eased."""
     folder = tmp_path_factory.mktemp("delpech")
     yaml = YAML(typ="safe", pure=True)
     for name in (f"delpech2015-{kind}" for kind in RUN):
