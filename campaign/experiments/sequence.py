@@ -53,7 +53,7 @@ class SequenceTrials:
     seed: int
 
     kind: ClassVar[str] = "sequence"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     block_trials: ClassVar[int] = 5
     kernels: ClassVar[bool] = True
 

@@ -13,9 +13,10 @@ from scenarios.draw import Stream, generator
 from scenarios.geometry import Camera, Pose
 from scenarios.sequences.ground import Ground
 from scenarios.sequences.knowledge import Sighting, known_sequence
-from scenarios.sequences.lives import Lives, Sightline, live, population
+from scenarios.sequences.lives import Lives, live, recognise
 from scenarios.sequences.orbit import anomalies_deg
 from scenarios.sequences.path import Path, travel, unmodelled
+from scenarios.sequences.sightline import Sightline
 from scenarios.spec.sequence import SequenceSpec, VisionSpec
 from scenarios.tracks import TrackSequence
 
@@ -89,8 +90,9 @@ def _undisturbed(spec: SequenceSpec, ground: Ground) -> Path:
 
 @lru_cache(maxsize=8)
 def _population(spec: SequenceSpec, camera: Camera, ground: Ground) -> float:
-    """Work out the population once for all trials, by the orbit without what is not modelled."""
-    return population(spec.vision, Sightline(ground, spec.vision.lit_only), _undisturbed(spec, ground).views(camera))
+    """Work out how many tracks the whole ground must have for N in a frame on average, by the undisturbed orbit."""
+    share = Sightline(ground, spec.vision.lit_only).share(_undisturbed(spec, ground).views(camera))
+    return spec.vision.landmarks_per_frame / share
 
 
 def _see(
@@ -100,12 +102,13 @@ def _see(
     noise_rng, wrong_rng = generator(seed, Stream.TRACK_NOISE, trial), generator(seed, Stream.MISMATCH, trial)
     seen = []
     older = np.empty(0, dtype=np.int64)
-    for tracks, pose in zip(lives.seen, poses, strict=True):
+    again = recognise(lives, vision, generator(seed, Stream.REVISIT, trial))
+    for tracks, pose, pairs in zip(lives.seen, poses, again, strict=True):
         points = lives.points_m[tracks]
         uv = camera.project(pose.transform(points))
         placed, wrong = _misplace(uv, np.isin(tracks, older), camera, vision, wrong_rng)
         noisy = placed + vision.noise_px * noise_rng.normal(size=uv.shape)
-        seen.append((Sighting(tracks, noisy, points), wrong))
+        seen.append((Sighting(tracks, noisy, points, pairs), wrong))
         older = tracks
     return seen
 

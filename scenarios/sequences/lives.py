@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,63 +10,33 @@ from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
 from scenarios.geometry import Pose, View
-from scenarios.sequences.ground import Ground
+from scenarios.sequences.sightline import Sightline
 from scenarios.spec.sequence import VisionSpec
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
 
-_PROBES = 4096
-_PROBED_FRAMES = 36
-_PROBE_SEED = 0
 _MOST_ROUNDS = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sightline:
-    """Tells what a camera sees of the ground.
+class Lives:
+    """Landmarks and their tracks.
 
     Parameters
     ----------
-    ground
-        What hides its own far side.
-    lit_only
-        Whether only ground that faces the Sun is seen.
+    points_m
+        (T, 3) true landmark of every track, body frame.
+    landmarks
+        (T,) its number; tracks of one number are of one landmark.
+    seen
+        The tracks of every frame, ascending.
     """
-
-    ground: Ground
-    lit_only: bool = False
-
-    def visible(self, points_m: FloatArray, normals: FloatArray, view: View) -> BoolArray:
-        """(n,): points in the field of view, in sight and, where that is asked for, lit."""
-        seen = view.camera.contains(view.camera.project(view.T_cam_body.transform(points_m)))
-        if self.lit_only:
-            seen &= normals @ view.sun_dir_body > 0.0
-        rows = np.flatnonzero(seen)
-        seen[rows] = self.ground.in_sight(points_m[rows], normals[rows], view.T_cam_body.camera_position_m)
-        return seen
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Lives:
-    """The true landmark of every track, (T, 3) m in the body frame, and the tracks of every frame, ascending."""
 
     points_m: FloatArray
+    landmarks: IndexArray
     seen: tuple[IndexArray, ...]
-
-
-def population(vision: VisionSpec, sightline: Sightline, views: Sequence[View]) -> float:
-    """Return the expected number of landmarks on the whole ground that puts N into a frame on average.
-
-    N over the visible share of the area, which points drawn once for all tell as the mean over frames of the orbit.
-    """
-    points, normals = sightline.ground.sample(_PROBES, np.random.default_rng(_PROBE_SEED))
-    some = views[:: max(1, len(views) // _PROBED_FRAMES)]
-    share = float(np.mean([sightline.visible(points, normals, view).mean() for view in some]))
-    if share == 0.0:
-        raise BoresightError("sequence: the camera sees none of the body: check orbit, camera, body and lit_only")
-    return vision.landmarks_per_frame / share
 
 
 def live(
@@ -76,7 +46,19 @@ def live(
     total: float,
     rng: np.random.Generator,
 ) -> Lives:
-    """Let tracks be born and die along the frames, out of ``total`` landmarks on the whole ground (``population``).
+    """Let tracks be born and die along the frames, ``total`` on the whole ground if all of it were in view."""
+    lives = _live_once if vision.field == "renewed" else _live_again
+    return lives(vision, sightline, views, total, rng)
+
+
+def _live_once(
+    vision: VisionSpec,
+    sightline: Sightline,
+    views: Sequence[View],
+    total: float,
+    rng: np.random.Generator,
+) -> Lives:
+    """Draw a new landmark for every track: the field is renewed.
 
     A track that is visible in the next frame lives on with probability ``k^(change / step)``, the change being the
     angle at the body's origin between the two camera positions; one that is not visible is dead for good. A visible
@@ -95,7 +77,77 @@ def live(
         alive = np.concatenate([alive, np.arange(len(points), len(points) + len(born))])
         points, normals = np.concatenate([points, born]), np.concatenate([normals, born_normals])
         seen.append(alive)
-    return Lives(points, tuple(seen))
+    return Lives(points, np.arange(len(points)), tuple(seen))
+
+
+def _live_again(
+    vision: VisionSpec,
+    sightline: Sightline,
+    views: Sequence[View],
+    total: float,
+    rng: np.random.Generator,
+) -> Lives:
+    """Draw the landmarks once for all: one whose track is lost can be found again later, as another track.
+
+    A landmark in view is tracked or not, a Markov chain of two states: a track lives on with the repeatability k, and
+    one that is not tracked is found with the probability (1 - k) f / (1 - f), so that f, ``tracked_share``, of those in
+    view are tracked at all times. Of the landmarks that come into view, f are found at once.
+    """
+    share = vision.tracked_share
+    points, normals = sightline.ground.sample(int(rng.poisson(total / share)), rng)
+    track = np.full(len(points), -1)
+    landmarks: list[int] = []
+    seen: list[IndexArray] = []
+    older = np.zeros(len(points), dtype=bool)
+    for i, view in enumerate(views):
+        keep = 1.0 if i == 0 else vision.survival(_change_deg(views[i - 1].T_cam_body, view.T_cam_body))
+        visible, luck = sightline.visible(points, normals, view), rng.uniform(size=len(points))
+        alive = np.flatnonzero(track >= 0)
+        stayed = _survivors(alive, visible[alive], keep, vision, rng)
+        chance = np.where(older, (1.0 - keep) * share / (1.0 - share), share)
+        found = np.flatnonzero(visible & (track < 0) & (luck < chance))
+        track[np.setdiff1d(alive, stayed)] = -1
+        track[found] = len(landmarks) + np.arange(len(found))
+        landmarks += found.tolist()
+        seen.append(np.sort(track[track >= 0]))
+        older = visible
+    numbers = np.array(landmarks, dtype=np.int64)
+    return Lives(points[numbers], numbers, tuple(seen))
+
+
+def recognise(lives: Lives, vision: VisionSpec, rng: np.random.Generator) -> list[IndexArray]:
+    """For each frame, (k, 2): new tracks and the lost ones that the vision layer takes for the same landmark.
+
+    A landmark that was tracked before is recognised with the probability ``recognised``, by its last track. With the
+    probability ``mistaken`` a new track is taken for that of the nearest other lost landmark.
+    """
+    if not vision.recognised and not vision.mistaken:
+        return [np.zeros((0, 2), dtype=np.int64) for _ in lives.seen]
+    last: dict[int, int] = {}
+    pairs: list[IndexArray] = []
+    before = np.empty(0, dtype=np.int64)
+    for tracks in lives.seen:
+        lost = np.array(sorted(set(last.values()) - set(tracks.tolist())), dtype=np.int64)
+        new = np.setdiff1d(tracks, before)
+        found = [_taken_for(int(one), lost, last, lives, vision, float(rng.uniform())) for one in new]
+        pairs.append(np.array([p for p in found if p is not None], dtype=np.int64).reshape(-1, 2))
+        last.update(zip(lives.landmarks[new].tolist(), new.tolist(), strict=True))
+        before = tracks
+    return pairs
+
+
+def _taken_for(
+    track: int, lost: IndexArray, last: Mapping[int, int], lives: Lives, vision: VisionSpec, luck: float
+) -> tuple[int, int] | None:
+    """Return a new track with the lost one that it is taken for; None if it counts as new."""
+    landmark = int(lives.landmarks[track])
+    others = lost[lives.landmarks[lost] != landmark]
+    if luck < vision.mistaken and len(others):
+        apart = np.linalg.norm(lives.points_m[others] - lives.points_m[track], axis=1)
+        return track, int(others[apart.argmin()])
+    if landmark in last and luck > 1.0 - vision.recognised:
+        return track, last[landmark]
+    return None
 
 
 def _change_deg(before: Pose, pose: Pose) -> float:

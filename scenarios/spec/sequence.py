@@ -59,6 +59,15 @@ class VisionSpec(SpecModel):
     count: Literal["average", "constant"] = Field(
         "average", description="N on average over a field that is uniform by chance, or filled up to N in every frame"
     )
+    field: Literal["renewed", "fixed"] = Field(
+        "renewed",
+        description="New landmarks for new tracks, or landmarks for good that are found again as new tracks",
+    )
+    tracked_share: float = Field(0.5, gt=0, lt=1, description="Of a fixed field: landmarks in view that are tracked")
+    recognised: float = Field(
+        0.0, ge=0, le=1, description="Of a fixed field: found-again landmarks that are recognised, after a turn or less"
+    )
+    mistaken: float = Field(0.0, ge=0, lt=1, description="Of a fixed field: new tracks taken for another lost landmark")
     lit_only: bool = Field(False, description="Only landmarks that the Sun, along the orbit's normal, shines on")
     noise_px: float = Field(2.0 / 3.0, ge=0, description="Standard deviation of a coordinate: 2 px at 3 sigma")
     repeatability: float = Field(
@@ -68,6 +77,18 @@ class VisionSpec(SpecModel):
     min_connection: int = Field(3, ge=0, description="Tracks that live on from frame to frame, if as many are visible")
     mismatch_share: float = Field(0.0, ge=0, lt=1, description="Tracked points seen where the nearest other one is")
     outlier_share: float = Field(0.0, ge=0, lt=1, description="Tracked points seen anywhere in the image")
+
+    @model_validator(mode="after")
+    def _only_a_fixed_field_is_seen_again(self) -> Self:
+        again = {name: type(self).model_fields[name].default for name in ("tracked_share", "recognised", "mistaken")}
+        given = [name for name, default in again.items() if getattr(self, name) != default]
+        if given and self.field == "renewed":
+            raise ValueError(f"{given[0]} has no part in a field that is renewed: say field: fixed, or leave it out")
+        if self.field == "fixed" and self.count == "constant":
+            raise ValueError("count: constant draws landmarks as they are needed: with field: fixed say count: average")
+        if self.recognised + self.mistaken > 1:
+            raise ValueError(f"recognised {self.recognised:g} and mistaken {self.mistaken:g} are more than all")
+        return self
 
     def survival(self, change_deg: float) -> float:
         """Return the share of the visible tracks that live through a change of view: k^(change / step)."""
@@ -145,4 +166,15 @@ class SequenceSpec(SpecModel):
         wrong = [name for name in ("pole_sigma_deg", "spin_sigma") if getattr(self.knowledge, name)]
         if wrong and self.body_motion.kind == "none":
             raise ValueError(f"knowledge.{wrong[0]}: the body does not turn: give body_motion.kind, or leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _tracks_of_a_fixed_field_are_found_fast_enough(self) -> Self:
+        vision = self.vision
+        odds, lost = vision.tracked_share / (1.0 - vision.tracked_share), 1.0 - vision.survival(self.orbit.step_deg)
+        if vision.field == "fixed" and odds * lost > 1.0:
+            raise ValueError(
+                f"vision.tracked_share {vision.tracked_share:g} cannot be kept up where {lost:.2g} of the tracks"
+                f" are lost from frame to frame: at most {1.0 / (1.0 + lost):.3g}"
+            )
         return self

@@ -86,6 +86,7 @@ sequence:
 """
 SPIN = SEQUENCE + "  body_motion: {kind: spin}\n"
 TUMBLING = SEQUENCE + "  body_motion: {kind: tumbling, axis_body: [0.5, 0, 1]}\n"
+FIXED = SEQUENCE.replace("per_frame: 30", "per_frame: 30, field: fixed, recognised: 0.6")
 DYNAMICS = PROPAGATED + "  knowledge: {dynamics: true}\n"
 
 KERNELS = "[naif.tls, tiny.tsc, tiny.tf, tiny.ti, tiny.bsp, tiny.bc]"
@@ -207,6 +208,10 @@ CHANGES: dict[str, tuple[str, str]] = {
     "sequence.body_motion.inertia": (TUMBLING, "[0.5, 0.9, 1]"),
     "sequence.vision.landmarks_per_frame": (SEQUENCE, "20"),
     "sequence.vision.count": (SEQUENCE, "constant"),
+    "sequence.vision.field": (SEQUENCE, "fixed"),
+    "sequence.vision.tracked_share": (FIXED, "0.4"),
+    "sequence.vision.recognised": (FIXED, "0.3"),
+    "sequence.vision.mistaken": (FIXED, "0.2"),
     "sequence.vision.lit_only": (SEQUENCE, "true"),
     "sequence.vision.noise_px": (SEQUENCE, "0.5"),
     "sequence.vision.repeatability": (SEQUENCE, "0.7"),

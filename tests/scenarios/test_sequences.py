@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from scenarios.geometry import Camera, TriangleMesh, View
 from scenarios.sequences import MeshGround, SphereGround, draw_sequence
-from scenarios.sequences.lives import Sightline
 from scenarios.sequences.orbit import poses, times_s
+from scenarios.sequences.sightline import Sightline, sphere_share
 from scenarios.spec.sequence import OrbitSpec, SequenceSpec
 
 CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
@@ -167,6 +167,89 @@ def test_the_density_gives_n_landmarks_on_average_and_a_uniform_field():
     assert cosine.mean() == pytest.approx(middle, abs=4 * width / np.sqrt(12 * len(cosine)))
 
 
+@pytest.mark.parametrize(
+    "camera",
+    [CAMERA, Camera.from_fov(1024, 1024, np.radians(20.0)), Camera(1000, 600, 2500.0, 2400.0, 300.0, 400.0)],
+    ids=["whole", "narrow", "off-centre"],
+)
+@pytest.mark.parametrize("sun", [(0.0, 0.0, 1.0), (0.3, -0.2, 0.6)], ids=["terminator", "oblique"])
+def test_the_visible_share_of_a_sphere_is_that_of_a_million_points(camera, sun):
+    view = View(camera, poses(OrbitSpec())[17], np.array(sun))
+    points, normals = SPHERE.spread(1_000_000)
+    for lit_only in (False, True):
+        counted = Sightline(SPHERE, lit_only).visible(points, normals, view).mean()
+        assert sphere_share(RADIUS_M, view, lit_only) == pytest.approx(counted, abs=3e-5)
+    if camera is CAMERA:
+        assert sphere_share(RADIUS_M, view, False) == pytest.approx(0.5 * (1 - RADIUS_M / 790.0), abs=1e-9)
+    if camera is CAMERA and sun == (0.0, 0.0, 1.0):
+        assert sphere_share(RADIUS_M, view, True) == pytest.approx(0.25 * (1 - RADIUS_M / 790.0), abs=1e-6)
+
+
+def test_a_mesh_has_its_landmarks_spread_evenly_and_as_many_as_asked():
+    egg = trimesh.creation.icosphere(subdivisions=2, radius=180.0).apply_scale([1.3, 1.0, 0.8])
+    ground = MeshGround(TriangleMesh(egg.vertices, egg.faces))
+    points, _ = ground.spread(4096)
+    np.testing.assert_allclose(points.mean(axis=0), egg.centroid, atol=0.5)
+    middles = egg.triangles_center
+    expected = (egg.area_faces @ middles**2) / egg.area
+    np.testing.assert_allclose((points**2).mean(axis=0), expected, rtol=0.01)
+    section = SequenceSpec.model_validate({"orbit": {"revolutions": 0.5, "step_deg": 6}})
+    counts = [
+        np.mean([len(frame.tracks) for frame in draw_sequence(section, CAMERA, ground, 5, trial)[1].frames])
+        for trial in range(80)
+    ]
+    assert np.mean(counts) == pytest.approx(15.0, abs=4 * np.std(counts) / np.sqrt(80))
+    assert np.std(counts) < 2.0
+
+
+FIXED = {"field": "fixed", "landmarks_per_frame": 30, "recognised": 0.7, "mistaken": 0.05}
+
+
+def test_a_fixed_field_keeps_n_in_a_frame_and_its_repeatability():
+    counts, lived, could = [], 0, 0
+    sight = Sightline(SPHERE)
+    for trial in range(40):
+        truth, sequence = drawn(trial, vision={**FIXED, "tracked_share": 0.6})
+        counts.append([len(sequence.frames[i].tracks) for i in (0, 30, -1)])
+        for before, after, pose in zip(sequence.frames, sequence.frames[1:], truth.poses[1:], strict=False):
+            points = truth.points_m[before.tracks]
+            visible = sight.visible(points, points / RADIUS_M, look(CAMERA, pose))
+            lived, could = lived + np.isin(before.tracks, after.tracks).sum(), could + visible.sum()
+    assert lived / could == pytest.approx(0.9, abs=4 * np.sqrt(0.09 / could))
+    for sample in np.transpose(counts):
+        assert np.mean(sample) == pytest.approx(30.0, abs=4 * np.sqrt(30.0 / 40))
+
+
+def test_lost_landmarks_are_found_again_under_new_numbers_and_recognised_as_often_as_asked():
+    right = wrong = returned = born = 0
+    for trial in range(4):
+        truth, sequence = drawn(trial, vision=FIXED, revolutions=1.5)
+        place = [point.tobytes() for point in truth.points_m]
+        last: dict[bytes, int] = {}
+        before: set[int] = set()
+        for frame in sequence.frames:
+            new = [track for track in frame.tracks.tolist() if track not in before]
+            named = dict(frame.again.tolist())
+            assert set(named) <= set(new)
+            assert not set(named.values()) & set(frame.tracks.tolist())
+            right += sum(last.get(place[track]) == older for track, older in named.items())
+            wrong += sum(place[track] != place[older] for track, older in named.items())
+            returned, born = returned + sum(place[track] in last for track in new), born + len(new)
+            last.update((place[track], track) for track in new)
+            before = set(frame.tracks.tolist())
+    assert returned > 0.5 * born, "after a revolution nearly all come back"
+    assert right / returned == pytest.approx(0.7, abs=4 * np.sqrt(0.21 / returned))
+    assert wrong / born == pytest.approx(0.05, abs=4 * np.sqrt(0.05 / born) + 0.005)
+    assert all(not frame.again.size for frame in drawn()[1].frames)
+
+
+def test_recognition_changes_nothing_but_the_pairs():
+    (a, one), (b, two) = drawn(vision=FIXED), drawn(vision={**FIXED, "recognised": 0.2})
+    assert a.points_m.tobytes() == b.points_m.tobytes()
+    assert all(f.uv_px.tobytes() == g.uv_px.tobytes() for f, g in zip(one.frames, two.frames, strict=True))
+    assert sum(len(f.again) for f in one.frames) > sum(len(f.again) for f in two.frames) > 0
+
+
 def test_a_constant_count_fills_up_every_frame_and_three_tracks_connect_the_frames():
     _, sequence = drawn(vision={"count": "constant", "landmarks_per_frame": 4, "repeatability": 0.2})
     assert {len(frame.tracks) for frame in sequence.frames} == {4}
@@ -248,6 +331,10 @@ def test_attitude_and_first_position_are_as_wrong_as_asked():
         ({"orbit": {"radius_m": 100}, "sphere_radius_m": 190}, "is not above the sphere"),
         ({"orbit": {"normal_body": [0, 0, 0]}}, "normal_body is zero"),
         ({"orbit": {"revolutions": 0.001}}, "less than a step"),
+        ({"vision": {"recognised": 0.5}}, "say field: fixed"),
+        ({"vision": {"field": "fixed", "count": "constant"}}, "say count: average"),
+        ({"vision": {"field": "fixed", "recognised": 0.6, "mistaken": 0.5}}, "are more than all"),
+        ({"sphere_radius_m": 190, "vision": {"field": "fixed", "tracked_share": 0.95}}, "at most 0.909"),
     ],
 )
 def test_a_wrong_section_is_refused_with_its_reason(section, said):
