@@ -197,3 +197,20 @@ def _mean(values: Sequence[object]) -> float | None:
 def _number(value: object) -> float:
     assert isinstance(value, int | float)  # noqa: S101  the columns are made above
     return float(value)
+
+
+def parameter_errors(estimate: SequenceEstimate, truth: SequenceTruth) -> dict[str, float]:
+    """Score parameters of the motion that an estimator reports among its diagnostics.
+
+    ``gm_m3_s2`` with ``gm_sigma_m3_s2``, or ``radiation_m_s2`` with ``radiation_sigma_m_s2``, give the size of the
+    relative error in per cent, and the squared error over the variance (``nees``, 1 is expected).
+    """
+    true = {"gm": ("m3_s2", truth.gm_m3_s2), "radiation": ("m_s2", float(np.linalg.norm(truth.path.radiation_m_s2)))}
+    scores = {}
+    for name, (unit, value) in true.items():
+        told, sigma = (estimate.diagnostics.get(f"{name}{kind}_{unit}") for kind in ("", "_sigma"))
+        if told is not None and value:
+            scores[f"{name}_error_percent"] = 100.0 * abs(told / value - 1.0)
+        if told is not None and sigma:
+            scores[f"{name}_nees"] = ((told - value) / sigma) ** 2
+    return scores

@@ -13,7 +13,14 @@ from campaign.experiments.registry import Bench, Record, Records
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
-from campaign.sequence_score import check_sequence, final_landmark_rmse, no_summary, score_epochs, summary
+from campaign.sequence_score import (
+    check_sequence,
+    final_landmark_rmse,
+    no_summary,
+    parameter_errors,
+    score_epochs,
+    summary,
+)
 from estimators.slam.contract import SequenceEstimate, SequenceEstimator
 from estimators.slam.registry import sequence_estimator_class
 from scenarios.bodies import load_body
@@ -122,7 +129,10 @@ def _scored(
     return {
         "rows": [row],
         "epochs": epochs,
-        "diagnostics": [{"name": str(name), "value": float(v)} for name, v in estimate.diagnostics.items()],
+        "diagnostics": [
+            {"name": str(name), "value": float(v)}
+            for name, v in {**estimate.diagnostics, **parameter_errors(estimate, truth)}.items()
+        ],
         "timings": [{"stage": "cycle", "seconds": float(np.mean(seconds))}] if seconds else [],
     }
 

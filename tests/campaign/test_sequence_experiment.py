@@ -12,7 +12,7 @@ from scipy.spatial.distance import mahalanobis
 from campaign.cli.main import main
 from campaign.experiments.sequence import SequenceTrials
 from campaign.resolve import resolve
-from campaign.sequence_score import check_sequence, score_epochs, summary
+from campaign.sequence_score import check_sequence, parameter_errors, score_epochs, summary
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.dead_reckoning import DeadReckoning
 from estimators.slam.registry import sequence_estimator_class
@@ -117,6 +117,28 @@ def test_rubbish_is_refused(drawn, spoil, said):
     check_sequence(good, sequence)
     with pytest.raises(ValueError, match=said):
         check_sequence(spoil(good), sequence)
+
+
+def test_parameters_of_the_motion_are_scored(drawn):
+    truth, sequence = drawn
+    told = {"gm_m3_s2": 1.02 * truth.gm_m3_s2, "gm_sigma_m3_s2": 0.01 * truth.gm_m3_s2, "radiation_m_s2": 1e-7}
+    estimate = replace(shifted(truth, sequence), diagnostics=told)
+    scores = parameter_errors(estimate, truth)
+    assert scores == pytest.approx({"gm_error_percent": 2.0, "gm_nees": 4.0})  # there is no pressure on a circle
+    assert parameter_errors(shifted(truth, sequence), truth) == {}
+    trials = SequenceTrials("x", SPEC, CAMERA, GROUND, {"told": Returns(estimate)}, 7)
+    added = {row["name"]: row["value"] for row in trials.run(range(1))["diagnostics"]}
+    assert added == pytest.approx({**told, **scores})
+
+
+class Returns:
+    name, version = "returns", 1
+
+    def __init__(self, estimate):
+        self.estimate = estimate
+
+    def follow(self, sequence):
+        return self.estimate
 
 
 class Raises:

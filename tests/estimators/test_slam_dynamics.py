@@ -209,7 +209,7 @@ def test_noise_free_sequence_returns_the_truth_and_the_parameters() -> None:
     assert estimate.status == "ok", estimate.reason
     assert errors(estimate, truth).max() < 1e-3
     assert estimate.diagnostics["gm_m3_s2"] == pytest.approx(GM, rel=1e-6)
-    assert estimate.diagnostics["radiation_factor"] == pytest.approx(1.0 / 0.9, rel=1e-5)
+    assert estimate.diagnostics["radiation_m_s2"] == pytest.approx(np.linalg.norm(LIGHT), rel=1e-5)
 
 
 def test_errors_are_what_the_covariance_says() -> None:

@@ -62,15 +62,16 @@ class _Smoother:
     def diagnostics(self) -> dict[str, float]:
         if self.window is None:
             return {}
-        length, gm = self.window.field.length_m, self.window.field.gm_m3_s2
+        forces, length = self.window.forces, self.window.field.length_m
+        gm, radiation = forces.gm_m3_s2, float(np.linalg.norm(forces.radiation_m_s2))
         ratio, factor = (self.window.parameters_m / length).tolist()
         ratio_sigma, factor_sigma = (self.parameter_sigmas_m / length).tolist()
         return {
             "iterations_per_frame": self.iterations / max(self.count - 1, 1),
             "gm_m3_s2": ratio * gm,
             "gm_sigma_m3_s2": ratio_sigma * gm,
-            "radiation_factor": factor,
-            "radiation_factor_sigma": factor_sigma,
+            "radiation_m_s2": factor * radiation,
+            "radiation_sigma_m_s2": factor_sigma * radiation,
         }
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
