@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
-from importlib.metadata import entry_points
 from types import MappingProxyType
 from typing import cast
 
 from estimators.contract import Estimator
-from scenarios.errors import BoresightError
+from estimators.third_party import load_by_name, names_with
 
 ENTRY_POINT_GROUP = "boresight.estimators"
+_PARTS = ("name", "version", "from_options", "estimate")
 
 _OWN: Mapping[str, str] = MappingProxyType(
     {
@@ -31,7 +30,7 @@ _OWN: Mapping[str, str] = MappingProxyType(
 
 def estimator_names() -> tuple[str, ...]:
     """All names, sorted; third-party ones included."""
-    return tuple(sorted({*_OWN, *(point.name for point in entry_points(group=ENTRY_POINT_GROUP))}))
+    return names_with(_OWN, ENTRY_POINT_GROUP)
 
 
 def needed_sensors(name: str) -> frozenset[str]:
@@ -53,17 +52,4 @@ def estimator_class(name: str) -> type[Estimator]:
     BoresightError
         If there is none of that name, or a third party's cannot be imported or does not follow the contract.
     """
-    if name in _OWN:
-        module, attribute = _OWN[name].split(":")
-        return cast("type[Estimator]", getattr(import_module(module), attribute))
-    points = [point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name == name]
-    if not points:
-        raise BoresightError(f"estimator {name!r} is unknown; there are: {', '.join(estimator_names())}")
-    try:
-        found = points[0].load()
-    except (ImportError, AttributeError) as error:
-        raise BoresightError(f"estimator {name!r} cannot be imported from {points[0].value}: {error}") from error
-    missing = [part for part in ("name", "version", "from_options", "estimate") if not hasattr(found, part)]
-    if missing:
-        raise BoresightError(f"estimator {name!r} ({points[0].value}) lacks {', '.join(missing)} of the contract")
-    return cast("type[Estimator]", found)
+    return cast("type[Estimator]", load_by_name(name, _OWN, ENTRY_POINT_GROUP, _PARTS))

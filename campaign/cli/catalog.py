@@ -14,6 +14,7 @@ from ruamel.yaml import YAML
 from campaign.cli.terminal import console
 from campaign.resolve import CATALOG, campaign_names, resolve
 from estimators.registry import estimator_names
+from estimators.slam.registry import sequence_estimator_names
 from scenarios.load import canonical_json, file_kind, json_schema, load_campaign, load_scenario, scenario_names
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ def _list(_: argparse.Namespace) -> int:
         table.add_row(name, load_scenario(name).spec.description)
     out.print(table)
     out.print(f"\nestimators: {', '.join(estimator_names())}")
+    out.print(f"estimators of sequences: {', '.join(sequence_estimator_names())}")
     return 0
 
 

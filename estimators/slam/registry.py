@@ -1,14 +1,16 @@
-"""Estimators of sequences by name."""
+"""Estimators of sequences by name: our own table, and entry points of third-party packages."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
 from types import MappingProxyType
 from typing import cast
 
 from estimators.slam.contract import SequenceEstimator
-from scenarios.errors import BoresightError
+from estimators.third_party import load_by_name, names_with
+
+ENTRY_POINT_GROUP = "boresight.sequence_estimators"
+_PARTS = ("name", "version", "from_options", "follow")
 
 _OWN: Mapping[str, str] = MappingProxyType(
     {
@@ -23,20 +25,16 @@ _OWN: Mapping[str, str] = MappingProxyType(
 
 
 def sequence_estimator_names() -> tuple[str, ...]:
-    """All names, sorted."""
-    return tuple(sorted(_OWN))
+    """All names, sorted; third-party ones included."""
+    return names_with(_OWN, ENTRY_POINT_GROUP)
 
 
 def sequence_estimator_class(name: str) -> type[SequenceEstimator]:
-    """Look up an estimator of sequences.
+    """Look up an estimator of sequences; our own names cannot be taken over by a third party.
 
     Raises
     ------
     BoresightError
-        If there is none of that name.
+        If there is none of that name, or a third party's cannot be imported or does not follow the contract.
     """
-    if name not in _OWN:
-        known = ", ".join(sequence_estimator_names())
-        raise BoresightError(f"estimator {name!r} is unknown among those of sequences; there are: {known}")
-    module, attribute = _OWN[name].split(":")
-    return cast("type[SequenceEstimator]", getattr(import_module(module), attribute))
+    return cast("type[SequenceEstimator]", load_by_name(name, _OWN, ENTRY_POINT_GROUP, _PARTS))
