@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from scenarios.sequences import SequenceTruth
+from scenarios.sequences.frames import inertial_from_body
 from scenarios.tracks import TrackSequence
 
 FloatArray = NDArray[np.float64]
@@ -74,6 +75,9 @@ def score_epochs(estimate: SequenceEstimate, sequence: TrackSequence, truth: Seq
             {
                 "frame": index,
                 "anomaly_deg": float(truth.anomaly_deg[index]),
+                "time_s": float(truth.path.times_s[index]),
+                **_inertial(frame.position_m, seen.R_body_inertial, ""),
+                **_inertial(truth.poses[index].camera_position_m, truth.path.R_body_inertial[index], "true_"),
                 **_position(frame, index, truth, turn),
                 **_landmarks(frame, seen.tracks, older, truth.points_m @ turn.T),
                 "n_tracks": len(seen.tracks),
@@ -86,6 +90,12 @@ def score_epochs(estimate: SequenceEstimate, sequence: TrackSequence, truth: Seq
 def known_from_true(true: FloatArray, known: FloatArray) -> FloatArray:
     """(3, 3) rotation from the body's true axes to those that it is believed to have, by its two R_body_inertial."""
     return np.eye(3) if np.array_equal(true, known) else known @ true.T
+
+
+def _inertial(position_m: FloatArray, R_body_inertial: FloatArray, prefix: str) -> Epoch:
+    """Turn a position into inertial axes, by the rotation of the body as it is true or as the spacecraft knows it."""
+    turned = inertial_from_body(position_m, R_body_inertial)
+    return {f"{prefix}{axis}_m": float(value) for axis, value in zip("xyz", turned, strict=True)}
 
 
 def _position(frame: FrameEstimate, index: int, truth: SequenceTruth, turn: FloatArray) -> Epoch:

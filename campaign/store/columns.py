@@ -47,6 +47,10 @@ def _landmark_errors(over: str) -> tuple[Column, ...]:
     )
 
 
+def _inertial(prefix: str, what: str) -> tuple[Column, ...]:
+    return tuple(Column(f"{prefix}{axis}_m", pa.float64(), f"{axis} of the {what}") for axis in "xyz")
+
+
 TABLES: dict[str, tuple[Column, ...]] = {
     "rows": (
         *_key(),
@@ -79,6 +83,9 @@ TABLES: dict[str, tuple[Column, ...]] = {
         *_key(),
         Column("frame", pa.int64(), "number of the frame in its sequence, from 0"),
         Column("anomaly_deg", pa.float64(), "anomaly gone through since the first frame"),
+        Column("time_s", pa.float64(), "epoch of the frame; the first is at 0"),
+        *_inertial("", "estimated camera position in inertial axes (ACRF), by the known rotation of the body"),
+        *_inertial("true_", "true camera position in inertial axes about the body's centre of mass (ACRF)"),
         Column("position_error_m", pa.float64(), "length of c_est - c_true right after the frame, body frame"),
         Column("radial_m", pa.float64(), "component of the same away from the body's origin"),
         Column("along_m", pa.float64(), "component along the true motion, at a right angle to the radial one"),
