@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 R_PAPER_CAMERA: FloatArray = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""``x_C = R_PAPER_CAMERA x_cam``: the paper's R_C, z along the boresight, x along the vertical of the sensor and y along
-its horizontal. It does not say which way; x down the columns of the image makes y point left."""
+"""``x_C = R_PAPER_CAMERA x_cam``: the paper's R_C, z along the boresight, x along the sensor's vertical and y along its
+horizontal. It does not say which way; x down the columns of the image makes y point left."""
 
 
 def inertial_from_body(points_m: FloatArray, R_body_inertial: FloatArray) -> FloatArray:
