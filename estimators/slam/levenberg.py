@@ -70,17 +70,11 @@ def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
 
     Levenberg-Marquardt comes to a stop on an undetermined scale as well, wherever that happens to be.
     """
-    kernels = _kernels(problem)
-    if kernels is not None:
-        at = floats(state.positions_m), floats(state.points_m)
-        return int(kernels.rank_deficiency(flat(problem), *at, RANK_TOLERANCE))
-    layout = Layout.of(problem)
-    if layout.kept == 0:
+    matrix = _reduced(problem, state)
+    if matrix is None:
+        return 3 * Layout.of(problem).kept
+    if not len(matrix):
         return 0
-    try:
-        matrix, _, _ = normal_equations(problem, state, layout).reduced()
-    except np.linalg.LinAlgError:
-        return 3 * layout.kept
     values = eigvalsh(matrix)
     return int(np.count_nonzero(values < RANK_TOLERANCE * values[-1]))
 
@@ -95,17 +89,28 @@ def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
     """
     kernels = _kernels(problem)
     if kernels is not None:
-        at = floats(state.positions_m), floats(state.points_m)
-        definite, known = kernels.view_covariance(flat(problem), *at, view)
-        if not definite:
+        known, matrix, layout = kernels.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
+        if not known or not kernels.factorise(matrix, layout.shape):
             raise LinAlgError("the reduced matrix is not positive definite")
-        return np.asarray(known, dtype=np.float64)
+        return np.asarray(kernels.block_of_inverse(matrix, layout.shape, layout.view_slot[view]), dtype=np.float64)
     layout = Layout.of(problem)
     matrix, _, _ = normal_equations(problem, state, layout).reduced()
     slot = 3 * int(layout.view[view])
     columns = np.eye(len(matrix))[:, slot : slot + 3]
     covariance = cho_solve(cho_factor(matrix), columns)[slot : slot + 3]
     return np.asarray(0.5 * (covariance + covariance.T), dtype=np.float64)
+
+
+def _reduced(problem: Adjustment, state: State) -> FloatArray | None:
+    """(3n, 3n) reduced matrix; nothing if a landmark is not determined."""
+    kernels = _kernels(problem)
+    if kernels is not None:
+        known, values, found = kernels.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
+        return np.asarray(kernels.dense(values, found.shape), dtype=np.float64) if known else None
+    try:
+        return normal_equations(problem, state, Layout.of(problem)).reduced()[0]
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _kernels(problem: Adjustment) -> ModuleType | None:

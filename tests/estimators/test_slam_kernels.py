@@ -15,6 +15,7 @@ from slam_sequences import Recipe, make_sequence
 from estimators.slam.bundle import BundleSlam
 from estimators.slam.compiled import descent, equations
 from estimators.slam.compiled import envelope as packed
+from estimators.slam.compiled import layout as layouts
 from estimators.slam.compiled.flat import flat
 from estimators.slam.journal import Journal
 from estimators.slam.kernels import VARIABLE, kernel_variant
@@ -87,7 +88,7 @@ def test_equations_are_those_of_numpy(seed: int) -> None:
     problem, state = window(seed)
     at = state.positions_m, state.points_m
     assert equations.cost(flat(problem), *at) == pytest.approx(cost(problem, state), rel=1e-12)
-    layout = equations.make_layout(flat(problem))
+    layout = layouts.make_layout(flat(problem))
     system = equations.linearise(flat(problem), layout, *at)
     done, matrix, right, inverse = descent.reduced(system, layout, 0.3)
     assert done
@@ -95,7 +96,7 @@ def test_equations_are_those_of_numpy(seed: int) -> None:
     for found, wanted in [
         (packed.dense(matrix, layout.shape), expected),
         (right, expected_right),
-        (inverse, expected_inverse),
+        (inverse, expected_inverse.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]),
     ]:
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max(initial=1.0))
 
@@ -136,7 +137,8 @@ def test_envelope_solves_what_lapack_solves() -> None:
         for j in range(i, last + 1):
             block = rng.normal(size=(3, 3)) + (40.0 * np.eye(3) if i == j else 0.0)
             block = 0.5 * (block + block.T) if i == j else block
-            packed.add_block(values, shape, i, j, block, 1.0)
+            for row, column in np.ndindex(3, 3):
+                packed.add_entry(values, shape, i, row, j, column, block[row, column])
             wanted[3 * i : 3 * i + 3, 3 * j : 3 * j + 3] += block
             if j > i:
                 wanted[3 * j : 3 * j + 3, 3 * i : 3 * i + 3] += block.T

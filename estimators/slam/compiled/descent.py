@@ -1,16 +1,20 @@
-"""Levenberg-Marquardt, equation (4), the rank of the reduced system and a view's covariance."""
+"""Levenberg-Marquardt, equation (4), and the reduced system."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled.envelope import add_block, add_diagonal, dense, factorise, solve
-from estimators.slam.compiled.equations import FlatEquations, FlatLayout, cost, linearise, make_layout
+from estimators.slam.compiled.envelope import Envelope, add_diagonal, block_of_inverse, dense, factorise, solve
+from estimators.slam.compiled.equations import FlatEquations, cost, linearise
 from estimators.slam.compiled.flat import FlatProblem
 from estimators.slam.compiled.jit import kernel
+from estimators.slam.compiled.layout import FlatLayout, make_layout
+
+__all__ = ["block_of_inverse", "dense", "factorise", "minimise", "reduced_at"]
 
 FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
 
 
 @kernel
@@ -32,7 +36,8 @@ def minimise(
             solved, kept_step, gone_step = _step(system, layout, damping)
             if solved:
                 longest = _longest(kept_step, gone_step)
-                ahead, points_ahead = _moved(layout, positions, points, kept_step, gone_step)
+                ahead = _moved(positions, layout.view_slot, kept_step, layout.view_slot, gone_step)
+                points_ahead = _moved(points, layout.point_slot, kept_step, layout.gone_slot, gone_step)
                 best = cost(problem, ahead, points_ahead)
                 if best <= value + 1e-12 * abs(value) + 1e-18:
                     positions, points, value = ahead, points_ahead, best
@@ -51,78 +56,41 @@ def minimise(
 def reduced(
     system: FlatEquations, layout: FlatLayout, damping: float
 ) -> tuple[bool, FloatArray, FloatArray, FloatArray]:
-    """Reduced matrix in its envelope, right side (3n,), inverted blocks (e, 3, 3) of the eliminated landmarks.
+    """Reduced matrix in its envelope, right side (3n,), inverted blocks (e, 6) of the eliminated landmarks.
 
     The first is False if a landmark is not determined.
     """
-    matrix, right = system.kept.copy(), -system.kept_gradient
+    matrix, right = np.empty_like(system.kept), np.empty(3 * len(system.kept_gradient))
+    for k in range(len(matrix)):
+        matrix[k] = system.kept[k]
+    for i in range(len(system.kept_gradient)):
+        for axis in range(3):
+            right[3 * i + axis] = -system.kept_gradient[i, axis]
     add_diagonal(matrix, layout.shape, damping)
-    inverse = np.empty_like(system.gone)
-    weighted, product = np.empty((3, 3)), np.empty((3, 3))
+    inverse, weighted = np.empty_like(system.gone), np.empty((3, 3))
     for g in range(len(system.gone)):
-        if not _invert(system.gone[g], damping, inverse[g]):
-            return False, matrix, right.ravel(), inverse
+        if not _invert(system.gone, g, damping, inverse):
+            return False, matrix, right, inverse
         for a in range(layout.link_begin[g], layout.link_begin[g + 1]):
-            _multiply(system.blocks[layout.link[a]], inverse[g], weighted)
             slot = layout.link_slot[a]
-            for row in range(3):
-                for column in range(3):  # the coupling is less the block
-                    right[slot, row] -= weighted[row, column] * system.gone_gradient[g, column]
+            _multiply(system.blocks, layout.link[a], inverse, g, weighted)
+            for row in range(3):  # the coupling is less the block
+                taken = weighted[row, 0] * system.gone_gradient[g, 0] + weighted[row, 1] * system.gone_gradient[g, 1]
+                right[3 * slot + row] -= taken + weighted[row, 2] * system.gone_gradient[g, 2]
             for b in range(layout.link_begin[g], layout.link_begin[g + 1]):
                 if layout.link_slot[b] >= slot:
-                    _multiply(weighted, system.blocks[layout.link[b]], product)
-                    add_block(matrix, layout.shape, slot, layout.link_slot[b], product, -1.0)
-    return True, matrix, right.ravel(), inverse
+                    _take_product(
+                        matrix, layout.shape, slot, layout.link_slot[b], weighted, system.blocks, layout.link[b]
+                    )
+    return True, matrix, right, inverse
 
 
 @kernel
-def rank_deficiency(problem: FlatProblem, positions: FloatArray, points: FloatArray, tolerance: float) -> int:
-    """Count the eigenvalues of the reduced matrix below ``tolerance`` of the largest.
-
-    The eigenvalues are worked out only where bounds of the smallest, 1 / trace of the inverse, and of the largest, the
-    trace, leave room for doubt.
-    """
+def reduced_at(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> tuple[bool, FloatArray, FlatLayout]:
+    """Reduced matrix of the problem linearised at a state; the first is False if a landmark is not determined."""
     layout = make_layout(problem)
-    n = 3 * len(layout.shape.reach)
-    if n == 0:
-        return 0
-    system = linearise(problem, layout, positions, points)
-    determined, matrix, _, _ = reduced(system, layout, 0.0)
-    if not determined:
-        return n
-    full = dense(matrix, layout.shape)
-    if factorise(matrix, layout.shape):
-        inverse_trace = 0.0
-        for i in range(n):
-            column = np.zeros(n)
-            column[i] = 1.0
-            solve(matrix, layout.shape, column)
-            inverse_trace += column[i]
-        if np.trace(full) * inverse_trace * tolerance < 1.0:
-            return 0
-    values = np.linalg.eigvalsh(full)
-    return int(np.sum(values < tolerance * values[-1]))
-
-
-@kernel
-def view_covariance(
-    problem: FlatProblem, positions: FloatArray, points: FloatArray, view: int
-) -> tuple[bool, FloatArray]:
-    """(3, 3) covariance of a free view's position; False if the reduced matrix is not positive definite."""
-    layout = make_layout(problem)
-    n = len(layout.shape.reach)
-    covariance = np.zeros((3, 3))
-    system = linearise(problem, layout, positions, points)
-    determined, matrix, _, _ = reduced(system, layout, 0.0)
-    if not determined or not factorise(matrix, layout.shape):
-        return False, covariance
-    slot = 3 * layout.view_slot[view]
-    for axis in range(3):
-        column = np.zeros(3 * n)
-        column[slot + axis] = 1.0
-        solve(matrix, layout.shape, column)
-        covariance[:, axis] = column[slot : slot + 3]
-    return True, 0.5 * (covariance + covariance.T)
+    determined, matrix, _, _ = reduced(linearise(problem, layout, positions, points), layout, 0.0)
+    return determined, matrix, layout
 
 
 @kernel
@@ -136,67 +104,60 @@ def _first_damping(system: FlatEquations, layout: FlatLayout) -> float:
         for row in range(3):
             total += system.kept[shape.begin[i] + row * (shape.width[i] + 1)]
     for g in range(e):
-        total += system.gone[g, 0, 0] + system.gone[g, 1, 1] + system.gone[g, 2, 2]
+        total += system.gone[g, 0] + system.gone[g, 3] + system.gone[g, 5]
     return 1e-6 * total / (3 * (n + e))
 
 
 @kernel
 def _step(system: FlatEquations, layout: FlatLayout, damping: float) -> tuple[bool, FloatArray, FloatArray]:
-    """Solve equation (4) for the steps (n, 3) of the kept and (e, 3) of the eliminated variables."""
-    n, e = len(layout.shape.reach), len(system.gone)
-    gone_step = np.empty((e, 3))
-    solved, matrix, right, inverse = reduced(system, layout, damping)
+    """Solve equation (4) for the steps (3n,) of the kept and (3e,) of the eliminated variables."""
+    gone_step = np.empty(3 * len(system.gone))
+    solved, matrix, step, inverse = reduced(system, layout, damping)
     if not solved or not factorise(matrix, layout.shape):
-        return False, right.reshape(n, 3), gone_step
-    solve(matrix, layout.shape, right)
-    kept_step = right.reshape(n, 3)
-    pull = np.empty(3)
-    for g in range(e):
-        pull[:] = -system.gone_gradient[g]
+        return False, step, gone_step
+    solve(matrix, layout.shape, step)
+    for g in range(len(system.gone)):
+        x, y, z = -system.gone_gradient[g, 0], -system.gone_gradient[g, 1], -system.gone_gradient[g, 2]
         for a in range(layout.link_begin[g], layout.link_begin[g + 1]):
-            block, moved = system.blocks[layout.link[a]], kept_step[layout.link_slot[a]]
-            for row in range(3):
-                pull[row] += block[row, 0] * moved[0] + block[row, 1] * moved[1] + block[row, 2] * moved[2]
-        for row in range(3):
-            gone_step[g, row] = (
-                inverse[g, row, 0] * pull[0] + inverse[g, row, 1] * pull[1] + inverse[g, row, 2] * pull[2]
-            )
-    return True, kept_step, gone_step
+            at = 3 * layout.link_slot[a]
+            i, j, k = _times(system.blocks, layout.link[a], step[at], step[at + 1], step[at + 2])
+            x, y, z = x + i, y + j, z + k
+        gone_step[3 * g], gone_step[3 * g + 1], gone_step[3 * g + 2] = _times(inverse, g, x, y, z)
+    return True, step, gone_step
 
 
 @kernel
 def _longest(kept_step: FloatArray, gone_step: FloatArray) -> float:
     """Return the largest coordinate of all steps."""
     longest = 0.0
-    for value in kept_step.ravel():
-        longest = max(longest, abs(value))
-    for value in gone_step.ravel():
-        longest = max(longest, abs(value))
+    for k in range(len(kept_step)):
+        longest = max(longest, abs(kept_step[k]))
+    for k in range(len(gone_step)):
+        longest = max(longest, abs(gone_step[k]))
     return longest
 
 
 @kernel
 def _moved(
-    layout: FlatLayout, positions: FloatArray, points: FloatArray, kept_step: FloatArray, gone_step: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the state after the steps."""
-    ahead, points_ahead = positions.copy(), points.copy()
-    for i in range(len(ahead)):
-        if layout.view_slot[i] >= 0:
-            ahead[i] += kept_step[layout.view_slot[i]]
-    for j in range(len(points_ahead)):
-        if layout.point_slot[j] >= 0:
-            points_ahead[j] += kept_step[layout.point_slot[j]]
-        elif layout.gone_slot[j] >= 0:
-            points_ahead[j] += gone_step[layout.gone_slot[j]]
-    return ahead, points_ahead
+    rows: FloatArray, slots: IndexArray, step: FloatArray, rest: IndexArray, rest_step: FloatArray
+) -> FloatArray:
+    """Return positions or points after the steps of their slots, or of those in ``rest``."""
+    ahead = np.empty_like(rows)
+    for i in range(len(rows)):
+        for axis in range(3):
+            ahead[i, axis] = rows[i, axis]
+            if slots[i] >= 0:
+                ahead[i, axis] += step[3 * slots[i] + axis]
+            elif rest[i] >= 0:
+                ahead[i, axis] += rest_step[3 * rest[i] + axis]
+    return ahead
 
 
 @kernel
-def _invert(block: FloatArray, damping: float, inverse: FloatArray) -> bool:
+def _invert(blocks: FloatArray, k: int, damping: float, inverse: FloatArray) -> bool:
     """Invert a symmetric block plus a multiple of the identity; False unless it is positive definite."""
-    a, b, c = block[0, 0] + damping, block[0, 1], block[0, 2]
-    d, e, f = block[1, 1] + damping, block[1, 2], block[2, 2] + damping
+    a, b, c = blocks[k, 0] + damping, blocks[k, 1], blocks[k, 2]
+    d, e, f = blocks[k, 3] + damping, blocks[k, 4], blocks[k, 5] + damping
     if not a > 0.0:
         return False
     l1, l2 = b / a, c / a  # LDL'
@@ -207,21 +168,36 @@ def _invert(block: FloatArray, damping: float, inverse: FloatArray) -> bool:
     d2 = f - l2 * c - l3 * l3 * d1
     if not d2 > 0.0:
         return False
-    k2 = l1 * l3 - l2
-    inverse[2, 2] = 1.0 / d2
-    inverse[1, 2] = inverse[2, 1] = -l3 / d2
-    inverse[0, 2] = inverse[2, 0] = k2 / d2
-    inverse[1, 1] = 1.0 / d1 + l3 * l3 / d2
-    inverse[0, 1] = inverse[1, 0] = -l1 / d1 - l3 * k2 / d2
-    inverse[0, 0] = 1.0 / a + l1 * l1 / d1 + k2 * k2 / d2
+    m = l1 * l3 - l2
+    inverse[k, 0], inverse[k, 1] = 1.0 / a + l1 * l1 / d1 + m * m / d2, -l1 / d1 - l3 * m / d2
+    inverse[k, 2], inverse[k, 3] = m / d2, 1.0 / d1 + l3 * l3 / d2
+    inverse[k, 4], inverse[k, 5] = -l3 / d2, 1.0 / d2
     return True
 
 
 @kernel
-def _multiply(left: FloatArray, right: FloatArray, product: FloatArray) -> None:
-    """(3, 3) product of two such matrices."""
+def _times(blocks: FloatArray, k: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Product of a symmetric block with a vector."""
+    a, b, c, d, e, f = blocks[k, 0], blocks[k, 1], blocks[k, 2], blocks[k, 3], blocks[k, 4], blocks[k, 5]
+    return a * x + b * y + c * z, b * x + d * y + e * z, c * x + e * y + f * z
+
+
+@kernel
+def _multiply(left: FloatArray, k: int, right: FloatArray, g: int, product: FloatArray) -> None:
+    """(3, 3) product of two symmetric blocks."""
+    product[0, 0], product[1, 0], product[2, 0] = _times(left, k, right[g, 0], right[g, 1], right[g, 2])
+    product[0, 1], product[1, 1], product[2, 1] = _times(left, k, right[g, 1], right[g, 3], right[g, 4])
+    product[0, 2], product[1, 2], product[2, 2] = _times(left, k, right[g, 2], right[g, 4], right[g, 5])
+
+
+@kernel
+def _take_product(
+    matrix: FloatArray, shape: Envelope, i: int, j: int, left: FloatArray, blocks: FloatArray, k: int
+) -> None:
+    """Subtract the product of a (3, 3) matrix with a symmetric block at block row ``i`` and column ``j``."""
     for row in range(3):
-        for column in range(3):
-            product[row, column] = (
-                left[row, 0] * right[0, column] + left[row, 1] * right[1, column] + left[row, 2] * right[2, column]
-            )
+        x, y, z = _times(blocks, k, left[row, 0], left[row, 1], left[row, 2])
+        at = shape.begin[i] + row * shape.width[i] + 3 * (j - i)
+        matrix[at] -= x
+        matrix[at + 1] -= y
+        matrix[at + 2] -= z

@@ -40,13 +40,26 @@ def make_envelope(reach: IndexArray) -> Envelope:
 
 
 @kernel
-def add_block(values: FloatArray, shape: Envelope, i: int, j: int, block: FloatArray, sign: float) -> None:
-    """Add a (3, 3) block at block row ``i`` and block column ``j >= i``."""
-    at = shape.begin[i] + 3 * (j - i)
-    for row in range(3):
-        for column in range(3):
-            values[at + column] += sign * block[row, column]
-        at += shape.width[i]
+def add_entry(values: FloatArray, shape: Envelope, i: int, row: int, j: int, column: int, added: float) -> None:
+    """Add to one entry of the block at block row ``i`` and block column ``j >= i``."""
+    values[shape.begin[i] + row * shape.width[i] + 3 * (j - i) + column] += added
+
+
+@kernel
+def add_symmetric(values: FloatArray, shape: Envelope, i: int, j: int, blocks: FloatArray, k: int, sign: float) -> None:
+    """Add a symmetric block, six entries, at block row ``i`` and block column ``j >= i``."""
+    at, width = shape.begin[i] + 3 * (j - i), shape.width[i]
+    values[at] += sign * blocks[k, 0]
+    values[at + 1] += sign * blocks[k, 1]
+    values[at + 2] += sign * blocks[k, 2]
+    at += width
+    values[at] += sign * blocks[k, 1]
+    values[at + 1] += sign * blocks[k, 3]
+    values[at + 2] += sign * blocks[k, 4]
+    at += width
+    values[at] += sign * blocks[k, 2]
+    values[at + 1] += sign * blocks[k, 4]
+    values[at + 2] += sign * blocks[k, 5]
 
 
 @kernel
@@ -61,44 +74,42 @@ def add_diagonal(values: FloatArray, shape: Envelope, added: float) -> None:
 def factorise(values: FloatArray, shape: Envelope) -> bool:
     """Replace the matrix by U, where U'U is the matrix; False, with rubbish, if it is not positive definite."""
     for i in range(len(shape.reach)):
-        width = shape.width[i]
-        rows = values[shape.begin[i] : shape.begin[i + 1]].reshape(3, width)
-        if not _factorise_rows(rows):
+        begin, width = shape.begin[i], shape.width[i]
+        if not _factorise_rows(values, begin, width):
             return False
         for j in range(i + 1, shape.reach[i] + 1):
-            below = values[shape.begin[j] : shape.begin[j + 1]]
             for row in range(3):
                 column = 3 * (j - i) + row
-                _take(below[row * shape.width[j] + row :], rows[:, column:])
+                _take(values, shape.begin[j] + row * shape.width[j] + row, begin + column, width, width - column)
     return True
 
 
 @kernel
-def _factorise_rows(rows: FloatArray) -> bool:
+def _factorise_rows(values: FloatArray, begin: int, width: int) -> bool:
     """Finish the three rows of a block in place."""
-    width = rows.shape[1]
     for row in range(3):
+        at = begin + row * width
         for above in range(row):
-            part = rows[above, row]
+            part = values[begin + above * width + row]
             for column in range(row, width):
-                rows[row, column] -= part * rows[above, column]
-        pivot = rows[row, row]
+                values[at + column] -= part * values[begin + above * width + column]
+        pivot = values[at + row]
         if not pivot > 0.0:
             return False
         root = np.sqrt(pivot)
-        rows[row, row] = root
+        values[at + row] = root
         for column in range(row + 1, width):
-            rows[row, column] /= root
+            values[at + column] /= root
     return True
 
 
 @kernel
-def _take(target: FloatArray, rows: FloatArray) -> None:
-    """Subtract the multiples of three rows (3, w) that their first entries tell from ``target``, at its beginning."""
-    first, second, third = rows[0], rows[1], rows[2]
-    a, b, c = first[0], second[0], third[0]
-    for k in range(rows.shape[1]):
-        target[k] -= a * first[k] + b * second[k] + c * third[k]
+def _take(values: FloatArray, target: int, source: int, width: int, count: int) -> None:
+    """Subtract the multiples of three rows, from ``source`` on, that their first entries tell."""
+    a, b, c = values[source], values[source + width], values[source + 2 * width]
+    first, second, third = source, source + width, source + 2 * width
+    for k in range(count):
+        values[target + k] -= a * values[first + k] + b * values[second + k] + c * values[third + k]
 
 
 @kernel
@@ -121,6 +132,22 @@ def solve(factor: FloatArray, shape: Envelope, right: FloatArray) -> None:
             for column in range(row + 1, width):
                 value -= factor[at + column] * right[3 * i + column]
             right[3 * i + row] = value / factor[at + row]
+
+
+@kernel
+def block_of_inverse(factor: FloatArray, shape: Envelope, i: int) -> FloatArray:
+    """(3, 3) diagonal block of the inverse of U'U."""
+    block, column = np.empty((3, 3)), np.empty(3 * len(shape.reach))
+    for axis in range(3):
+        for k in range(len(column)):
+            column[k] = 1.0 if k == 3 * i + axis else 0.0
+        solve(factor, shape, column)
+        for row in range(3):
+            block[row, axis] = column[3 * i + row]
+    for axis in range(3):
+        for row in range(axis):
+            block[row, axis] = block[axis, row] = 0.5 * (block[row, axis] + block[axis, row])
+    return block
 
 
 @kernel

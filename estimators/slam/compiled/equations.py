@@ -7,38 +7,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled.envelope import Envelope, add_block, make_envelope
+from estimators.slam.compiled.envelope import add_entry, add_symmetric
 from estimators.slam.compiled.flat import FlatProblem
 from estimators.slam.compiled.jit import kernel
+from estimators.slam.compiled.layout import FlatLayout, ends, prior_slots
 
 FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
-
-
-class FlatLayout(NamedTuple):
-    """Slots of the variables as in `Layout`, the envelope of the reduced matrix, and the links by eliminated landmark.
-
-    Parameters
-    ----------
-    link_begin
-        (e + 1,): where the links of each eliminated landmark begin.
-    link
-        (m,): the measurements that join a free view with an eliminated landmark; sightings first, then distances.
-    link_slot
-        (m,): the kept slots of their views.
-    """
-
-    view_slot: IndexArray
-    point_slot: IndexArray
-    gone_slot: IndexArray
-    shape: Envelope
-    link_begin: IndexArray
-    link: IndexArray
-    link_slot: IndexArray
 
 
 class FlatEquations(NamedTuple):
-    """Kept matrix and gradient (n, 3), eliminated (e, 3, 3) and (e, 3), A'A of measurements (m, 3, 3)."""
+    """Kept matrix and gradient (n, 3), eliminated (e, 6) and (e, 3), and A'A of the measurements (m, 6).
+
+    Of a symmetric (3, 3) block the six entries xx, xy, xz, yy, yz, zz are stored.
+    """
 
     kept: FloatArray
     kept_gradient: FloatArray
@@ -48,116 +29,25 @@ class FlatEquations(NamedTuple):
 
 
 @kernel
-def make_layout(problem: FlatProblem) -> FlatLayout:
-    """Give the variables their slots and find which eliminated landmark joins which views."""
-    views, points = len(problem.free_views), len(problem.free_points)
-    view, kept_point = np.full(views, -1), np.full(points, -1)
-    gone_point = np.full(points, -1)
-    joined = problem.kept_points.copy()
-    for point in problem.prior_points:
-        joined[point] = True
-    kept = gone = 0
-    for i in range(views):
-        if problem.free_views[i]:
-            view[i] = kept
-            kept += 1
-    for j in range(points):
-        if problem.free_points[j] and joined[j]:
-            kept_point[j] = kept
-            kept += 1
-        elif problem.free_points[j]:
-            gone_point[j] = gone
-            gone += 1
-    begin, link, slot = _links(problem, view, gone_point, gone)
-    shape = make_envelope(_reach(problem, view, kept_point, kept, begin, slot))
-    return FlatLayout(view, kept_point, gone_point, shape, begin, link, slot)
-
-
-@kernel
-def _links(
-    problem: FlatProblem, view: IndexArray, gone_point: IndexArray, gone: int
-) -> tuple[IndexArray, IndexArray, IndexArray]:
-    """Sort the measurements of eliminated landmarks by landmark."""
-    seen = len(problem.seen_view)
-    count = seen + len(problem.ranged_view)
-    begin = np.zeros(gone + 2, np.int64)
-    for k in range(count):
-        i, j = _ends(problem, k, seen)
-        if view[i] >= 0 and gone_point[j] >= 0:
-            begin[gone_point[j] + 2] += 1
-    begin = np.cumsum(begin)
-    link, slot = np.empty(begin[-1], np.int64), np.empty(begin[-1], np.int64)
-    for k in range(count):
-        i, j = _ends(problem, k, seen)
-        if view[i] >= 0 and gone_point[j] >= 0:
-            place = begin[gone_point[j] + 1]
-            link[place], slot[place] = k, view[i]
-            begin[gone_point[j] + 1] += 1
-    return begin[:-1].copy(), link, slot
-
-
-@kernel
-def _ends(problem: FlatProblem, k: int, seen: int) -> tuple[int, int]:
-    """View and landmark of a measurement: sightings first, then distances."""
-    if k < seen:
-        return problem.seen_view[k], problem.seen_point[k]
-    return problem.ranged_view[k - seen], problem.ranged_point[k - seen]
-
-
-@kernel
-def _reach(
-    problem: FlatProblem, view: IndexArray, kept_point: IndexArray, kept: int, begin: IndexArray, slot: IndexArray
-) -> IndexArray:
-    """Last kept variable that each is coupled with, by a measurement, an eliminated landmark or the prior."""
-    reach = np.arange(kept)
-    for group in range(len(begin) - 1):
-        slots = slot[begin[group] : begin[group + 1]]
-        if len(slots) > 0:
-            first = slots.min()
-            reach[first] = max(reach[first], slots.max())
-    seen = len(problem.seen_view)
-    for k in range(seen + len(problem.ranged_view)):
-        i, j = _ends(problem, k, seen)
-        if view[i] >= 0:
-            reach[view[i]] = max(reach[view[i]], kept_point[j])
-    for k in range(len(problem.motion_start)):
-        start, end = view[problem.motion_start[k]], view[problem.motion_end[k]]
-        if start >= 0 and end >= 0:
-            reach[min(start, end)] = max(reach[min(start, end)], start, end)
-    slots = prior_slots(problem, view, kept_point)
-    if len(slots) > 0:
-        reach[slots.min()] = max(reach[slots.min()], slots.max())
-    return reach
-
-
-@kernel
-def prior_slots(problem: FlatProblem, view: IndexArray, kept_point: IndexArray) -> IndexArray:
-    """Return the slots (a + b,) of the variables of the prior."""
-    return np.concatenate((view[problem.prior_views], kept_point[problem.prior_points]))
-
-
-@kernel
 def cost(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> float:
     """Half the sum of squares, equation (2), with the prior's quadratic; inf with a landmark behind its camera."""
     fx, fy, cx, cy = problem.pinhole
     total = 0.0
     for k in range(len(problem.seen_view)):
-        x, y, z = _in_camera(problem.attitudes[problem.seen_view[k]], positions[problem.seen_view[k]],
-                             points[problem.seen_point[k]])  # fmt: skip
+        x, y, z = _in_camera(problem, k, positions, points)
         if not z > 0.0:
             return np.inf
         u = fx * x / z + cx - problem.seen_px[k, 0]
         v = fy * y / z + cy - problem.seen_px[k, 1]
         total += (u * u + v * v) / problem.seen_sigma_px[k] ** 2
     for k in range(len(problem.ranged_view)):
-        line = points[problem.ranged_point[k]] - positions[problem.ranged_view[k]]
-        length = np.sqrt(line[0] ** 2 + line[1] ** 2 + line[2] ** 2)
-        total += ((length - problem.range_m[k]) / problem.range_sigma_m[k]) ** 2
+        x, y, z = _line(positions, problem.ranged_view[k], points, problem.ranged_point[k])
+        total += ((np.sqrt(x * x + y * y + z * z) - problem.range_m[k]) / problem.range_sigma_m[k]) ** 2
     for k in range(len(problem.motion_start)):
-        step = positions[problem.motion_end[k]] - positions[problem.motion_start[k]] - problem.motion_m[k]
         for i in range(3):
             for j in range(3):
-                total += step[i] * problem.motion_information[k, i, j] * step[j]
+                information = problem.motion_information[k, i, j]
+                total += _drift(problem, k, i, positions) * information * _drift(problem, k, j, positions)
     half = 0.5 * total + _prior_cost(problem, positions, points)
     return half if np.isfinite(half) else np.inf
 
@@ -190,101 +80,141 @@ def _prior_offset(problem: FlatProblem, positions: FloatArray, points: FloatArra
 
 
 @kernel
-def _in_camera(R: FloatArray, position: FloatArray, point: FloatArray) -> tuple[float, float, float]:
-    """Return a landmark in the axes of a camera."""
-    a, b, c = point[0] - position[0], point[1] - position[1], point[2] - position[2]
+def _line(positions: FloatArray, i: int, points: FloatArray, j: int) -> tuple[float, float, float]:
+    """From a view to a landmark, m."""
+    return points[j, 0] - positions[i, 0], points[j, 1] - positions[i, 1], points[j, 2] - positions[i, 2]
+
+
+@kernel
+def _in_camera(problem: FlatProblem, k: int, positions: FloatArray, points: FloatArray) -> tuple[float, float, float]:
+    """Return the landmark of a sighting in the axes of its camera."""
+    R, i = problem.attitudes, problem.seen_view[k]
+    a, b, c = _line(positions, i, points, problem.seen_point[k])
     return (
-        R[0, 0] * a + R[0, 1] * b + R[0, 2] * c,
-        R[1, 0] * a + R[1, 1] * b + R[1, 2] * c,
-        R[2, 0] * a + R[2, 1] * b + R[2, 2] * c,
+        R[i, 0, 0] * a + R[i, 0, 1] * b + R[i, 0, 2] * c,
+        R[i, 1, 0] * a + R[i, 1, 1] * b + R[i, 1, 2] * c,
+        R[i, 2, 0] * a + R[i, 2, 1] * b + R[i, 2, 2] * c,
     )
+
+
+@kernel
+def _drift(problem: FlatProblem, k: int, axis: int, positions: FloatArray) -> float:
+    """One coordinate of a displacement less the predicted one, m."""
+    step: float = positions[problem.motion_end[k], axis] - positions[problem.motion_start[k], axis]
+    drift: float = step - problem.motion_m[k, axis]
+    return drift
 
 
 @kernel
 def linearise(problem: FlatProblem, layout: FlatLayout, positions: FloatArray, points: FloatArray) -> FlatEquations:
     """Return J' W J and J' W f of equation (3) by blocks."""
-    seen = len(problem.seen_view)
+    seen, shape = len(problem.seen_view), layout.shape
     count = seen + len(problem.ranged_view)
-    n, e = len(layout.shape.reach), len(layout.link_begin) - 1
-    kept, kept_gradient = np.zeros(layout.shape.begin[-1]), np.zeros((n, 3))
-    gone, gone_gradient = np.zeros((e, 3, 3)), np.zeros((e, 3))
-    blocks, pull = np.empty((count, 3, 3)), np.empty(3)
+    n, e = len(shape.reach), len(layout.link_begin) - 1
+    kept, kept_gradient = np.zeros(shape.begin[n]), np.zeros((n, 3))
+    gone, gone_gradient = np.zeros((e, 6)), np.zeros((e, 3))
+    blocks, pull = np.empty((count, 6)), np.empty(3)
+    frozen_positions = _merged(problem.frozen_positions_m, positions)
+    frozen_points = _merged(problem.frozen_points_m, points)
     for k in range(count):
-        i, j = _ends(problem, k, seen)
+        i, j = ends(problem, k, seen)
         if k < seen:
-            _sighting(problem, k, positions, points, blocks[k], pull)
+            _sighting(problem, k, positions, points, frozen_positions, frozen_points, blocks, pull)
         else:
-            _distance(problem, k - seen, positions, points, blocks[k], pull)
+            _distance(problem, k, positions, points, frozen_positions, frozen_points, blocks, pull)
         a, b, g = layout.view_slot[i], layout.point_slot[j], layout.gone_slot[j]
         if a >= 0:
-            add_block(kept, layout.shape, a, a, blocks[k], 1.0)
-            kept_gradient[a] -= pull
+            add_symmetric(kept, shape, a, a, blocks, k, 1.0)
+            _add_row(kept_gradient, a, pull, -1.0)
         if b >= 0:
-            add_block(kept, layout.shape, b, b, blocks[k], 1.0)
-            kept_gradient[b] += pull
+            add_symmetric(kept, shape, b, b, blocks, k, 1.0)
+            _add_row(kept_gradient, b, pull, 1.0)
         if a >= 0 and b >= 0:
-            add_block(kept, layout.shape, a, b, blocks[k], -1.0)
+            add_symmetric(kept, shape, a, b, blocks, k, -1.0)
         if g >= 0:
-            gone[g] += blocks[k]
-            gone_gradient[g] += pull
+            for entry in range(6):
+                gone[g, entry] += blocks[k, entry]
+            _add_row(gone_gradient, g, pull, 1.0)
     _add_motions(problem, layout, positions, kept, kept_gradient)
     _add_prior(problem, layout, positions, points, kept, kept_gradient)
     return FlatEquations(kept, kept_gradient, gone, gone_gradient, blocks)
 
 
 @kernel
+def _add_row(rows: FloatArray, i: int, added: FloatArray, sign: float) -> None:
+    """Add a 3-vector to a row."""
+    for axis in range(3):
+        rows[i, axis] += sign * added[axis]
+
+
+@kernel
+def _merged(frozen: FloatArray, present: FloatArray) -> FloatArray:
+    """Return where derivatives are taken: at the frozen values where there are any."""
+    if len(frozen) == 0:
+        return present
+    merged = np.empty_like(present)
+    for i in range(len(present)):
+        for axis in range(3):
+            merged[i, axis] = present[i, axis] if np.isnan(frozen[i, axis]) else frozen[i, axis]
+    return merged
+
+
+@kernel
 def _sighting(
-    problem: FlatProblem, k: int, positions: FloatArray, points: FloatArray, block: FloatArray, pull: FloatArray
+    problem: FlatProblem,
+    k: int,
+    positions: FloatArray,
+    points: FloatArray,
+    frozen_positions: FloatArray,
+    frozen_points: FloatArray,
+    blocks: FloatArray,
+    pull: FloatArray,
 ) -> None:
     """A'A and A'r of a sighting, A by the landmark."""
     fx, fy, cx, cy = problem.pinhole
-    i, j = problem.seen_view[k], problem.seen_point[k]
-    R, sigma = problem.attitudes[i], problem.seen_sigma_px[k]
-    x, y, z = _in_camera(R, positions[i], points[j])
+    R, i, sigma = problem.attitudes, problem.seen_view[k], problem.seen_sigma_px[k]
+    x, y, z = _in_camera(problem, k, positions, points)
     u = (fx * x / z + cx - problem.seen_px[k, 0]) / sigma
     v = (fy * y / z + cy - problem.seen_px[k, 1]) / sigma
-    x, y, z = _in_camera(R, _position_of_derivative(problem, positions, i), _point_of_derivative(problem, points, j))
-    du, dv = fx / (z * sigma), fy / (z * sigma)
-    row_u, row_v = np.empty(3), np.empty(3)
-    for axis in range(3):
-        row_u[axis] = du * (R[0, axis] - x / z * R[2, axis])
-        row_v[axis] = dv * (R[1, axis] - y / z * R[2, axis])
-    for row in range(3):
-        pull[row] = row_u[row] * u + row_v[row] * v
-        for column in range(3):
-            block[row, column] = row_u[row] * row_u[column] + row_v[row] * row_v[column]
+    x, y, z = _in_camera(problem, k, frozen_positions, frozen_points)
+    du, dv, p, q = fx / (z * sigma), fy / (z * sigma), x / z, y / z
+    u0, u1, u2 = (
+        du * (R[i, 0, 0] - p * R[i, 2, 0]),
+        du * (R[i, 0, 1] - p * R[i, 2, 1]),
+        du * (R[i, 0, 2] - p * R[i, 2, 2]),
+    )
+    v0, v1, v2 = (
+        dv * (R[i, 1, 0] - q * R[i, 2, 0]),
+        dv * (R[i, 1, 1] - q * R[i, 2, 1]),
+        dv * (R[i, 1, 2] - q * R[i, 2, 2]),
+    )
+    pull[0], pull[1], pull[2] = u0 * u + v0 * v, u1 * u + v1 * v, u2 * u + v2 * v
+    blocks[k, 0], blocks[k, 1], blocks[k, 2] = u0 * u0 + v0 * v0, u0 * u1 + v0 * v1, u0 * u2 + v0 * v2
+    blocks[k, 3], blocks[k, 4], blocks[k, 5] = u1 * u1 + v1 * v1, u1 * u2 + v1 * v2, u2 * u2 + v2 * v2
 
 
 @kernel
 def _distance(
-    problem: FlatProblem, k: int, positions: FloatArray, points: FloatArray, block: FloatArray, pull: FloatArray
+    problem: FlatProblem,
+    k: int,
+    positions: FloatArray,
+    points: FloatArray,
+    frozen_positions: FloatArray,
+    frozen_points: FloatArray,
+    blocks: FloatArray,
+    pull: FloatArray,
 ) -> None:
     """A'A and A'r of a distance, A by the landmark: the last row of equation (5)."""
-    i, j, sigma = problem.ranged_view[k], problem.ranged_point[k], problem.range_sigma_m[k]
-    line = points[j] - positions[i]
-    residual = (np.sqrt(line[0] ** 2 + line[1] ** 2 + line[2] ** 2) - problem.range_m[k]) / sigma
-    line = _point_of_derivative(problem, points, j) - _position_of_derivative(problem, positions, i)
-    line /= np.sqrt(line[0] ** 2 + line[1] ** 2 + line[2] ** 2) * sigma
-    for row in range(3):
-        pull[row] = line[row] * residual
-        for column in range(3):
-            block[row, column] = line[row] * line[column]
-
-
-@kernel
-def _position_of_derivative(problem: FlatProblem, positions: FloatArray, i: int) -> FloatArray:
-    """Return where derivatives by a view are taken."""
-    frozen = problem.frozen_positions_m
-    where: FloatArray = frozen[i] if len(frozen) > 0 and not np.isnan(frozen[i, 0]) else positions[i]
-    return where
-
-
-@kernel
-def _point_of_derivative(problem: FlatProblem, points: FloatArray, j: int) -> FloatArray:
-    """Return where derivatives by a landmark are taken."""
-    frozen = problem.frozen_points_m
-    where: FloatArray = frozen[j] if len(frozen) > 0 and not np.isnan(frozen[j, 0]) else points[j]
-    return where
+    own = k - len(problem.seen_view)
+    i, j, sigma = problem.ranged_view[own], problem.ranged_point[own], problem.range_sigma_m[own]
+    x, y, z = _line(positions, i, points, j)
+    residual = (np.sqrt(x * x + y * y + z * z) - problem.range_m[own]) / sigma
+    x, y, z = _line(frozen_positions, i, frozen_points, j)
+    length = np.sqrt(x * x + y * y + z * z) * sigma
+    x, y, z = x / length, y / length, z / length
+    pull[0], pull[1], pull[2] = x * residual, y * residual, z * residual
+    blocks[k, 0], blocks[k, 1], blocks[k, 2] = x * x, x * y, x * z
+    blocks[k, 3], blocks[k, 4], blocks[k, 5] = y * y, y * z, z * z
 
 
 @kernel
@@ -293,24 +223,22 @@ def _add_motions(
 ) -> None:
     """Add predicted motions."""
     for k in range(len(problem.motion_start)):
-        information = problem.motion_information[k]
-        start, end = problem.motion_start[k], problem.motion_end[k]
-        step = positions[end] - positions[start] - problem.motion_m[k]
-        a, b = layout.view_slot[start], layout.view_slot[end]
+        a, b = layout.view_slot[problem.motion_start[k]], layout.view_slot[problem.motion_end[k]]
         for row in range(3):
             pull = 0.0
             for column in range(3):
-                pull += information[row, column] * step[column]
+                information = problem.motion_information[k, row, column]
+                pull += information * _drift(problem, k, column, positions)
+                if a >= 0:
+                    add_entry(kept, layout.shape, a, row, a, column, information)
+                if b >= 0:
+                    add_entry(kept, layout.shape, b, row, b, column, information)
+                if a >= 0 and b >= 0:
+                    add_entry(kept, layout.shape, min(a, b), row, max(a, b), column, -information)
             if a >= 0:
                 gradient[a, row] -= pull
             if b >= 0:
                 gradient[b, row] += pull
-        if a >= 0:
-            add_block(kept, layout.shape, a, a, information, 1.0)
-        if b >= 0:
-            add_block(kept, layout.shape, b, b, information, 1.0)
-        if a >= 0 and b >= 0:
-            add_block(kept, layout.shape, min(a, b), max(a, b), information, -1.0)
 
 
 @kernel
@@ -328,10 +256,10 @@ def _add_prior(
     for i in range(len(slots)):
         for row in range(3):
             pull = problem.prior_gradient[3 * i + row]
-            for j in range(len(offset)):
-                pull += problem.prior_information[3 * i + row, j] * offset[j]
+            for j in range(len(slots)):
+                for column in range(3):
+                    information = problem.prior_information[3 * i + row, 3 * j + column]
+                    pull += information * offset[3 * j + column]
+                    if slots[j] >= slots[i]:
+                        add_entry(kept, layout.shape, slots[i], row, slots[j], column, information)
             gradient[slots[i], row] += pull
-        for j in range(len(slots)):
-            if slots[j] >= slots[i]:
-                block = problem.prior_information[3 * i : 3 * i + 3, 3 * j : 3 * j + 3]
-                add_block(kept, layout.shape, slots[i], slots[j], block, 1.0)
