@@ -18,7 +18,7 @@ from estimators.slam.keyframes import offset_views, trailing_views
 from estimators.slam.levenberg import StoppingRule, minimise, reduced_rank_deficiency
 from estimators.slam.motion_filter import Propagator
 from estimators.slam.options import BundleOptions
-from estimators.slam.state import Adjustment
+from estimators.slam.state import Adjustment, State
 from scenarios.tracks import TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
@@ -83,11 +83,14 @@ class _Window:
     def _follow(self, number: int) -> FrameEstimate:
         rule = StoppingRule(self.options.tolerance * self.journal.median_depth(number - 1), self.options.iterations)
         self.journal.place(number, rule)
-        views = [*self._trailing(number), number]
-        tracks = self._map(views)
+        views = self._window(number)
+        seen = self.journal.seen_by(views)
+        self._hold_the_scale(views, seen)
+        tracks = self._map(seen)
+        problem = self._problem(views, tracks)
         if self.options.steps == "motion-structure-full":
-            self._adjust(views, tracks, rule, views_free=False)
-        self._adjust(views, tracks, rule, views_free=True)
+            self._adjust(replace(problem, free_views=np.zeros_like(problem.free_views)), views, tracks, rule)
+        self._check_rank(problem, self._adjust(problem, views, tracks, rule))
         if len(self.journal.distances(views[-1:], tracks).view):
             self.gauge = estimated_anew(self.journal, self._gauge(), self.options.gauge_sigma_m)
         points = np.array([self.journal.points_m[track] for track in tracks])
@@ -105,22 +108,24 @@ class _Window:
         tracks = np.array([self.gauge.track], dtype=np.int64)
         return FrameEstimate(self.first_m.copy(), None, tracks, journal.points_m[self.gauge.track][None], 0.0)
 
-    def _trailing(self, lead: int) -> list[int]:
-        """Choose the trailing views for a new leading one, and let the gauge go over to another landmark if it must."""
+    def _window(self, lead: int) -> list[int]:
+        """Choose the views of the window for a new leading one, which comes last."""
         before = self.trailing
         choose = trailing_views(self.journal, before, lead, self.options)
         if self.options.strategy == "offset":
             choose = offset_views(self.journal, lead, self.options)
         self.trailing = choose
         self.shifts += int(choose[0] != before[0])
-        gauge = handed_over(self.journal, self._gauge(), [*choose, lead], self.options.gauge_sigma_m)
+        return [*choose, lead]
+
+    def _hold_the_scale(self, views: list[int], seen: dict[int, list[int]]) -> None:
+        """Let the gauge go over to another landmark if it must."""
+        gauge = handed_over(self.journal, self._gauge(), views, seen, self.options.gauge_sigma_m)
         self.handovers += int(gauge != self.gauge)
         self.gauge = gauge
-        return choose
 
-    def _map(self, views: list[int]) -> list[int]:
+    def _map(self, seen: dict[int, list[int]]) -> list[int]:
         """List the landmarks seen by two views or more, sorted; those without an estimate get one."""
-        seen = self.journal.seen_by(views)
         tracks = sorted(track for track, by in seen.items() if len(by) >= 2)
         for track in tracks:
             if track not in self.journal.points_m:
@@ -129,27 +134,29 @@ class _Window:
             raise LostError(f"tracks are lost: {len(tracks)} landmarks are seen twice in the window")
         return tracks
 
-    def _adjust(self, views: list[int], tracks: list[int], rule: StoppingRule, *, views_free: bool) -> None:
-        """Structure-only or full adjustment, with the gauge."""
-        problem = self._problem(views, tracks, views_free=views_free)
-        solution = minimise(problem, self.journal.state(views, tracks), rule)
-        self.iterations += solution.iterations
-        if not np.isfinite(solution.cost):
-            raise LostError("a landmark is behind a camera that sees it")
-        if views_free and reduced_rank_deficiency(problem, solution.state):
-            raise LostError("the scale is unobservable: the reduced system has not full rank")
-        self.journal.keep(solution.state, views, tracks)
-
-    def _problem(self, views: list[int], tracks: list[int], *, views_free: bool) -> Adjustment:
-        gauge = self._gauge()
+    def _problem(self, views: list[int], tracks: list[int]) -> Adjustment:
+        """Return the full adjustment, with the gauge."""
         return Adjustment(
             camera=self.journal.camera,
             R_cam_body=self.journal.attitudes(views),
             sightings=self.journal.sightings(views, tracks),
-            free_views=np.array([views_free and slot > 0 for slot in range(len(views))]),
+            free_views=np.arange(len(views)) > 0,
             free_points=np.ones(len(tracks), dtype=np.bool_),
-            distances=gauge_rows(self.journal, gauge, views, tracks),
+            distances=gauge_rows(self.journal, self._gauge(), views, tracks),
         )
+
+    def _adjust(self, problem: Adjustment, views: list[int], tracks: list[int], rule: StoppingRule) -> State:
+        """Structure-only or full adjustment."""
+        solution = minimise(problem, self.journal.state(views, tracks), rule)
+        self.iterations += solution.iterations
+        if not np.isfinite(solution.cost):
+            raise LostError("a landmark is behind a camera that sees it")
+        self.journal.keep(solution.state, views, tracks)
+        return solution.state
+
+    def _check_rank(self, problem: Adjustment, state: State) -> None:
+        if reduced_rank_deficiency(problem, state):
+            raise LostError("the scale is unobservable: the reduced system has not full rank")
 
     def _gauge(self) -> Gauge:
         if self.gauge is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,8 +56,10 @@ def estimated_anew(journal: Journal, gauge: Gauge, sigma_m: float) -> Gauge:
     return Gauge(gauge.view, gauge.track, distance, sigma_m)
 
 
-def handed_over(journal: Journal, gauge: Gauge, views: Sequence[int], sigma_m: float) -> Gauge:
-    """Return the gauge for a window of ``views``, the oldest first.
+def handed_over(
+    journal: Journal, gauge: Gauge, views: Sequence[int], seen: Mapping[int, Sequence[int]], sigma_m: float
+) -> Gauge:
+    """Return the gauge for a window of ``views``, the oldest first; ``seen`` tells which of them saw each track.
 
     The old one serves while its view is the oldest and its landmark is seen by another view. Otherwise the landmark of
     the oldest view that most views see takes over at its estimated distance: one with a short track loses the scale.
@@ -67,7 +69,6 @@ def handed_over(journal: Journal, gauge: Gauge, views: Sequence[int], sigma_m: f
     LostError
         If no landmark that the oldest view sees has been estimated and is seen twice.
     """
-    seen = journal.seen_by(views)
     oldest = views[0]
     if gauge.view == oldest and len(seen.get(gauge.track, ())) >= 2:
         return gauge

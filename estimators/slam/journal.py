@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,20 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sights:
+    """What is looked up of a frame time and again: the row of each track, and (n, 3) its unit ray, body frame."""
+
+    frame: TrackFrame
+    rows: dict[int, int]
+    rays: FloatArray
+
+    @classmethod
+    def of(cls, frame: TrackFrame, camera: Camera) -> _Sights:
+        rows = {track: row for row, track in enumerate(frame.tracks.tolist())}
+        return cls(frame, rows, camera.unproject(frame.uv_px) @ frame.R_cam_body)
+
+
 class Journal:
     """Frames by number, a position for each, and a point for each landmark of the map (all in the body frame)."""
 
@@ -26,6 +41,7 @@ class Journal:
         self.positions_m: dict[int, FloatArray] = {}
         self.points_m: dict[int, FloatArray] = {}
         self.guessed: set[int] = set()
+        self._sights: dict[int, _Sights] = {}
 
     def sightings(self, views: Sequence[int], tracks: Sequence[int]) -> Sightings:
         """Gather where ``views`` saw ``tracks`` (sorted), numbered by their places in the two."""
@@ -44,6 +60,8 @@ class Journal:
     def distances(self, views: Sequence[int], tracks: Sequence[int]) -> Distances:
         """Gather the distances that ``views`` measured to ``tracks`` (sorted)."""
         rows = [(slot, item) for slot, view in enumerate(views) for item in self.frames[view].ranges]
+        if not rows:
+            return Distances()
         point = lookup(tracks, np.array([item.track for _, item in rows], dtype=np.int64))
         kept = point >= 0
         return Distances(
@@ -57,13 +75,13 @@ class Journal:
         """Gather the predicted motions between consecutive frames that are both among ``views`` (sorted)."""
         slots = {view: slot for slot, view in enumerate(views)}
         ends = [view for view in views if view - 1 in slots]
+        if not ends:
+            return Motions()
         return Motions(
             start=np.array([slots[view - 1] for view in ends], dtype=np.int64),
             end=np.array([slots[view] for view in ends], dtype=np.int64),
-            displacement_m=np.array([self.frames[view].motion_m for view in ends]).reshape(-1, 3),
-            information=np.array([np.linalg.inv(self.frames[view].motion_covariance_m2) for view in ends]).reshape(
-                -1, 3, 3
-            ),
+            displacement_m=np.array([self.frames[view].motion_m for view in ends]),
+            information=np.linalg.inv(np.array([self.frames[view].motion_covariance_m2 for view in ends])),
         )
 
     def state(self, views: Sequence[int], tracks: Sequence[int]) -> State:
@@ -91,33 +109,33 @@ class Journal:
         """List for each track the views among ``views`` that saw it."""
         seen: dict[int, list[int]] = {}
         for view in views:
-            for track in self.frames[view].tracks.tolist():
+            for track in self._sight(view).rows:
                 seen.setdefault(track, []).append(view)
         return seen
 
     def shared(self, first: int, second: int) -> int:
         """Count the landmarks that two views share."""
-        return len(np.intersect1d(self.frames[first].tracks, self.frames[second].tracks, assume_unique=True))
+        return len(self._sight(first).rows.keys() & self._sight(second).rows.keys())
 
     def ray(self, view: int, track: int) -> FloatArray:
         """(3,) unit direction from the camera to a landmark, body frame."""
-        frame = self.frames[view]
-        row = int(np.flatnonzero(frame.tracks == track)[0])
-        return np.asarray(frame.R_cam_body.T @ self.camera.unproject(frame.uv_px[row]), dtype=np.float64)
+        sight = self._sight(view)
+        return np.asarray(sight.rays[sight.rows[track]], dtype=np.float64)
 
     def median_depth(self, view: int) -> float:
         """Return the median distance from a view to the landmarks of the map in sight, or of its ranges, m."""
         frame = self.frames[view]
-        known = [self.points_m[track] for track in frame.tracks.tolist() if track in self.points_m]
+        known = [self.points_m[track] for track in self._sight(view).rows if track in self.points_m]
         if known:
-            return float(np.median(np.linalg.norm(np.array(known) - self.positions_m[view], axis=1)))
+            squares = np.sort(((np.array(known) - self.positions_m[view]) ** 2).sum(axis=1))
+            return float(np.sqrt(squares[(len(squares) - 1) // 2 : len(squares) // 2 + 1]).mean())
         if frame.ranges:
             return float(np.median([item.range_m for item in frame.ranges]))
         raise LostError("no landmark of known distance is in view: the scale is unobservable")
 
     def place(self, view: int, rule: StoppingRule) -> None:
         """Motion-only adjustment: a new view's position from the landmarks in sight and its predicted motion."""
-        tracks = sorted(track for track in self.frames[view].tracks.tolist() if track in self.points_m)
+        tracks = sorted(track for track in self._sight(view).rows if track in self.points_m)
         self.positions_m[view] = self.positions_m[view - 1] + self.frames[view].motion_m
         if not tracks:
             return
@@ -147,3 +165,9 @@ class Journal:
         depths = np.einsum("ki,ki->k", point - positions, rays)
         good = np.all((depths > 0.3 * depth) & (depths < 3.0 * depth))
         return np.asarray(point if good else near, dtype=np.float64)
+
+    def _sight(self, view: int) -> _Sights:
+        kept = self._sights.get(view)
+        if kept is None or kept.frame is not self.frames[view]:
+            kept = self._sights[view] = _Sights.of(self.frames[view], self.camera)
+        return kept

@@ -10,7 +10,7 @@ from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, eigvalsh
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from estimators.slam.compiled.flat import flat, floats
 from estimators.slam.kernels import compiled_kernels, kernel_variant
@@ -75,7 +75,7 @@ def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
         return 3 * Layout.of(problem).kept
     if not len(matrix):
         return 0
-    values = eigvalsh(matrix)
+    values = np.linalg.eigvalsh(matrix)
     return int(np.count_nonzero(values < RANK_TOLERANCE * values[-1]))
 
 

@@ -15,6 +15,7 @@ BoolArray = NDArray[np.bool_]
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
+_FLOAT, _INDEX, _BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
 _NO_STATE = State(np.zeros((0, 3)), np.zeros((0, 3)))
 _NO_PRIOR = Prior(
     np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0)
@@ -59,39 +60,38 @@ def flat(problem: Adjustment) -> FlatProblem:
     return FlatProblem(
         pinhole=np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px]),
         attitudes=floats(problem.R_cam_body),
-        seen_view=_plain(seen.view, np.int64),
-        seen_point=_plain(seen.point, np.int64),
+        seen_view=_plain(seen.view, _INDEX),
+        seen_point=_plain(seen.point, _INDEX),
         seen_px=floats(seen.uv_px),
         seen_sigma_px=floats(seen.sigma_px),
-        ranged_view=_plain(ranged.view, np.int64),
-        ranged_point=_plain(ranged.point, np.int64),
+        ranged_view=_plain(ranged.view, _INDEX),
+        ranged_point=_plain(ranged.point, _INDEX),
         range_m=floats(ranged.range_m),
         range_sigma_m=floats(ranged.sigma_m),
-        motion_start=_plain(moved.start, np.int64),
-        motion_end=_plain(moved.end, np.int64),
+        motion_start=_plain(moved.start, _INDEX),
+        motion_end=_plain(moved.end, _INDEX),
         motion_m=floats(moved.displacement_m),
         motion_information=floats(moved.information),
-        prior_views=_plain(prior.views, np.int64),
-        prior_points=_plain(prior.points, np.int64),
+        prior_views=_plain(prior.views, _INDEX),
+        prior_points=_plain(prior.points, _INDEX),
         prior_origin_m=floats(prior.origin_m),
         prior_information=floats(prior.information),
         prior_gradient=floats(prior.gradient),
         frozen_positions_m=floats(frozen.positions_m),
         frozen_points_m=floats(frozen.points_m),
-        free_views=_plain(problem.free_views, np.bool_),
-        free_points=_plain(problem.free_points, np.bool_),
-        kept_points=_plain(kept, np.bool_),
+        free_views=_plain(problem.free_views, _BOOL),
+        free_points=_plain(problem.free_points, _BOOL),
+        kept_points=_plain(kept, _BOOL),
     )
 
 
 def floats(values: FloatArray) -> FloatArray:
     """Return ``values`` as the one kind of array that the kernels are compiled for; a copy only if it is another."""
-    return _plain(values, np.float64)
+    return _plain(values, _FLOAT)
 
 
-def _plain(values: NDArray[_Scalar], dtype: type[_Scalar]) -> NDArray[_Scalar]:
-    """Copy what is read-only or strided: to another kind of array a kernel would be compiled once more."""
-    flags = values.flags
-    if values.dtype == dtype and flags.c_contiguous and flags.writeable:
+def _plain(values: NDArray[_Scalar], dtype: np.dtype[_Scalar]) -> NDArray[_Scalar]:
+    """Copy what is read-only or strided: for another kind of array a kernel would be compiled once more."""
+    if values.dtype is dtype and values.flags.carray:
         return values
     return np.array(values, dtype=dtype, order="C")
