@@ -1,8 +1,7 @@
-"""EKF-SLAM of Delpech et al. (2015), section 3.3."""
+"""EKF-SLAM of Delpech et al. (2015), section 3.3, an iterated and a consistent variant."""
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from typing import ClassVar, Self
 
@@ -11,20 +10,23 @@ from numpy.typing import NDArray
 
 from estimators.options import parse_options
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from estimators.slam.ekf_state import FilterState, Innovation, bearing_innovation, range_innovation, updated
+from estimators.slam.ekf_gate import Update, gated
+from estimators.slam.ekf_health import Health
+from estimators.slam.ekf_measure import Sight
+from estimators.slam.ekf_state import FilterState
+from estimators.slam.ekf_update import Iteration, iterated, updated
 from estimators.slam.following import LostError, check_scale, follow
-from estimators.slam.options import FilterOptions
+from estimators.slam.options import ConsistentFilterOptions, FilterOptions, IteratedFilterOptions
 from scenarios.tracks import TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 
 class EkfSlam:
     """An extended Kalman filter of the camera position and of the landmarks in view, which are anchored."""
 
     name: ClassVar[str] = "ekf-slam"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     def __init__(self, options: FilterOptions) -> None:
         self.options = options
@@ -36,35 +38,90 @@ class EkfSlam:
 
     def follow(self, sequence: TrackSequence) -> SequenceEstimate:
         """Estimate the camera position at every frame from the frames up to it."""
-        return follow(sequence, _Filter(sequence, self.options))
+        return follow(sequence, _Filter(sequence, self.options, _once))
+
+
+class IteratedEkfSlam:
+    """The same filter, each update iterated to the minimum of prediction and measurements together."""
+
+    name: ClassVar[str] = "iterated-ekf-slam"
+    version: ClassVar[int] = 1
+
+    def __init__(self, options: IteratedFilterOptions) -> None:
+        self.options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        return cls(parse_options(IteratedFilterOptions, options, cls.name))
+
+    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
+        """Estimate the camera position at every frame from the frames up to it."""
+        return follow(sequence, _Filter(sequence, self.options, _to_the_minimum(self.options.iterations)))
+
+
+class ConsistentEkfSlam:
+    """The iterated filter with first-estimates Jacobians: it does not learn of the scale from bearings.
+
+    Bearings do not change when all grows, and nor does what a filter believes, as long as all derivatives by a landmark
+    are taken at the same inverse distance and anchor. With each frame's own estimates the directions that it learns
+    nothing of differ, and it takes itself for surer than it is (Huang, Mourikis and Roumeliotis 2010, of translation
+    and rotation; here attitude is known, and a translation leaves anchored landmarks as they are). The first estimate
+    is taken where an inverse distance has settled: before, it is a guess, and derivatives there are wrong by as much.
+    """
+
+    name: ClassVar[str] = "consistent-ekf-slam"
+    version: ClassVar[int] = 1
+
+    def __init__(self, options: ConsistentFilterOptions) -> None:
+        self.options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        return cls(parse_options(ConsistentFilterOptions, options, cls.name))
+
+    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
+        """Estimate the camera position at every frame from the frames up to it."""
+        update = _to_the_minimum(self.options.iterations)
+        return follow(sequence, _Filter(sequence, self.options, update, self.options.settled_sigma))
+
+
+def _once(state: FilterState, sight: Sight) -> tuple[FilterState, float]:
+    return updated(state, sight.innovation(state))
+
+
+def _to_the_minimum(steps: int) -> Update:
+    def update(state: FilterState, sight: Sight) -> tuple[FilterState, float]:
+        return iterated(state, sight, Iteration(steps))
+
+    return update
 
 
 class _Filter:
-    """The filter at work on one sequence."""
+    """The filter at work on one sequence: prediction, update and management of section 3.3."""
 
-    def __init__(self, sequence: TrackSequence, options: FilterOptions) -> None:
+    def __init__(
+        self, sequence: TrackSequence, options: FilterOptions, update: Update, settled_sigma: float = 0.0
+    ) -> None:
         self.options = options
         self.camera = sequence.camera
-        self.state = FilterState(
-            sequence.position_m.copy(),
-            sequence.position_covariance_m2.copy(),
-            np.zeros(0, dtype=np.int64),
-            np.zeros((0, 3, 3)),
-        )
+        self.update = update
+        self.settled_sigma = settled_sigma
+        self.state = FilterState.of_camera(sequence.position_m, sequence.position_covariance_m2)
+        self.health = Health(options)
         self.started = False
-        self.recent: deque[tuple[float, int]] = deque(maxlen=options.innovation_frames)
-        self.total = 0.0
-        self.measurements = 0
 
     def diagnostics(self) -> dict[str, float]:
-        return {"innovation": self.total / self.measurements} if self.measurements else {}
+        return self.health.diagnostics()
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         if self.started:
             self.state = self.state.predicted(frame.motion_m, frame.motion_covariance_m2)
             self._drop_lost(frame)
-            self._update(frame)
+            self._take_measured(frame)
         self._take_new(frame)
+        self.state = self.state.settling(self.settled_sigma)
         self.started = True
         position, covariance = self.state.position_m.copy(), self.state.covariance[:3, :3].copy()
         points = self.state.points(self.camera)
@@ -79,43 +136,26 @@ class _Filter:
             raise LostError(f"tracks are lost: {kept} landmarks are left, {self.options.connectivity} are needed")
         self.state = self.state.without(lost)
 
-    def _update(self, frame: TrackFrame) -> None:
-        """Update by all landmarks of the state, and test the innovation."""
-        rows, seen = _matched(self.state.tracks, frame.tracks)
-        innovation = bearing_innovation(
-            self.state, self.camera, frame.R_cam_body, rows, frame.uv_px[seen], frame.sigma_px
-        )
-        ranges = self._range_innovation(frame)
-        innovation = innovation if ranges is None else innovation.joined(ranges)
-        if not np.isfinite(innovation.residual).all():
-            raise LostError("the filter diverges: a landmark is behind the camera that sees it")
+    def _take_measured(self, frame: TrackFrame) -> None:
+        """Update by what is believed of the frame, and test the innovation."""
+        sight = Sight.of(self.camera, self.state, frame)
         try:
-            self.state, squared = updated(self.state, innovation)
+            sight = self._gated(sight)
+            if not np.isfinite(sight.residual(self.state)).all():
+                raise LostError("the filter diverges: a landmark is behind the camera that sees it")
+            self.state, squared = self.update(self.state, sight)
         except np.linalg.LinAlgError as error:
             raise LostError("the filter diverges: the innovation has no positive definite covariance") from error
-        self._test(squared, len(innovation.residual))
+        self.health.test(squared, len(sight.variance), self.state.landmarks[:, 2])
+        self.state = self.state.without(np.isin(self.state.tracks, self.health.discredited()))
 
-    def _range_innovation(self, frame: TrackFrame) -> Innovation | None:
-        """Compare the ranges of this frame with landmarks that the state holds already."""
-        rows, which = _matched(self.state.tracks, np.array([item.track for item in frame.ranges], dtype=np.int64))
-        if len(rows) == 0:
-            return None
-        measured = np.array([[frame.ranges[i].range_m, frame.ranges[i].sigma_m] for i in which.tolist()])
-        return range_innovation(self.state, self.camera, rows, measured[:, 0], measured[:, 1])
-
-    def _test(self, squared: float, count: int) -> None:
-        """Declare divergence where the squared normalised innovation stays far above its expectation of 1."""
-        self.total += squared
-        self.measurements += count
-        self.recent.append((squared, count))
-        mean = sum(item[0] for item in self.recent) / sum(item[1] for item in self.recent)
-        full = len(self.recent) == self.recent.maxlen
-        if full and mean > self.options.innovation_max:
-            raise LostError(
-                f"the filter diverges: the squared normalised innovation of {len(self.recent)} frames is {mean:.3g}"
-            )
-        if np.any(self.state.landmarks[:, 2] <= 0.0):
-            raise LostError("the filter diverges: an inverse distance is not positive")
+    def _gated(self, sight: Sight) -> Sight:
+        """Leave out what the gate refuses; a landmark that it refuses again and again is to be taken in anew."""
+        if self.options.gate == "none":
+            return sight
+        fit = gated(self.state, sight, self.update, self.options)
+        self.health.judge(self.state.tracks[sight.rows], fit)
+        return sight.only(fit)
 
     def _take_new(self, frame: TrackFrame) -> None:
         """Take in tracks that the state does not hold: at their measured range, or at a guess."""
@@ -142,9 +182,3 @@ class _Filter:
         if not frame.ranges:
             raise LostError("no range is measured at the first frame: the scale is unobservable")
         return float(np.mean([1.0 / item.range_m for item in frame.ranges]))
-
-
-def _matched(held: IndexArray, seen: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """Rows of ``held`` and of ``seen`` that are the same track."""
-    _, rows, columns = np.intersect1d(held, seen, assume_unique=True, return_indices=True)
-    return rows.astype(np.int64), columns.astype(np.int64)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.inverse_depth import SIZE, landmark_jacobians, landmark_points
+from estimators.slam.inverse_depth import SIZE, landmark_points
 from scenarios.geometry import Camera
 
 FloatArray = NDArray[np.float64]
@@ -29,12 +29,22 @@ class FilterState:
         (n,) whose landmark each six elements are, in the order in which they came.
     R_cam_body
         (n, 3, 3) attitudes of the anchors.
+    settled
+        (n, 4) inverse distance and anchor where derivatives by a landmark are taken for good (first-estimates
+        Jacobians); NaN where they are taken at the present estimate.
     """
 
     x: FloatArray
     covariance: FloatArray
     tracks: IndexArray
     R_cam_body: FloatArray
+    settled: FloatArray
+
+    @classmethod
+    def of_camera(cls, position_m: FloatArray, covariance_m2: FloatArray) -> FilterState:
+        """Begin without a landmark."""
+        none = np.zeros(0, dtype=np.int64)
+        return cls(position_m.copy(), covariance_m2.copy(), none, np.zeros((0, 3, 3)), np.zeros((0, 4)))
 
     @property
     def position_m(self) -> FloatArray:
@@ -45,6 +55,18 @@ class FilterState:
     def landmarks(self) -> FloatArray:
         """(n, 6) elements of equation (8)."""
         return self.x[3:].reshape(-1, SIZE)
+
+    @property
+    def linearisation_landmarks(self) -> FloatArray:
+        """(n, 6) landmarks at which derivatives are taken."""
+        landmarks = self.landmarks.copy()
+        landmarks[:, 2:] = np.where(np.isnan(self.settled), landmarks[:, 2:], self.settled)
+        return landmarks
+
+    @property
+    def inverse_sigmas(self) -> FloatArray:
+        """(n,) standard deviations of the inverse distances, relative."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)[5::SIZE]) / self.landmarks[:, 2], dtype=np.float64)
 
     def points(self, camera: Camera) -> FloatArray:
         """(n, 3) landmarks in the body frame, m."""
@@ -61,8 +83,17 @@ class FilterState:
         """Drop the landmarks marked in (n,), with their rows and columns."""
         rows = np.concatenate([np.ones(3, dtype=np.bool_), np.repeat(~lost, SIZE)])
         return FilterState(
-            self.x[rows], self.covariance[np.ix_(rows, rows)], self.tracks[~lost], self.R_cam_body[~lost]
+            self.x[rows],
+            self.covariance[np.ix_(rows, rows)],
+            self.tracks[~lost],
+            self.R_cam_body[~lost],
+            self.settled[~lost],
         )
+
+    def settling(self, sigma: float) -> FilterState:
+        """Keep the derivatives of landmarks whose inverse distance is known to ``sigma``, relative, as they are now."""
+        now = np.isnan(self.settled[:, 0]) & (self.inverse_sigmas < sigma)
+        return replace(self, settled=np.where(now[:, None], self.landmarks[:, 2:], self.settled))
 
     def joined(
         self, tracks: IndexArray, elements: FloatArray, noise: FloatArray, R_cam_body: FloatArray
@@ -89,73 +120,5 @@ class FilterState:
             np.block([[self.covariance, cross.T], [cross, own]]),
             np.concatenate([self.tracks, tracks]),
             np.concatenate([self.R_cam_body, np.broadcast_to(R_cam_body, (new, 3, 3))]),
+            np.concatenate([self.settled, np.full((new, 4), np.nan)]),
         )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Innovation:
-    """Measured less predicted (m,), its derivative by the state (m, n), and the variances (m,) of the measurements."""
-
-    residual: FloatArray
-    jacobian: FloatArray
-    variance: FloatArray
-
-    def joined(self, other: Innovation) -> Innovation:
-        """Stack two sets of measurements."""
-        return Innovation(
-            np.concatenate([self.residual, other.residual]),
-            np.concatenate([self.jacobian, other.jacobian]),
-            np.concatenate([self.variance, other.variance]),
-        )
-
-
-def bearing_innovation(
-    state: FilterState, camera: Camera, R_cam_body: FloatArray, rows: IndexArray, uv_px: FloatArray, sigma_px: float
-) -> Innovation:
-    """Compare the landmarks ``rows`` of the state with the pixels (k, 2) at which the present camera sees them."""
-    lines = state.points(camera)[rows] - state.position_m
-    in_camera = lines @ R_cam_body.T
-    by_point = camera.jacobian(in_camera) @ R_cam_body
-    residual = uv_px - camera.project(in_camera)
-    return Innovation(residual.ravel(), _by_state(state, camera, rows, by_point), np.full(residual.size, sigma_px**2))
-
-
-def range_innovation(
-    state: FilterState, camera: Camera, rows: IndexArray, range_m: FloatArray, sigma_m: FloatArray
-) -> Innovation:
-    """Compare the distances (k,) of the landmarks ``rows`` from the present camera with those measured."""
-    lines = state.points(camera)[rows] - state.position_m
-    lengths = np.linalg.norm(lines, axis=1)
-    by_point = (lines / lengths[:, None])[:, None, :]
-    return Innovation(range_m - lengths, _by_state(state, camera, rows, by_point), sigma_m**2)
-
-
-def updated(state: FilterState, innovation: Innovation) -> tuple[FilterState, float]:
-    """Update by all measurements at once (Joseph's form); return the state and the squared normalised innovation.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the covariance of the innovation is not positive definite.
-    """
-    H, P = innovation.jacobian, state.covariance
-    PHt = P @ H.T
-    S = H @ PHt + np.diag(innovation.variance)
-    factor = np.linalg.cholesky(0.5 * (S + S.T))
-    whitened = np.linalg.solve(factor, np.column_stack([innovation.residual, PHt.T]))
-    gain = np.linalg.solve(factor.T, whitened[:, 1:]).T
-    x = state.x + gain @ innovation.residual
-    left = np.eye(len(x)) - gain @ H
-    covariance = left @ P @ left.T + (gain * innovation.variance) @ gain.T
-    return replace(state, x=x, covariance=0.5 * (covariance + covariance.T)), float(whitened[:, 0] @ whitened[:, 0])
-
-
-def _by_state(state: FilterState, camera: Camera, rows: IndexArray, by_point: FloatArray) -> FloatArray:
-    """(k r, n) derivative by the whole state of measurements whose derivative by the landmark's point is (k, r, 3)."""
-    count, height = by_point.shape[:2]
-    by_landmark = by_point @ landmark_jacobians(camera, state.landmarks[rows], state.R_cam_body[rows])
-    jacobian = np.zeros((count, height, len(state.x)))
-    jacobian[:, :, :3] = -by_point
-    columns = 3 + SIZE * rows[:, None] + np.arange(SIZE)
-    jacobian[np.arange(count)[:, None], :, columns] = np.swapaxes(by_landmark, 1, 2)
-    return jacobian.reshape(count * height, -1)

@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from estimators.slam.gating import Gate
 from scenarios.spec.base import SpecModel
 
 
@@ -72,6 +73,32 @@ class FilterOptions(SpecModel):
         0.25,
         gt=0,
         description="The scale counts as lost when the position is uncertain by this part of the distance",
+    )
+    gate: Gate = Field(
+        "none",
+        description="Which pixels are left out: none, those whose own innovation is too large, or those that disagree"
+        " with the largest set that fits one of them taken for right (one-point RANSAC)",
+    )
+    false_alarm: float = Field(0.001, gt=0, le=0.1, description="Probability that a gate refuses a right pixel")
+    refusals_max: int = Field(
+        2, ge=1, le=1000, description="Frames in a row that refuse a landmark before it is taken in anew"
+    )
+
+
+class IteratedFilterOptions(FilterOptions):
+    """Options of ``iterated-ekf-slam``."""
+
+    iterations: int = Field(10, ge=1, le=100, description="Gauss-Newton steps of an update at most")
+
+
+class ConsistentFilterOptions(IteratedFilterOptions):
+    """Options of ``consistent-ekf-slam``."""
+
+    settled_sigma: float = Field(
+        0.05,
+        gt=0,
+        le=1,
+        description="Relative standard deviation of an inverse distance at which its derivatives are kept for good",
     )
 
 

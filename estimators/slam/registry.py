@@ -18,8 +18,10 @@ _OWN: Mapping[str, str] = MappingProxyType(
         "ba-slam": "estimators.slam.bundle:BundleSlam",
         "batch": "estimators.slam.smoother:BatchAdjustment",
         "dynamic-smoother": "estimators.slam.dynamics.smoother:DynamicSmoother",
+        "consistent-ekf-slam": "estimators.slam.ekf:ConsistentEkfSlam",
         "ekf-slam": "estimators.slam.ekf:EkfSlam",
         "fixed-lag": "estimators.slam.smoother:FixedLagSmoother",
+        "iterated-ekf-slam": "estimators.slam.ekf:IteratedEkfSlam",
     }
 )
 

@@ -1,13 +1,20 @@
-"""The filter's landmarks and its update."""
+"""The filter's landmarks and its updates."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, look_down
 
-from estimators.slam.ekf_state import FilterState, bearing_innovation, range_innovation, updated
+from estimators.slam.ekf_measure import Sight
+from estimators.slam.ekf_state import FilterState
+from estimators.slam.ekf_update import Iteration, iterated, updated
 from estimators.slam.inverse_depth import landmark_jacobians, landmark_points
+
+NO_RANGES = (np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
 
 
 @pytest.fixture
@@ -15,7 +22,7 @@ def state() -> FilterState:
     """Three landmarks anchored at the first position, the camera two degrees further on."""
     rng = np.random.default_rng(3)
     first = np.array([ORBIT_M, 0.0, 0.0])
-    start = FilterState(first, 0.01 * np.eye(3), np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3)))
+    start = FilterState.of_camera(first, 0.01 * np.eye(3))
     elements = np.column_stack([rng.uniform(300, 700, (3, 2)), np.full(3, 1.0 / 620.0)])
     noise = np.tile([0.4, 0.4, (0.1 / 620.0) ** 2], (3, 1))
     joined = start.joined(np.array([4, 7, 9]), elements, noise, look_down(first))
@@ -24,6 +31,20 @@ def state() -> FilterState:
 
 def _second() -> np.ndarray:
     return ORBIT_M * np.array([np.cos(STEP_RAD), np.sin(STEP_RAD), 0.0])
+
+
+def sight(state: FilterState, rows: list[int], shift_px: np.ndarray, sigma_px: float = 0.7) -> Sight:
+    """The landmarks where the state expects them from the second position, but for a shift."""
+    R = look_down(_second())
+    uv = CAMERA.project((state.points(CAMERA)[rows] - state.position_m) @ R.T) + shift_px
+    return Sight(CAMERA, R, np.array(rows), uv, sigma_px, *NO_RANGES)
+
+
+def square_root(covariance: np.ndarray) -> np.ndarray:
+    """The joint covariance is singular, since three landmarks share one anchor: as many columns as it has rank."""
+    values, vectors = np.linalg.eigh(covariance)
+    keep = values > 1e-18
+    return vectors[:, keep] * np.sqrt(values[keep])
 
 
 def differences(function, x: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -52,34 +73,24 @@ def test_derivatives_are_those_of_central_differences(state: FilterState) -> Non
 
 
 def test_innovation_derivatives_are_those_of_central_differences(state: FilterState) -> None:
-    rows, R = np.array([2, 0]), look_down(_second())
+    """Of pixels and of distances."""
+    seen = replace(
+        sight(state, [2, 0], np.zeros((1, 2))),
+        range_rows=np.array([1, 2]),
+        range_m=np.full(2, 600.0),
+        range_sigma_m=np.ones(2),
+    )
     steps = np.concatenate([np.full(3, 1e-3), np.tile([1e-2, 1e-2, 1e-8, 1e-3, 1e-3, 1e-3], 3)])
-
-    def bearing(x: np.ndarray) -> np.ndarray:
-        moved = FilterState(x, state.covariance, state.tracks, state.R_cam_body)
-        return -bearing_innovation(moved, CAMERA, R, rows, np.zeros((2, 2)), 1.0).residual
-
-    def distance(x: np.ndarray) -> np.ndarray:
-        moved = FilterState(x, state.covariance, state.tracks, state.R_cam_body)
-        return -range_innovation(moved, CAMERA, rows, np.zeros(2), np.ones(2)).residual
-
-    at_bearing = bearing_innovation(state, CAMERA, R, rows, np.zeros((2, 2)), 1.0).jacobian
-    at_distance = range_innovation(state, CAMERA, rows, np.zeros(2), np.ones(2)).jacobian
+    numeric = differences(lambda x: -seen.residual(replace(state, x=x)), state.x, steps)
     scale = steps / 1e-3  # in units of the steps, so that metres and inverse metres compare
-    np.testing.assert_allclose(at_bearing * scale, differences(bearing, state.x, steps) * scale, atol=1e-5)
-    np.testing.assert_allclose(at_distance * scale, differences(distance, state.x, steps) * scale, atol=1e-5)
+    np.testing.assert_allclose(seen.innovation(state).jacobian * scale, numeric * scale, atol=1e-5)
 
 
 def test_update_is_that_of_the_least_squares(state: FilterState) -> None:
-    """Joseph's form gives what the prior and the linearised measurements give as one weighted least-squares problem."""
-    rows, R = np.array([0, 1, 2]), look_down(_second())
-    uv = CAMERA.project((state.points(CAMERA) - state.position_m) @ R.T) + np.array([[0.5, -1.0]])
-    innovation = bearing_innovation(state, CAMERA, R, rows, uv, 0.7)
+    """It gives what the prior and the linearised measurements give as one weighted least-squares problem."""
+    innovation = sight(state, [0, 1, 2], np.array([[0.5, -1.0]])).innovation(state)
     after, squared = updated(state, innovation)
-    # The joint covariance is singular (three landmarks share one anchor): compare in its own square root.
-    values, vectors = np.linalg.eigh(state.covariance)
-    keep = values > 1e-18
-    root = vectors[:, keep] * np.sqrt(values[keep])
+    root = square_root(state.covariance)
     rows_of_noise = innovation.jacobian @ root / 0.7
     stacked = np.concatenate([rows_of_noise, np.eye(root.shape[1])])
     target = np.concatenate([innovation.residual / 0.7, np.zeros(root.shape[1])])
@@ -88,6 +99,58 @@ def test_update_is_that_of_the_least_squares(state: FilterState) -> None:
     assert squared == pytest.approx(residual[0], rel=1e-6)
     expected = root @ np.linalg.inv(stacked.T @ stacked) @ root.T
     np.testing.assert_allclose(after.covariance[:3, :3], expected[:3, :3], rtol=1e-5, atol=1e-9)
+
+
+def test_covariance_of_the_update_is_that_of_the_form_of_joseph(state: FilterState) -> None:
+    innovation = sight(state, [0, 1, 2], np.array([[0.5, -1.0]])).innovation(state)
+    H, P, R = innovation.jacobian, state.covariance, np.diag(innovation.variance)
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    left = np.eye(len(P)) - K @ H
+    joseph = left @ P @ left.T + K @ R @ K.T
+    scale = np.sqrt(np.diag(P))
+    found = updated(state, innovation)[0].covariance
+    np.testing.assert_allclose(found / np.outer(scale, scale), joseph / np.outer(scale, scale), atol=1e-9)
+
+
+def test_iterated_update_is_the_minimum_of_scipy(state: FilterState) -> None:
+    """Distances wrong by 30 % and a position by metres: one step of the plain filter does not get there."""
+    unsure = replace(state, covariance=state.covariance * 100.0)
+    seen = sight(state, [0, 1, 2], np.array([[60.0, -25.0], [75.0, -20.0], [50.0, -30.0]]))
+    root = square_root(unsure.covariance)
+
+    def residuals(z: np.ndarray) -> np.ndarray:
+        moved = replace(unsure, x=unsure.x + root @ z)
+        return np.concatenate([seen.residual(moved) / 0.7, z])
+
+    foreign = least_squares(residuals, np.zeros(root.shape[1]), xtol=1e-15, ftol=1e-15, gtol=1e-12)
+    found, squared = iterated(unsure, seen, Iteration(50, 1e-12))
+    np.testing.assert_allclose(found.position_m, (unsure.x + root @ foreign.x)[:3], atol=1e-4)
+    assert squared == pytest.approx(2.0 * foreign.cost, rel=1e-6)
+    once, _ = updated(unsure, seen.innovation(unsure))
+    assert np.linalg.norm(once.position_m - found.position_m) > 0.1
+    expected = (root @ np.linalg.inv(foreign.jac.T @ foreign.jac) @ root.T)[:3, :3]
+    np.testing.assert_allclose(found.covariance[:3, :3], expected, rtol=1e-3, atol=1e-6)
+
+
+def test_one_step_of_the_iterated_update_moves_as_the_plain_one(state: FilterState) -> None:
+    seen = sight(state, [0, 1, 2], np.array([[0.5, -1.0]]))
+    one, _ = iterated(state, seen, Iteration(1))
+    np.testing.assert_allclose(one.x, updated(state, seen.innovation(state))[0].x, atol=1e-9)
+
+
+def test_settled_landmarks_tell_nothing_of_the_scale(state: FilterState) -> None:
+    """Bearings from two places and with two estimates: one direction of the scale, about any point, unseen by both."""
+    settled = state.settling(1.0)
+    assert not np.isnan(settled.settled).any()
+    later = replace(settled, x=settled.x * np.tile([1.02, 0.97, 1.01], len(settled.x) // 3))
+    first = sight(state, [0, 1, 2], np.zeros((1, 2)))
+    for moved, learns in ((later, False), (replace(later, settled=np.full((3, 4), np.nan)), True)):
+        growth = np.zeros(len(state.x)).reshape(-1, 3)
+        growth[0] = moved.position_m  # the camera's own position is known anew at each frame
+        landmarks = np.column_stack([np.zeros((3, 2)), -state.landmarks[:, 2], state.landmarks[:, 3:]])
+        growth[1:] = landmarks.reshape(-1, 3)
+        seen = np.abs(first.innovation(moved).jacobian @ growth.ravel()).max()
+        assert (seen > 1e-3) == learns, seen
 
 
 def test_new_landmark_shares_the_error_of_its_anchor(state: FilterState) -> None:

@@ -13,14 +13,14 @@ from slam_sequences import Recipe, Truth, make_sequence
 from estimators.slam.bundle import BundleSlam
 from estimators.slam.contract import SequenceEstimate
 from estimators.slam.dynamics.smoother import DynamicSmoother
-from estimators.slam.ekf import EkfSlam
+from estimators.slam.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
 from estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
 from scenarios.errors import BoresightError
 from scenarios.tracks import TrackRange, TrackSequence
 
 QUIET = Recipe(frames=40, noise_px=0.0, repeatability=0.95)
-ALL = [BundleSlam, EkfSlam, FixedLagSmoother, BatchAdjustment]
+ALL = [BundleSlam, EkfSlam, IteratedEkfSlam, ConsistentEkfSlam, FixedLagSmoother, BatchAdjustment]
 
 
 def errors(estimate: SequenceEstimate, truth: Truth) -> np.ndarray:
@@ -41,6 +41,19 @@ def lonely(sequence: TrackSequence, number: int) -> TrackSequence:
         old = np.sort(frames[number - 1].tracks)[2:]
         tracks = np.where(np.isin(frames[k].tracks, old), frames[k].tracks + 100000, frames[k].tracks)
         frames[k] = replace(frames[k], tracks=tracks)
+    return replace(sequence, frames=tuple(frames))
+
+
+def thrown(sequence: TrackSequence, share: float) -> TrackSequence:
+    """A share of the sightings anywhere in the image, but for those that begin a track."""
+    rng = np.random.default_rng(77)
+    frames, older = [], sequence.frames[0].tracks
+    for frame in sequence.frames:
+        wrong = (rng.random(len(frame.tracks)) < share) & np.isin(frame.tracks, older)
+        anywhere = rng.uniform(0.0, 1024.0, frame.uv_px.shape)
+        first = frame is sequence.frames[0]
+        frames.append(frame if first else replace(frame, uv_px=np.where(wrong[:, None], anywhere, frame.uv_px)))
+        older = frame.tracks
     return replace(sequence, frames=tuple(frames))
 
 
@@ -67,11 +80,12 @@ def test_noise_free_sequence_returns_the_truth(estimator: type[BundleSlam], opti
     np.testing.assert_allclose(last.points_m, true, atol=1e-9 * 790.0)
 
 
-def test_filter_returns_the_truth_where_nothing_is_guessed() -> None:
+@pytest.mark.parametrize("estimator", [EkfSlam, IteratedEkfSlam, ConsistentEkfSlam])
+def test_filter_returns_the_truth_where_nothing_is_guessed(estimator: type[EkfSlam]) -> None:
     """A filter that linearises at a guess is not exact; with all ranges and motions given it has nothing to guess."""
     recipe = replace(QUIET, motion_error=0.0, range_all=True)
     sequence, truth = make_sequence(np.random.default_rng(11), recipe)
-    estimate = EkfSlam.from_options({}).follow(sequence)
+    estimate = estimator.from_options({}).follow(sequence)
     assert estimate.status == "ok", estimate.reason
     assert errors(estimate, truth).max() < 1e-9 * 790.0
 
@@ -206,13 +220,39 @@ def test_bad_sequence_ends_with_a_reason_and_the_frames_before(
     assert len(estimate.frames) == frames
 
 
-def test_filter_declares_its_divergence() -> None:
-    """Bearings that are far noisier than the filter is told."""
+@pytest.mark.parametrize("estimator", [EkfSlam, IteratedEkfSlam, ConsistentEkfSlam])
+def test_filter_declares_its_divergence(estimator: type[EkfSlam]) -> None:
+    """Bearings that are far noisier than the filter is told; the frames before are kept."""
     sequence, _ = make_sequence(np.random.default_rng(8), Recipe(frames=30, noise_px=6.0))
     wrong = replace(sequence, frames=tuple(replace(frame, sigma_px=0.5) for frame in sequence.frames))
-    estimate = EkfSlam.from_options({}).follow(wrong)
+    estimate = estimator.from_options({}).follow(wrong)
     assert estimate.status == "failed"
     assert "the filter diverges" in estimate.reason
+    assert 0 < len(estimate.frames) < 30
+    assert np.isfinite(estimate.frames[-1].position_m).all()
+
+
+def test_gate_that_refuses_most_declares_the_divergence() -> None:
+    """What passes a gate always fits: the share that does not pass tells."""
+    sequence, _ = make_sequence(np.random.default_rng(8), Recipe(frames=30, noise_px=6.0))
+    wrong = replace(sequence, frames=tuple(replace(frame, sigma_px=0.1) for frame in sequence.frames))
+    estimate = ConsistentEkfSlam.from_options({"gate": "one-point"}).follow(wrong)
+    assert estimate.status == "failed"
+    assert "pixels of the last frames do not fit" in estimate.reason
+    assert len(estimate.frames) > 0
+
+
+@pytest.mark.parametrize("estimator", [EkfSlam, IteratedEkfSlam, ConsistentEkfSlam])
+def test_gated_filter_survives_wrong_associations(estimator: type[EkfSlam]) -> None:
+    """Five of a hundred sightings are thrown anywhere; without a gate the filter diverges."""
+    sequence, truth = make_sequence(np.random.default_rng(8), Recipe(frames=40, landmarks=20))
+    clean = estimator.from_options({}).follow(sequence)
+    spoilt = thrown(sequence, 0.05)
+    assert estimator.from_options({}).follow(spoilt).status == "failed"
+    estimate = estimator.from_options({"gate": "one-point"}).follow(spoilt)
+    assert estimate.status == "ok", estimate.reason
+    assert errors(estimate, truth).max() < 1.5 * errors(clean, truth).max() + 0.5
+    assert estimate.diagnostics["refused_pixels"] > 0.04 * sum(len(frame.tracks) for frame in sequence.frames[1:])
 
 
 def test_gauge_with_a_track_of_one_view_loses_the_scale() -> None:
