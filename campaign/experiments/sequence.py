@@ -10,6 +10,8 @@ from typing import ClassVar
 import numpy as np
 
 from campaign.experiments.registry import Bench, Record, Records
+from campaign.image_tracks import ImageTracks, Seen
+from campaign.orbit_images import OrbitImages
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
@@ -50,6 +52,8 @@ class SequenceTrials:
         Label to estimator.
     seed
         Seed of the campaign.
+    images
+        The vision layer that sees images; None where it is simulated.
     """
 
     name: str
@@ -58,6 +62,7 @@ class SequenceTrials:
     ground: Ground
     estimators: Mapping[str, SequenceEstimator]
     seed: int
+    images: ImageTracks | None = None
 
     kind: ClassVar[str] = "sequence"
     version: ClassVar[int] = 2
@@ -84,18 +89,35 @@ class SequenceTrials:
         section = _section(scenario)
         camera = scenario.spec.camera.camera().pinhole
         name = scenario.spec.name
-        return cls(name, section, camera, ground_of(scenario), _estimators(campaign), campaign.seed)
+        ground, images = ground_of(scenario), None
+        if section.images is not None:
+            images = ImageTracks(section, ground, OrbitImages.open(scenario, campaign.variant, campaign.seed))
+        return cls(name, section, camera, ground, _estimators(campaign), campaign.seed, images)
 
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and estimators."""
         records: Records = {}
         for trial in trials:
-            truth, sequence = draw_sequence(self.spec, self.camera, self.ground, self.seed, trial)
+            seen = self._see(trial)
             for label, estimator in self.estimators.items():
                 key: Record = {"trial": trial, "scenario": self.name, "estimator": label}
-                for table, added in _judged(estimator, sequence, truth).items():
-                    records.setdefault(table, []).extend({**key, **record} for record in added)
+                for found in (_judged(estimator, seen.sequence, seen.truth), _vision(seen)):
+                    for table, added in found.items():
+                        records.setdefault(table, []).extend({**key, **record} for record in added)
+        if self.images is not None:
+            self.images.images.flush()
         return records
+
+    def _see(self, trial: int) -> Seen:
+        if self.images is not None:
+            return self.images.see(self.seed, trial)
+        return Seen(*draw_sequence(self.spec, self.camera, self.ground, self.seed, trial), vision=[], seconds={})
+
+
+def _vision(seen: Seen) -> Records:
+    """Tell what the vision layer was like, where it saw images: records without their key."""
+    timings: list[Record] = [{"stage": stage, "seconds": seconds} for stage, seconds in seen.seconds.items()]
+    return {"vision": seen.vision, "timings": timings}
 
 
 def _judged(estimator: SequenceEstimator, sequence: TrackSequence, truth: SequenceTruth) -> Records:

@@ -14,7 +14,7 @@ from scenarios.bodies.detail.noise import Band, fractal_field
 from scenarios.bodies.topology import FloatArray, IndexArray, unit, vertex_normals
 from scenarios.geometry import TriangleMesh
 
-__all__ = ["EMBEDDED", "contact_binary", "sphere"]
+__all__ = ["EMBEDDED", "apophis_sphere", "contact_binary", "sphere"]
 
 EMBEDDED_VERSION = 1
 """Part of every embedded body's key: raise it when a formula gives another mesh."""
@@ -105,7 +105,16 @@ def contact_binary() -> TriangleMesh:
 
 def sphere() -> TriangleMesh:
     """Make a sphere of 250 m radius from an icosahedron: 5,120 facets."""
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=250.0)
+    return _icosphere(250.0)
+
+
+def apophis_sphere() -> TriangleMesh:
+    """Make the sphere of 190 m radius that stands for (99942) Apophis in Delpech et al. (2015): 5,120 facets."""
+    return _icosphere(190.0)
+
+
+def _icosphere(radius_m: float) -> TriangleMesh:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=radius_m)
     return TriangleMesh(np.array(ball.vertices), np.array(ball.faces))
 
 
@@ -117,5 +126,5 @@ def _centre_of_volume(points_m: FloatArray, faces: IndexArray) -> FloatArray:
 
 
 EMBEDDED: Mapping[str, Callable[[], TriangleMesh]] = MappingProxyType(
-    {"contact-binary": contact_binary, "sphere": sphere}
+    {"contact-binary": contact_binary, "sphere": sphere, "apophis-sphere": apophis_sphere}
 )

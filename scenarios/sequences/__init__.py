@@ -2,7 +2,7 @@
 
 from scenarios.sequences.draw import SequenceTruth, draw_sequence
 from scenarios.sequences.ground import Ground, MeshGround, SphereGround
-from scenarios.sequences.knowledge import Sighting, known_sequence
+from scenarios.sequences.knowledge import Sighting, known_sequence, measured_ranges
 from scenarios.sequences.path import Path, travel, unmodelled
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "SphereGround",
     "draw_sequence",
     "known_sequence",
+    "measured_ranges",
     "travel",
     "unmodelled",
 ]

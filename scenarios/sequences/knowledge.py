@@ -48,7 +48,7 @@ def known_sequence(
     moves = predicted_moves(path, attitudes, knowledge, generator(seed, Stream.MOTION, trial))
     rng, star_tracker = generator(seed, Stream.KNOWLEDGE, trial), np.radians(knowledge.attitude_sigma_deg)
     position = attitudes[0] @ (path.positions_m[0] + knowledge.position_sigma_m * rng.normal(size=3))
-    ranges = [_ranges(sightings, path.poses[0], camera, knowledge, rng)]
+    ranges = [measured_ranges(sightings, path.poses[0], camera, knowledge, rng)]
     ranges += _later_ranges(sightings, path, camera, knowledge, generator(seed, Stream.RANGES, trial))
     turns = star_tracker * rng.normal(size=(len(path.poses), 3))
     sigmas = np.hypot(star_tracker, rotation_sigma_rad(path.times_s, spec))
@@ -58,7 +58,7 @@ def known_sequence(
             R_cam_body=_known_attitude(path.poses[i], path.R_body_inertial[i], attitudes[i], turns[i]),
             tracks=sighting.tracks,
             uv_px=sighting.uv_px,
-            sigma_px=spec.vision.noise_px,
+            sigma_px=spec.sigma_px,
             motion_m=moves[i][0],
             motion_covariance_m2=moves[i][1],
             ranges=ranges[i],
@@ -139,12 +139,12 @@ def _later_ranges(
     """Measure distances in the frames after the first, where that is asked for."""
     every = knowledge.range_every
     return [
-        _ranges(sightings[i:], path.poses[i], camera, knowledge, rng) if every and i % every == 0 else ()
+        measured_ranges(sightings[i:], path.poses[i], camera, knowledge, rng) if every and i % every == 0 else ()
         for i in range(1, len(sightings))
     ]
 
 
-def _ranges(
+def measured_ranges(
     sightings: Sequence[Sighting], pose: Pose, camera: Camera, knowledge: KnowledgeSpec, rng: np.random.Generator
 ) -> tuple[TrackRange, ...]:
     """Measure the distances of some landmarks of the first of the sightings, whose lives the later ones tell."""

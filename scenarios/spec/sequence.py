@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel
 from scenarios.spec.motion import BodyMotionSpec, ForcesSpec
+from scenarios.spec.vision import ImageVisionSpec
 
 
 class OrbitSpec(SpecModel):
@@ -143,6 +144,7 @@ class SequenceSpec(SpecModel):
     orbit: OrbitSpec = OrbitSpec()
     body_motion: BodyMotionSpec = BodyMotionSpec()
     vision: VisionSpec = VisionSpec()
+    images: ImageVisionSpec | None = Field(None, description="Tracks of rendered images instead of simulated ones")
     knowledge: KnowledgeSpec = KnowledgeSpec()
 
     @model_validator(mode="after")
@@ -178,3 +180,24 @@ class SequenceSpec(SpecModel):
                 f" are lost from frame to frame: at most {1.0 / (1.0 + lost):.3g}"
             )
         return self
+
+    @model_validator(mode="after")
+    def _images_fit_the_orbit(self) -> Self:
+        if self.images is None:
+            return self
+        if self.vision != VisionSpec() or self.sphere_radius_m is not None:
+            key = "sphere_radius_m" if self.vision == VisionSpec() else "vision"
+            raise ValueError(f"{key} has no part where images show the body: leave it or images out")
+        if self.orbit.model != "circular" or self.body_motion.kind != "none":
+            raise ValueError("images are of a circular orbit about a body at rest: leave images or the motion out")
+        count = 360.0 / self.orbit.step_deg
+        if abs(count - round(count)) > 1e-9:
+            raise ValueError(f"orbit.step_deg {self.orbit.step_deg:g} does not divide 360: images must close the orbit")
+        if round(count) % self.images.starts:
+            raise ValueError(f"images.starts {self.images.starts} does not divide the {count:.0f} images of the orbit")
+        return self
+
+    @property
+    def sigma_px(self) -> float:
+        """Standard deviation of a coordinate that estimators are told."""
+        return self.vision.noise_px if self.images is None else self.images.sigma_px

@@ -21,6 +21,8 @@ from tiny_mission import make_mission
 
 from campaign.experiments.sequence import ground_of
 from campaign.experiments.single_image import SingleImage
+from campaign.image_tracks import ImageTracks
+from campaign.orbit_images import OrbitImages
 from campaign.products import Shelf
 from campaign.world import open_world
 from renderers.mitsuba3 import choose_variant
@@ -86,6 +88,13 @@ sequence:
 """
 SPIN = SEQUENCE + "  body_motion: {kind: spin}\n"
 TUMBLING = SEQUENCE + "  body_motion: {kind: tumbling, axis_body: [0.5, 0, 1]}\n"
+IMAGES = """
+body: {shape: apophis-sphere, detail: {facets: 80000, albedo: {sigma: 0.35, wavelength_m: 60}}}
+camera: {width_px: 200, height_px: 200, fov_deg: 30}
+sequence:
+  orbit: {step_deg: 5, revolutions: 0.05}
+  images: {starts: 2, tracks: 12}
+"""
 FIXED = SEQUENCE.replace("per_frame: 30", "per_frame: 30, field: fixed, recognised: 0.6")
 DYNAMICS = PROPAGATED + "  knowledge: {dynamics: true}\n"
 
@@ -219,6 +228,16 @@ CHANGES: dict[str, tuple[str, str]] = {
     "sequence.vision.min_connection": (SEQUENCE, "28"),
     "sequence.vision.mismatch_share": (SEQUENCE, "0.1"),
     "sequence.vision.outlier_share": (SEQUENCE, "0.1"),
+    "sequence.images.starts": (IMAGES, "4"),
+    "sequence.images.detector": (IMAGES, "sift"),
+    "sequence.images.features": (IMAGES, "40"),
+    "sequence.images.ratio_max": (IMAGES, "0.5"),
+    "sequence.images.epipolar": (IMAGES, "known-attitude"),
+    "sequence.images.epipolar_max_px": (IMAGES, "0.1"),
+    "sequence.images.carry": (IMAGES, "patch"),
+    "sequence.images.tracks": (IMAGES, "9"),
+    "sequence.images.spacing_px": (IMAGES, "40"),
+    "sequence.images.sigma_px": (IMAGES, "0.7"),
     "sequence.knowledge.motion_error": (SEQUENCE, "0.4"),
     "sequence.knowledge.ranges": (SEQUENCE, "2"),
     "sequence.knowledge.range_to": (SEQUENCE, "lasting"),
@@ -348,7 +367,12 @@ def sequence_fingerprint(scenario: LoadedScenario) -> str:
     parts: list[bytes] = []
     for trial in range(2):
         ground = ground_of(scenario)
-        truth, sequence = draw_sequence(spec.sequence, spec.camera.camera(), ground, 3, trial)
+        if spec.sequence.images is None:
+            truth, sequence = draw_sequence(spec.sequence, spec.camera.camera(), ground, 3, trial)
+        else:
+            images = OrbitImages.open(scenario, choose_variant().name, 3)
+            seen = ImageTracks(spec.sequence, ground, images).see(3, trial)
+            truth, sequence = seen.truth, seen.sequence
         parts += [repr((sequence.camera, [(f.time_s, f.sigma_px, f.ranges) for f in sequence.frames])).encode()]
         arrays = [truth.points_m, sequence.position_m, sequence.position_covariance_m2]
         known = sequence.forces

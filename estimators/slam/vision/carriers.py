@@ -1,0 +1,151 @@
+"""Two ways to carry a track from image to image: by the match of its feature, or by registration of its patch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.slam.vision.features import Features
+from estimators.slam.vision.flow import local_flow
+from estimators.slam.vision.registration import Patches, Spline, Warps, cut, register
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+Image = NDArray[np.float32]
+
+_LEAST_MATCHES = 16
+_LEAST_CORRELATION = 0.8
+_MOST_CORRECTION_PX = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """An image (H, W), its features, and how they match those of the image before.
+
+    ``pairs`` are (K, 2) rows of the features before and of these, from `matched`; none in the first image.
+    """
+
+    image: Image
+    features: Features
+    pairs: IndexArray
+
+    @cached_property
+    def spline(self) -> Spline:
+        """The image between its pixels."""
+        return Spline(self.image)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """From one image to the next: the features before, the look after, and the rows of matches that RANSAC keeps."""
+
+    before: Features
+    after: Look
+    pairs: IndexArray
+
+
+class Carrier(Protocol):
+    """Carries n tracks along; their order is that in which they were added."""
+
+    @property
+    def places_px(self) -> FloatArray:
+        """(n, 2) where the tracks are in the present image."""
+        ...
+
+    def carry(self, step: Step) -> BoolArray:
+        """Go to the next image; tell of each track (n,) whether it was found there. The others are dropped."""
+        ...
+
+    def drop(self, keep: BoolArray) -> None:
+        """Keep some of the tracks (n,) alone."""
+        ...
+
+    def add(self, look: Look, rows: IndexArray) -> None:
+        """Begin tracks at features of the present image."""
+        ...
+
+
+class FeatureCarrier:
+    """A track is where its feature is found again."""
+
+    def __init__(self) -> None:
+        self._rows = np.empty(0, dtype=np.int64)
+        self._places_px = np.empty((0, 2))
+
+    @property
+    def places_px(self) -> FloatArray:
+        """(n, 2) px."""
+        return self._places_px
+
+    def carry(self, step: Step) -> BoolArray:
+        """Go to the next image."""
+        follow = np.full(len(step.before), -1, dtype=np.int64)
+        follow[step.pairs[:, 0]] = step.pairs[:, 1]
+        rows = follow[self._rows]
+        found = rows >= 0
+        self._rows = rows[found]
+        self._places_px = step.after.features.uv_px[self._rows]
+        return found
+
+    def drop(self, keep: BoolArray) -> None:
+        """Keep some of the tracks alone."""
+        self._rows, self._places_px = self._rows[keep], self._places_px[keep]
+
+    def add(self, look: Look, rows: IndexArray) -> None:
+        """Begin tracks at features."""
+        self._rows = np.concatenate([self._rows, rows])
+        self._places_px = np.concatenate([self._places_px, look.features.uv_px[rows]])
+
+
+class PatchCarrier:
+    """A track is where the patch of its first sighting agrees with the image.
+
+    The flow of the matches about it says where the patch is to be sought and how it is distorted.
+    """
+
+    def __init__(self) -> None:
+        self._patches: Patches | None = None
+        self._warps = Warps(np.empty((0, 2, 2)), np.empty((0, 2)))
+
+    @property
+    def places_px(self) -> FloatArray:
+        """(n, 2) px."""
+        return self._warps.place_px
+
+    def carry(self, step: Step) -> BoolArray:
+        """Go to the next image."""
+        none = np.zeros(len(self.places_px), dtype=np.bool_)
+        if self._patches is None or len(step.pairs) < _LEAST_MATCHES or not len(none):
+            self.drop(none)
+            return none
+        first, second = step.before.uv_px[step.pairs[:, 0]], step.after.features.uv_px[step.pairs[:, 1]]
+        expected_px, change = local_flow(first, second, self._warps.place_px)
+        start = Warps(change @ self._warps.linear, expected_px)
+        self._warps, correlation = register(step.after.spline, self._patches, start)
+        corrected_px = np.linalg.norm(self._warps.place_px - expected_px, axis=1)
+        found: BoolArray = (correlation > _LEAST_CORRELATION) & (corrected_px < _MOST_CORRECTION_PX)
+        self.drop(found)
+        return found
+
+    def drop(self, keep: BoolArray) -> None:
+        """Keep some of the tracks alone."""
+        if self._patches is not None:
+            self._patches = self._patches[keep]
+        self._warps = Warps(self._warps.linear[keep], self._warps.place_px[keep])
+
+    def add(self, look: Look, rows: IndexArray) -> None:
+        """Begin tracks at features."""
+        if not len(rows):
+            return
+        places = look.features.uv_px[rows]
+        fresh = cut(look.spline, places)
+        self._patches = fresh if self._patches is None else self._patches.joined(fresh)
+        self._warps = Warps(
+            np.concatenate([self._warps.linear, np.tile(np.eye(2), (len(rows), 1, 1))]),
+            np.concatenate([self._warps.place_px, places]),
+        )

@@ -1,0 +1,148 @@
+"""Features with descriptors: SURF (Bay et al. 2008), SIFT (Lowe 2004), ORB (Rublee et al. 2011)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import cv2
+import numpy as np
+from mahotas.features import surf
+from numpy.typing import NDArray
+
+from estimators.landmark.fast_hessian import fast_hessian
+from estimators.landmark.signal import extract_signal
+from scenarios.geometry import pixel_from_opencv
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+_BRIGHT_LEVEL = 200.0  # leaves room for what is brighter than the 99th percentile of the body
+_FULL_SCALE_PERCENTILE = 99.0
+_LEAST_STRENGTH = 1e-6  # of a blob, in an image scaled to 0..1: some ten times what the detector's noise makes
+_LEAST_CONTRAST = 0.01
+_FAST_THRESHOLD = 5
+# A feature counts if the body's edge is farther than this many of its scales: edges move over the ground.
+_CLEAR_SCALES = 5.0
+_OPENING_PX = 9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """Features of one image, the strongest first.
+
+    Parameters
+    ----------
+    uv_px
+        (M, 2) positions, centre of the first pixel at (0.5, 0.5).
+    descriptors
+        (M, D): float32, compared by Euclidean distance, or bytes, by Hamming distance.
+    strength
+        (M,) response of the detector, in its own unit.
+    """
+
+    uv_px: FloatArray
+    descriptors: NDArray[np.float32] | NDArray[np.uint8]
+    strength: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.uv_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """What a detector returns: positions, descriptors, strength, and scales, px."""
+
+    uv_px: FloatArray
+    descriptors: NDArray[np.float32] | NDArray[np.uint8]
+    strength: FloatArray
+    scale_px: FloatArray
+
+
+def find_features(image: Image, detector: str, count: int) -> Features:
+    """Find the strongest features that lie well within the lit body.
+
+    Parameters
+    ----------
+    image
+        (H, W) any linear measure of radiance; it is scaled to the bright level of the body first.
+    detector
+        ``surf``, ``sift`` or ``orb``.
+    count
+        Features at most.
+    """
+    signal = extract_signal(image)
+    if signal.empty:
+        return _none(_DETECTORS[detector](np.zeros_like(image)))
+    body = signal.image > 0.0
+    rise = image - np.float32(signal.background)
+    found = _DETECTORS[detector](rise / np.float32(np.percentile(rise[body], _FULL_SCALE_PERCENTILE)))
+    clear = _clearance_px(body, found.uv_px) > _CLEAR_SCALES * found.scale_px
+    rows = np.flatnonzero(clear)
+    rows = rows[np.argsort(-found.strength[rows], kind="stable")][:count]
+    return Features(found.uv_px[rows], found.descriptors[rows], found.strength[rows])
+
+
+def _none(found: _Found) -> Features:
+    return Features(np.empty((0, 2)), found.descriptors[:0], np.empty(0))
+
+
+def _clearance_px(body: NDArray[np.bool_], uv_px: FloatArray) -> FloatArray:
+    """(M,) distance to the nearest pixel that is not of the lit body, specks of either kind left out."""
+    mask = np.asarray(cv2.medianBlur(body.astype(np.uint8), _OPENING_PX))
+    distance = np.asarray(cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+    height, width = mask.shape
+    column, row = np.floor(uv_px).astype(np.int64).T
+    clearance: FloatArray = distance[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)].astype(np.float64)
+    return clearance
+
+
+def _surf(image: Image) -> _Found:
+    """Fast-Hessian blobs, interpolated, with the descriptors of `mahotas`.
+
+    The detector of `mahotas` does not interpolate: its positions are off by most of a pixel.
+    """
+    blobs = fast_hessian(image)
+    strong = blobs.strength > _LEAST_STRENGTH
+    peaks, offsets = blobs.peaks[strong], blobs.offsets_px[strong]
+    points = np.column_stack(
+        [peaks + offsets[:, ::-1], blobs.scale_px[strong], blobs.strength[strong], np.ones(len(peaks))]
+    )
+    described = surf.descriptors(image.astype(np.float64), points) if len(points) else np.empty((0, 70))
+    return _Found(
+        uv_px=pixel_from_opencv(described[:, 1::-1]),
+        descriptors=described[:, 6:].astype(np.float32),
+        strength=described[:, 3],
+        scale_px=described[:, 2],
+    )
+
+
+def _sift(image: Image) -> _Found:
+    # Without the precise upscaling OpenCV's positions are off by a quarter of a pixel.
+    detector = cv2.SIFT.create(contrastThreshold=_LEAST_CONTRAST, enable_precise_upscale=True)
+    # The size of a feature is twice its scale.
+    return _by_opencv(detector, image, 128, 0.5)
+
+
+def _orb(image: Image) -> _Found:
+    height, width = image.shape
+    detector = cv2.ORB.create(nfeatures=height * width // 16, fastThreshold=_FAST_THRESHOLD)
+    # A patch of 31 pixels in its octave; the clearance of a corner is half of that.
+    return _by_opencv(detector, image, 32, 0.5 / _CLEAR_SCALES)
+
+
+def _by_opencv(detector: cv2.Feature2D, image: Image, width: int, scale_of_size: float) -> _Found:
+    grey = np.clip(np.rint(_BRIGHT_LEVEL * image), 0, 255).astype(np.uint8)
+    keypoints, described = detector.detectAndCompute(grey, None)
+    if described is None or not keypoints:
+        described = np.empty((0, width), dtype=np.uint8)
+    return _Found(
+        uv_px=pixel_from_opencv(np.array([point.pt for point in keypoints], dtype=np.float64).reshape(-1, 2)),
+        descriptors=np.asarray(described),
+        strength=np.array([point.response for point in keypoints], dtype=np.float64),
+        scale_px=scale_of_size * np.array([point.size for point in keypoints], dtype=np.float64),
+    )
+
+
+_DETECTORS: Mapping[str, Callable[[Image], _Found]] = MappingProxyType({"surf": _surf, "sift": _sift, "orb": _orb})

@@ -1,0 +1,126 @@
+"""Patches of the first sighting registered to later images: inverse compositional alignment.
+
+S. Baker, I. Matthews: Lucas-Kanade 20 years on, IJCV 56 (2004) 221, with an affine warp and with gain and offset of the
+brightness taken out. A patch is always held against the image of its first sighting, so that its place does not drift.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, spline_filter
+
+from scenarios.geometry import pixel_to_opencv
+
+FloatArray = NDArray[np.float64]
+
+HALF_PX = 7
+_ITERATIONS = 15
+_CONVERGED_PX = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patches:
+    """Patches about n points, of P = (2 HALF_PX + 1)^2 pixels.
+
+    Parameters
+    ----------
+    values
+        (n, P) brightness, of mean 0 and length 1.
+    steps
+        (n, 6, P): what turns a misfit of the brightness into a step of the warp, [derivatives (4), shift (2)].
+    """
+
+    values: FloatArray
+    steps: FloatArray
+
+    def __getitem__(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Patches:
+        return Patches(self.values[rows], self.steps[rows])
+
+    def joined(self, other: Patches) -> Patches:
+        """Append others."""
+        return Patches(np.concatenate([self.values, other.values]), np.concatenate([self.steps, other.steps]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Warps:
+    """Maps from patches to an image: ``A x + t``, with A (n, 2, 2) and the place t (n, 2), px."""
+
+    linear: FloatArray
+    place_px: FloatArray
+
+
+class Spline:
+    """An image (H, W) as a cubic spline."""
+
+    def __init__(self, image: NDArray[np.float32]) -> None:
+        self._coefficients = spline_filter(image.astype(np.float64), order=3)
+
+    def at(self, uv_px: FloatArray) -> FloatArray:
+        """(...) values at pixels (..., 2)."""
+        columns, rows = np.moveaxis(pixel_to_opencv(uv_px), -1, 0)
+        values: FloatArray = map_coordinates(self._coefficients, [rows, columns], order=3, prefilter=False)
+        return values
+
+
+def grid() -> FloatArray:
+    """(P, 2) offsets of the pixels of a patch."""
+    side = np.arange(-HALF_PX, HALF_PX + 1, dtype=np.float64)
+    return np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+
+
+def cut(image: Spline, places_px: FloatArray) -> Patches:
+    """Cut patches about (n, 2) places."""
+    offsets = grid()
+    at = places_px[:, None] + offsets
+    values, scale = _normalised(image.at(at))
+    slopes = [0.5 * (image.at(at + step) - image.at(at - step)) / scale for step in np.eye(2)]
+    x, y = offsets.T
+    rows = [slopes[0] * x, slopes[0] * y, slopes[1] * x, slopes[1] * y, *slopes]
+    steepest = np.stack(rows, axis=1)
+    # What a gain or an offset explains is no step of the warp.
+    steepest = steepest - steepest.mean(axis=2, keepdims=True)
+    steepest = steepest - np.einsum("nip,np->ni", steepest, values)[..., None] * values[:, None]
+    normal = np.einsum("nip,njp->nij", steepest, steepest)
+    damping = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(6)
+    return Patches(values, np.linalg.solve(normal + damping, steepest))
+
+
+def register(image: Spline, patches: Patches, start: Warps) -> tuple[Warps, FloatArray]:
+    """Find the warps that bring patches to agree with an image.
+
+    Returns
+    -------
+    Warps
+        As far as 15 steps lead.
+    ndarray
+        (n,) correlation of patch and image there.
+    """
+    offsets = grid()
+    linear, place = start.linear.copy(), start.place_px.copy()
+    for _ in range(_ITERATIONS):
+        seen, _ = _normalised(image.at(_mapped(linear, place, offsets)))
+        step = np.einsum("nip,np->ni", patches.steps, seen - patches.values)
+        turn = np.eye(2) + step[:, :4].reshape(-1, 2, 2)
+        good = np.abs(np.linalg.det(turn)) > 0.1
+        turn[~good] = np.eye(2)
+        linear = linear @ np.linalg.inv(turn)
+        shift = np.einsum("nij,nj->ni", linear, np.where(good[:, None], step[:, 4:], 0.0))
+        place = place - shift
+        if np.abs(shift).max(initial=0.0) < _CONVERGED_PX:
+            break
+    seen, _ = _normalised(image.at(_mapped(linear, place, offsets)))
+    return Warps(linear, place), np.einsum("np,np->n", seen, patches.values)
+
+
+def _mapped(linear: FloatArray, place: FloatArray, offsets: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("nij,pj->npi", linear, offsets) + place[:, None], dtype=np.float64)
+
+
+def _normalised(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Take mean and length off (n, P); the length (n, 1) is returned too."""
+    centred = values - values.mean(axis=1, keepdims=True)
+    length = np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), 1e-12)
+    return centred / length, length

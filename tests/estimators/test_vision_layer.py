@@ -1,0 +1,158 @@
+"""The vision layer: features where they were painted, epipolar geometry against OpenCV, registration against SciPy."""
+
+from __future__ import annotations
+
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+from scipy.ndimage import affine_transform, gaussian_filter
+from scipy.spatial import cKDTree
+
+from estimators.slam.vision.carriers import Look
+from estimators.slam.vision.epipolar import agree_with_direction, agree_with_fundamental, fitted_direction
+from estimators.slam.vision.features import find_features
+from estimators.slam.vision.flow import local_flow
+from estimators.slam.vision.matching import matched
+from estimators.slam.vision.registration import Spline, Warps, cut, register
+from estimators.slam.vision.tracker import Tracker
+from scenarios.geometry import Camera
+from scenarios.spec.vision import ImageVisionSpec
+
+CAMERA = Camera.from_fov(256, 256, np.radians(30.0))
+LINEAR = np.array([[1.03, 0.04], [-0.05, 0.96]])
+SHIFT = np.array([4.3, -6.7])
+
+
+def texture(rng, size=256):
+    """Blobs of many sizes on a lit disk."""
+    noise = sum(s * gaussian_filter(rng.standard_normal((size, size)), s) for s in (1.5, 3.0, 6.0))
+    rows, columns = np.mgrid[:size, :size] - size / 2 + 0.5
+    disk = np.hypot(rows, columns) < 0.47 * size
+    return np.where(disk, 1000.0 + 250.0 * noise / noise.std(), 0.0).clip(0.0).astype(np.float32)
+
+
+def moved(image):
+    """Let what was at (u, v) about the middle be at LINEAR (u, v) + SHIFT: SciPy resamples by the inverse."""
+    middle = 0.5 * (np.array(image.shape) - 1.0)
+    inverse = np.linalg.inv(LINEAR[::-1, ::-1])
+    offset = middle - inverse @ (middle + SHIFT[::-1])
+    return affine_transform(image.astype(np.float64), inverse, offset, order=3).astype(np.float32)
+
+
+def where_moved(uv_px):
+    return (uv_px - 128.0) @ LINEAR.T + 128.0 + SHIFT
+
+
+@pytest.mark.parametrize(
+    ("detector", "share", "error_px"), [("surf", 0.3, 0.35), ("sift", 0.25, 0.35), ("orb", 0.25, 0.9)]
+)
+def test_features_move_with_the_image(detector, share, error_px):
+    image = texture(np.random.default_rng(3))
+    first, second = find_features(image, detector, 400), find_features(moved(image), detector, 400)
+    assert len(first) > 60
+    assert np.all(np.diff(first.strength) <= 0.0)
+    pairs = matched(first, second, 0.8)
+    error = np.linalg.norm(where_moved(first.uv_px[pairs[:, 0]]) - second.uv_px[pairs[:, 1]], axis=1)
+    right = error < 3.0
+    assert right.sum() > share * min(len(first), len(second))
+    assert right.mean() > 0.8
+    assert np.median(error[right]) < error_px
+    assert len(set(pairs[:, 1].tolist())) == len(pairs)
+
+
+def test_no_feature_lies_at_the_edge_of_the_body_and_a_black_image_has_none():
+    image = texture(np.random.default_rng(4))
+    uv = find_features(image, "surf", 1000).uv_px
+    assert np.linalg.norm(uv - 128.0, axis=1).max() < 0.47 * 256 - 5.0
+    assert len(find_features(np.zeros_like(image), "surf", 10)) == 0
+    assert len(find_features(np.zeros_like(image), "orb", 10)) == 0
+
+
+def epipolar_world(rng, count=120, wrong=40):
+    """Matches of two cameras that look the same way, the last of them wrong."""
+    points = np.column_stack([rng.uniform(-120, 120, (count, 2)), rng.uniform(550, 750, count)])
+    motion = np.array([60.0, 8.0, -15.0])
+    uv = [CAMERA.project(points - place) + 0.2 * rng.standard_normal((count, 2)) for place in (0.0, motion)]
+    uv[1][-wrong:] = rng.uniform(0, 256, (wrong, 2))
+    return uv, motion / np.linalg.norm(motion)
+
+
+def test_matches_that_agree_on_one_motion_are_told_apart_as_by_opencv():
+    rng = np.random.default_rng(5)
+    (before, after), motion = epipolar_world(rng)
+    rays = CAMERA.unproject(before), CAMERA.unproject(after)
+    kept = agree_with_direction(*rays, 1.0 * CAMERA.pixel_angle_rad, np.random.default_rng(0))
+    assert kept[:80].mean() > 0.97
+    assert kept[80:].mean() < 0.3  # a wrong match may lie near its epipolar line by chance
+    found = fitted_direction(rays[0][kept], rays[1][kept])
+    assert np.degrees(np.arccos(abs(found @ motion))) < 2.0
+    # OpenCV from the essential matrix of the same matches, without the attitude.
+    matrix, mask = cv2.findEssentialMat(before, after, CAMERA.matrix, cv2.RANSAC, 0.999, 1.0)
+    _, _, direction, _ = cv2.recoverPose(matrix, before, after, CAMERA.matrix, mask=mask)
+    ours, theirs = (np.degrees(np.arccos(abs(float(d.ravel() @ motion)))) for d in (found, direction))
+    assert ours <= theirs
+    by_matrix = agree_with_fundamental(before, after, 1.0)
+    assert by_matrix[:80].mean() > 0.8
+    assert by_matrix[80:].mean() < 0.3
+
+
+def test_too_few_matches_agree_on_nothing():
+    rng = np.random.default_rng(0)
+    rays = np.eye(3)[:2]
+    assert not agree_with_direction(rays, rays, 1e-3, rng).any()
+    assert not agree_with_fundamental(np.zeros((5, 2)), np.zeros((5, 2)), 1.0).any()
+
+
+def test_the_local_flow_is_the_affine_map_that_was_applied():
+    rng = np.random.default_rng(6)
+    before = rng.uniform(20, 236, (200, 2))
+    after = where_moved(before)
+    after[::10] += 30.0
+    at = rng.uniform(60, 200, (7, 2))
+    place, change = local_flow(before, after, at)
+    np.testing.assert_allclose(place, where_moved(at), atol=1e-5)
+    np.testing.assert_allclose(change, np.broadcast_to(LINEAR, (7, 2, 2)), atol=1e-5)
+
+
+def test_a_patch_is_registered_to_hundredths_of_a_pixel_whatever_gain_and_offset():
+    image = texture(np.random.default_rng(7))
+    rng = np.random.default_rng(8)
+    places = rng.uniform(90, 166, (12, 2))
+    other = 1.7 * moved(image) + 40.0 + 2.0 * rng.standard_normal(image.shape).astype(np.float32)
+    start = Warps(np.tile(np.eye(2), (12, 1, 1)), where_moved(places) + rng.uniform(-1, 1, (12, 2)))
+    found, correlation = register(Spline(other), cut(Spline(image), places), start)
+    error = np.linalg.norm(found.place_px - where_moved(places), axis=1)
+    assert np.median(error) < 0.02
+    assert (correlation > 0.98).all()
+    assert np.abs(found.linear - LINEAR).max() < 0.05
+    strange, correlation = register(Spline(texture(np.random.default_rng(9))), cut(Spline(image), places), start)
+    assert np.median(correlation) < 0.8
+    assert np.isfinite(strange.place_px).all()
+
+
+@pytest.mark.parametrize(("carry", "error_px"), [("feature", 0.5), ("patch", 0.03)])
+def test_tracks_follow_the_image_and_a_lost_one_never_returns(carry, error_px):
+    """A plane seen from the side: the shift of the image is that of a camera that moves along it."""
+    rng = np.random.default_rng(10)
+    wide = texture(rng, 512)[:256, 90:]
+    spec = ImageVisionSpec(carry=carry, epipolar="known-attitude", tracks=25, spacing_px=8.0)
+    tracker = Tracker(CAMERA, spec, np.random.default_rng(0))
+    before, seen = None, []
+    for step in range(4):
+        image = wide[:, 20 * step : 20 * step + 256]
+        features = find_features(image, "surf", 500)
+        pairs = np.empty((0, 2), dtype=np.int64) if before is None else matched(before, features, 0.8)
+        seen.append(tracker.advance(Look(image, features, pairs), np.eye(3)))
+        before = features
+    assert [len(frame.tracks) for frame in seen] == [25] * 4
+    for first, second in itertools.pairwise(seen):
+        common, a, b = np.intersect1d(first.tracks, second.tracks, return_indices=True)
+        assert len(common) > 10
+        shift = second.uv_px[b] - first.uv_px[a]
+        assert np.median(np.abs(shift - [-20.0, 0.0])) < error_px
+        assert np.all(np.diff(second.tracks) > 0)
+        assert cKDTree(second.uv_px).query(second.uv_px, k=2)[0][:, 1].min() > 3.0
+    alive = [set(frame.tracks.tolist()) for frame in seen]
+    assert not (alive[0] - alive[1]) & (alive[2] | alive[3])
