@@ -56,22 +56,23 @@ class Field:
 
     def acceleration(self, positions_m: FloatArray, parameters_m: FloatArray) -> FloatArray:
         """(k, 3) at positions (k, 3) in inertial axes, m per T^2."""
-        return np.asarray(
-            self._pull(positions_m) * parameters_m[0] + self.radiation_m * (parameters_m[1] / self.length_m)
-        )
+        light = self.radiation_m * (parameters_m[1] / self.length_m)
+        return np.asarray(light - self._weight(positions_m) * positions_m * parameters_m[0], dtype=np.float64)
 
-    def by_position(self, positions_m: FloatArray, parameters_m: FloatArray) -> FloatArray:
-        """(k, 3, 3) derivative of `acceleration` by the position: gm (3 r r' / r^5 - I / r^3)."""
-        lengths = np.linalg.norm(positions_m, axis=1)[:, None, None]
-        units = positions_m[:, :, None] / lengths
-        tidal = (3.0 * units * np.swapaxes(units, 1, 2) - np.eye(3)) / lengths**3
-        return np.asarray(self.length_m**2 * parameters_m[0] * tidal, dtype=np.float64)
+    def derivatives(self, positions_m: FloatArray, parameters_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(k, 3, 3) and (k, 3, 2) derivatives of `acceleration` by position and parameters.
 
-    def by_parameters(self, positions_m: FloatArray) -> FloatArray:
-        """(k, 3, 2) derivative of `acceleration` by the parameters."""
-        light = np.broadcast_to(self.radiation_m / self.length_m, positions_m.shape)
-        return np.stack([self._pull(positions_m), light], axis=2)
+        The former is gm (3 r r' / r^5 - I / r^3).
+        """
+        weight = self._weight(positions_m)[:, :, None]
+        squares = np.einsum("ki,ki->k", positions_m, positions_m)[:, None, None]
+        tidal = weight * (3.0 * positions_m[:, :, None] * positions_m[:, None, :] / squares - np.eye(3))
+        by_parameters = np.empty((len(positions_m), 3, 2))
+        by_parameters[:, :, 0] = -weight[:, 0] * positions_m
+        by_parameters[:, :, 1] = self.radiation_m / self.length_m
+        return parameters_m[0] * tidal, by_parameters
 
-    def _pull(self, positions_m: FloatArray) -> FloatArray:
-        lengths = np.linalg.norm(positions_m, axis=1, keepdims=True)
-        return np.asarray(-(self.length_m**2) * positions_m / lengths**3, dtype=np.float64)
+    def _weight(self, positions_m: FloatArray) -> FloatArray:
+        """(k, 1) L^2 / r^3."""
+        squares = np.einsum("ki,ki->k", positions_m, positions_m)[:, None]
+        return np.asarray(self.length_m**2 * squares**-1.5, dtype=np.float64)
