@@ -47,16 +47,16 @@ def marginalised(problem: Adjustment, state: State, view: int, lost: BoolArray) 
         If what goes is not determined.
     """
     part = departing(problem, view, lost)
-    part = replace(part, free_points=part.free_points & (_touched(part) | ~lost))
+    part = replace(part, free_points=part.free_points & (touched(part) | ~lost))
     information, gradient = _without_lost(part, state, lost)
     layout = Layout.of(replace(part, prior=None, free_points=part.free_points & ~lost, kept_points=~lost))
     rows = np.arange(3 * layout.kept)
     slot = int(layout.view[view])
     out = (rows // 3 == slot) if slot >= 0 else np.zeros(len(rows), dtype=np.bool_)
-    information, gradient = _schur(information, gradient, out)
+    information, gradient = schur(information, gradient, out)
     views = np.flatnonzero(problem.free_views & (np.arange(len(problem.free_views)) != view))
     points = np.flatnonzero(problem.free_points & ~lost)
-    return _restricted(Prior(views, points, _values(state, views, points), information, gradient))
+    return restricted(Prior(views, points, _values(state, views, points), information, gradient))
 
 
 def _without_lost(part: Adjustment, state: State, lost: BoolArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -68,10 +68,10 @@ def _without_lost(part: Adjustment, state: State, lost: BoolArray) -> tuple[NDAr
     matrix, right, _ = normal_equations(part, state, layout).reduced()
     slots = layout.kept_point[lost & (layout.kept_point >= 0)]
     out = np.isin(np.arange(len(matrix)) // 3, slots)
-    return _schur(matrix, -right, out)
+    return schur(matrix, -right, out)
 
 
-def _schur(
+def schur(
     information: NDArray[np.float64], gradient: NDArray[np.float64], out: BoolArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Eliminate the rows marked in ``out``."""
@@ -83,21 +83,21 @@ def _schur(
     return 0.5 * (left + left.T), gradient[~out] - cross.T @ solved[:, -1]
 
 
-def _touched(part: Adjustment) -> BoolArray:
+def touched(part: Adjustment) -> BoolArray:
     """(L,) landmarks that a measurement of ``part`` or its prior speaks of."""
-    touched = np.zeros(len(part.free_points), dtype=np.bool_)
-    touched[part.sightings.point] = True
-    touched[part.distances.point] = True
+    told = np.zeros(len(part.free_points), dtype=np.bool_)
+    told[part.sightings.point] = True
+    told[part.distances.point] = True
     if part.prior is not None:
-        touched[part.prior.points] = True
-    return touched
+        told[part.prior.points] = True
+    return told
 
 
 def _values(state: State, views: NDArray[np.int64], points: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.concatenate([state.positions_m[views], state.points_m[points]])
 
 
-def _restricted(prior: Prior) -> Prior:
+def restricted(prior: Prior) -> Prior:
     """Leave the variables out that nothing is said about."""
     told = np.any(prior.information.reshape(len(prior.origin_m), -1) != 0.0, axis=1)
     rows = np.repeat(told, 3)

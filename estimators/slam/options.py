@@ -125,3 +125,14 @@ class DynamicOptions(SolverOptions):
     first_estimates: bool = Field(
         True, description="Take derivatives by variables of the prior where they were when they entered it"
     )
+
+
+class LoopOptions(SmootherOptions):
+    """Options of ``loop-smoother``."""
+
+    closure_frames: int = Field(15, ge=1, le=10000, description="Frames between adjustments of all frames, at least")
+    closure_pairs: int = Field(3, ge=1, le=1000, description="Landmarks seen again that must agree")
+    closure_tolerance_m: float = Field(
+        1e-4, gt=0, description="An adjustment of all frames ends when no step is longer"
+    )
+    gate: float = Field(0.999, gt=0, lt=1, description="Probability with which a right recognition passes")

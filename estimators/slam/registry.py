@@ -20,6 +20,7 @@ _OWN: Mapping[str, str] = MappingProxyType(
         "dynamic-smoother": "estimators.slam.dynamics.smoother:DynamicSmoother",
         "consistent-ekf-slam": "estimators.slam.ekf:ConsistentEkfSlam",
         "ekf-slam": "estimators.slam.ekf:EkfSlam",
+        "loop-smoother": "estimators.slam.loops.smoother:LoopSmoother",
         "fixed-lag": "estimators.slam.smoother:FixedLagSmoother",
         "iterated-ekf-slam": "estimators.slam.ekf:IteratedEkfSlam",
     }

@@ -38,7 +38,7 @@ class FixedLagSmoother:
 
     def follow(self, sequence: TrackSequence) -> SequenceEstimate:
         """Estimate the camera position at every frame from the frames up to it."""
-        return follow(sequence, _Smoother(sequence, self.options))
+        return follow(sequence, WindowSmoother(sequence, self.options))
 
 
 class BatchAdjustment:
@@ -60,10 +60,10 @@ class BatchAdjustment:
         endless = SmootherOptions.model_construct(
             **self.options.model_dump(), lag=len(sequence.frames) + 1, first_estimates=False
         )
-        return follow(sequence, _Smoother(sequence, endless))
+        return follow(sequence, WindowSmoother(sequence, endless))
 
 
-class _Smoother:
+class WindowSmoother:
     """The window at work on one sequence. Views and tracks of the prior go by their numbers in the sequence."""
 
     def __init__(self, sequence: TrackSequence, options: SmootherOptions) -> None:
@@ -80,10 +80,12 @@ class _Smoother:
         self.widest_prior = 0
 
     def diagnostics(self) -> dict[str, float]:
+        """Return the steps of a minimisation, and how many variables the prior had at most."""
         frames = max(len(self.journal.positions_m) - 1, 1)
         return {"iterations_per_frame": self.iterations / frames, "prior_variables": float(self.widest_prior)}
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
+        """Take the next frame in, and drop the oldest one where the window is full. Raises LostError."""
         number = len(self.journal.positions_m)
         self.journal.frames[number] = frame
         self.views.append(number)

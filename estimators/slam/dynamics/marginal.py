@@ -6,12 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gathered
 from estimators.slam.dynamics.system import Rows, dynamic_equations
-from estimators.slam.marginal import departing
-from estimators.slam.state import Adjustment
+from estimators.slam.marginal import departing, schur, touched
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -36,7 +34,7 @@ def marginalised_dynamic(problem: DynamicAdjustment, state: DynamicState, view: 
     kept = rows.of_prior(views, points)
     staying = np.zeros(rows.count, dtype=np.bool_)
     staying[kept[kept >= 0]] = True
-    information, gradient = without(matrix, -right, ~staying)
+    information, gradient = schur(matrix, -right, ~staying)
     place = np.append(np.cumsum(staying) - 1, -1)[kept]  # what is fixed keeps rows of zeros
     padded = np.zeros((len(information) + 1, len(information) + 1))
     padded[:-1, :-1] = information
@@ -45,28 +43,12 @@ def marginalised_dynamic(problem: DynamicAdjustment, state: DynamicState, view: 
     )
 
 
-def without(information: FloatArray, gradient: FloatArray, out: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Eliminate the rows marked in ``out`` by the Schur complement."""
-    cross = information[np.ix_(out, ~out)]
-    solved = cho_solve(cho_factor(information[np.ix_(out, out)]), np.column_stack([cross, gradient[out]]))
-    left = information[np.ix_(~out, ~out)] - cross.T @ solved[:, :-1]
-    return 0.5 * (left + left.T), gradient[~out] - cross.T @ solved[:, -1]
-
-
 def _departing(problem: DynamicAdjustment, view: int, lost: BoolArray) -> DynamicAdjustment:
     """Return the part of ``problem`` that goes; of its landmarks only those that it speaks of are free."""
     vision = departing(problem.vision, view, lost)
     joined = np.zeros(len(lost), dtype=np.bool_)
     if problem.prior is not None:
         joined[problem.prior.points] = True
-    told = _told(vision) | joined
+    told = touched(vision) | joined
     vision = replace(vision, free_points=vision.free_points & told, kept_points=told & (joined | ~lost))
     return replace(problem, vision=vision, arcs=problem.arcs.of_view(view))
-
-
-def _told(part: Adjustment) -> BoolArray:
-    """(L,) landmarks that a measurement of ``part`` speaks of."""
-    told = np.zeros(len(part.free_points), dtype=np.bool_)
-    told[part.sightings.point] = True
-    told[part.distances.point] = True
-    return told

@@ -1,0 +1,95 @@
+"""All frames of a sequence so far, in which tracks of one landmark go by one number."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.slam.following import lookup
+from estimators.slam.journal import Journal
+from estimators.slam.state import Adjustment, Motions, Prior
+from scenarios.tracks import TrackFrame, TrackSequence
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+class History:
+    """The journal of all frames; ``members`` are the tracks of each landmark that has more than one."""
+
+    def __init__(self, sequence: TrackSequence, *, motion: bool) -> None:
+        self.journal = Journal(sequence.camera)
+        self.first_m = sequence.position_m
+        self.first_covariance_m2 = sequence.position_covariance_m2
+        self.motion = motion
+        self.landmark: dict[int, int] = {}
+        self.members: dict[int, set[int]] = {}
+        self.seen: dict[int, set[int]] = {}
+
+    def add(self, number: int, frame: TrackFrame) -> None:
+        """Take a frame in."""
+        named = self._renamed(frame)
+        self.journal.frames[number] = named
+        for landmark in named.tracks.tolist():
+            self.seen.setdefault(landmark, set()).add(number)
+
+    def of(self, track: int) -> int:
+        """Return the landmark of a track: the oldest track of it that is known."""
+        return self.landmark.get(track, track)
+
+    def may_be_one(self, first: int, second: int) -> bool:
+        """Tell whether two landmarks are different by their numbers, and were never seen in one image."""
+        return first != second and not self.seen.get(first, set()) & self.seen.get(second, set())
+
+    def unite(self, new: int, old: int) -> None:
+        """Take two landmarks for one, which goes by the number of ``old``."""
+        members = self.members.pop(new, {new})
+        self.members[old] = self.members.pop(old, {old}) | members
+        self.landmark.update(dict.fromkeys(members, old))
+        numbers = self.seen.pop(new)
+        self.seen[old] |= numbers
+        for number in numbers:
+            self.journal.frames[number] = self._renamed(self.journal.frames[number])
+
+    def problem(self, kept: Collection[int] = ()) -> tuple[Adjustment, list[int]]:
+        """Make the adjustment of all frames, and list its landmarks; those in ``kept`` stay in the reduced system."""
+        journal = self.journal
+        views = sorted(journal.frames)
+        ranged = {item.track for frame in journal.frames.values() for item in frame.ranges}
+        tracks = sorted(track for track, by in self.seen.items() if len(by) >= 2 or track in ranged)
+        for track in tracks:
+            if track not in journal.points_m:
+                journal.points_m[track] = journal.triangulate(track, sorted(self.seen[track]))
+        free = np.ones(len(views), dtype=np.bool_)
+        free[0] = bool(np.any(self.first_covariance_m2))
+        problem = Adjustment(
+            camera=journal.camera,
+            R_cam_body=journal.attitudes(views),
+            sightings=journal.sightings(views, tracks),
+            free_views=free,
+            free_points=np.ones(len(tracks), dtype=np.bool_),
+            distances=journal.distances(views, tracks),
+            motions=journal.motions(views) if self.motion else Motions(),
+            prior=self._first_prior() if free[0] else None,
+            kept_points=np.isin(tracks, sorted(kept)),
+        )
+        return problem, tracks
+
+    def _first_prior(self) -> Prior:
+        none = np.zeros(0, dtype=np.int64)
+        information = np.asarray(np.linalg.inv(self.first_covariance_m2), dtype=np.float64)
+        return Prior(np.zeros(1, dtype=np.int64), none, self.first_m[None], information, np.zeros(3))
+
+    def _renamed(self, frame: TrackFrame) -> TrackFrame:
+        """Call the tracks of a frame by their landmarks."""
+        tracks = np.array([self.of(track) for track in frame.tracks.tolist()], dtype=np.int64)
+        ranges = tuple(replace(item, track=self.of(item.track)) for item in frame.ranges)
+        return replace(frame, tracks=tracks, ranges=ranges)
+
+
+def slots(tracks: Sequence[int], wanted: Sequence[int]) -> IndexArray:
+    """(n,) where each of ``wanted`` stands in the sorted ``tracks``; all of them do."""
+    return lookup(tracks, np.array(wanted, dtype=np.int64))

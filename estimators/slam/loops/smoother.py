@@ -1,0 +1,192 @@
+"""A fixed-lag smoother that closes loops: at times it adjusts all frames, with landmarks seen again taken for one."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.options import parse_options
+from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from estimators.slam.following import LostError, follow
+from estimators.slam.levenberg import StoppingRule, minimise
+from estimators.slam.loops.gating import agreeing
+from estimators.slam.loops.history import History, slots
+from estimators.slam.loops.outside import landmark_covariance, told_from_outside
+from estimators.slam.options import LoopOptions
+from estimators.slam.smoother import WindowSmoother
+from estimators.slam.state import Adjustment, State
+from scenarios.tracks import TrackFrame, TrackSequence
+
+FloatArray = NDArray[np.float64]
+
+
+class LoopSmoother:
+    """Follows by a fixed lag, and adjusts all frames when enough landmarks have been seen again.
+
+    Landmarks that the vision layer takes for ones that were lost are tested together against what the drift so far
+    allows. Those that agree are united, all frames are adjusted, and what this says about the window takes the place
+    of its prior: every measurement counts once, and the covariance knows of the loop.
+    """
+
+    name: ClassVar[str] = "loop-smoother"
+    version: ClassVar[int] = 1
+
+    def __init__(self, options: LoopOptions) -> None:
+        self.options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        return cls(parse_options(LoopOptions, options, cls.name))
+
+    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
+        """Estimate the camera position at every frame from the frames up to it."""
+        return follow(sequence, _Closing(sequence, self.options))
+
+
+class _Closing(WindowSmoother):
+    """The window at work on one sequence, and the history behind it."""
+
+    def __init__(self, sequence: TrackSequence, options: LoopOptions) -> None:
+        super().__init__(sequence, options)
+        self.loops = options
+        self.history = History(sequence, motion=options.motion)
+        self.pending: set[tuple[int, int]] = set()
+        self.closed_at = 0
+        self.closures = self.united = self.refused = 0
+
+    def diagnostics(self) -> dict[str, float]:
+        counts = {"closures": self.closures, "united": self.united, "refused": self.refused}
+        return {**super().diagnostics(), **{name: float(count) for name, count in counts.items()}}
+
+    def advance(self, frame: TrackFrame) -> FrameEstimate:
+        number = len(self.journal.positions_m)
+        estimate = super().advance(frame)
+        self.history.add(number, frame)
+        self.pending |= {(int(new), int(old)) for new, old in frame.again}
+        if number - self.closed_at < self.loops.closure_frames:
+            return estimate
+        pairs = self._ripe()
+        if len(pairs) < self.loops.closure_pairs:
+            return estimate
+        self.closed_at = number
+        return self._close(pairs) or estimate
+
+    def _ripe(self) -> list[tuple[int, int]]:
+        """List the pairs of landmarks, older one last, that are recognised and both determined."""
+        known = self.history
+        found = set()
+        for new, old in sorted(self.pending):
+            pair = known.of(new), known.of(old)
+            if all(len(known.seen.get(landmark, ())) >= 2 for landmark in pair):
+                self.pending.discard((new, old))
+                if known.may_be_one(*pair):
+                    found.add(pair)
+        return sorted(found)
+
+    def _close(self, pairs: list[tuple[int, int]]) -> FrameEstimate | None:
+        """Unite what agrees, adjust all frames, and begin the window anew from there; nothing where none agree."""
+        self._remember()
+        try:
+            united = self._unite(pairs)
+            if not united:
+                return None
+            problem, state, tracks = self._adjusted()
+            self._re_anchor(problem, state, tracks)
+        except np.linalg.LinAlgError as error:
+            raise LostError("the history of all frames is not determined") from error
+        self.closures += 1
+        return self._smoothed()
+
+    def _remember(self) -> None:
+        """Give the history the present estimates; landmarks of several tracks keep theirs."""
+        known = self.history
+        known.journal.positions_m.update({view: self.journal.positions_m[view] for view in known.journal.frames})
+        for track, point in self.journal.points_m.items():
+            if track in known.seen and track not in known.members:
+                known.journal.points_m[track] = point
+
+    def _unite(self, pairs: list[tuple[int, int]]) -> int:
+        """Test the pairs against each other and unite those that agree; return their number."""
+        problem, state, tracks = self._adjusted({landmark for pair in pairs for landmark in pair})
+        first, second = (slots(tracks, side) for side in zip(*pairs, strict=True))
+        differences = state.points_m[first] - state.points_m[second]
+        joint = landmark_covariance(problem, state, np.concatenate([first, second]))
+        half = len(joint) // 2
+        covariance = joint[:half, :half] + joint[half:, half:] - joint[:half, half:] - joint[half:, :half]
+        good = agreeing(differences, covariance, self.loops.gate)
+        if len(good) < self.loops.closure_pairs:
+            good = []
+        for new, old in (pairs[k] for k in good):
+            new, old = self.history.of(new), self.history.of(old)
+            if self.history.may_be_one(new, old):
+                self.history.unite(new, old)
+                self.united += 1
+        self.refused += len(pairs) - len(good)
+        return len(good)
+
+    def _adjusted(self, kept: Collection[int] = ()) -> tuple[Adjustment, State, list[int]]:
+        """Adjust all frames; what it comes to stays in the history."""
+        known = self.history
+        problem, tracks = known.problem(kept)
+        views = sorted(known.journal.frames)
+        rule = StoppingRule(self.loops.closure_tolerance_m, self.options.iterations)
+        solution = minimise(problem, known.journal.state(views, tracks), rule)
+        if not np.isfinite(solution.cost):
+            raise LostError("a landmark is behind a camera that sees it")
+        known.journal.keep(solution.state, views, tracks)
+        return problem, solution.state, tracks
+
+    def _re_anchor(self, problem: Adjustment, state: State, tracks: list[int]) -> None:
+        """Let what all frames outside the window tell take the place of the window's prior."""
+        known, views = self.history, np.array(sorted(self.history.journal.frames))
+        alive = {known.of(track): track for track in self.journal.frames[self.views[-1]].tracks.tolist()}
+        inside = np.isin(views, self.views)
+        outer = np.array([min(known.seen[track]) < self.views[0] for track in tracks])
+        lost = outer & ~np.isin(tracks, sorted(alive))
+        prior = told_from_outside(problem, state, inside, lost)
+        numbers = [self._front_number(track, alive) for track in tracks]
+        for slot, (track, number) in enumerate(zip(tracks, numbers, strict=True)):
+            self.journal.points_m[number] = state.points_m[slot]
+            if lost[slot]:
+                self.absorbed |= known.members.get(track, {track})
+        self.journal.positions_m.update(zip(views.tolist(), state.positions_m, strict=True))
+        self._rename(dict(zip(tracks, numbers, strict=True)))
+        self.prior = replace(
+            prior, views=views[prior.views], points=np.array([numbers[k] for k in prior.points], dtype=np.int64)
+        )
+        self.first_positions_m = dict(zip(views[prior.views].tolist(), state.positions_m[prior.views], strict=True))
+        self.first_points_m = {numbers[k]: state.points_m[k] for k in prior.points.tolist()}
+
+    def _rename(self, numbers: Mapping[int, int]) -> None:
+        """Call a landmark of several tracks by one number in all frames of the window."""
+        united = {
+            member: numbers[landmark]
+            for landmark, members in self.history.members.items()
+            if landmark in numbers
+            for member in members
+        }
+        for view in self.views:
+            frame = self.journal.frames[view]
+            named = np.array([united.get(track, track) for track in frame.tracks.tolist()], dtype=np.int64)
+            ranges = tuple(replace(item, track=united.get(item.track, item.track)) for item in frame.ranges)
+            self.journal.frames[view] = replace(frame, tracks=named, ranges=ranges)
+
+    def _front_number(self, landmark: int, alive: Mapping[int, int]) -> int:
+        """Return the number by which the window knows a landmark: that of the track in view, if there is one."""
+        if landmark in alive:
+            return alive[landmark]
+        return max(self.history.members.get(landmark, {landmark}))
+
+    def _smoothed(self) -> FrameEstimate:
+        """Adjust the window once more."""
+        tracks = self._map()
+        problem = self._problem(tracks)
+        rule = StoppingRule(self.loops.closure_tolerance_m, self.options.iterations)
+        solution = minimise(problem, self.journal.state(self.views, tracks), rule)
+        self.journal.keep(solution.state, self.views, tracks)
+        return self._estimate(problem, solution.state, tracks)
