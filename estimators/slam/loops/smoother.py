@@ -70,23 +70,18 @@ class _Closing(WindowSmoother):
         self.pending |= {(int(new), int(old)) for new, old in frame.again}
         if number - self.closed_at < self.loops.closure_frames:
             return estimate
-        pairs = self._ripe()
+        ripe = [pair for pair in sorted(self.pending) if self._is_determined(*pair)]
+        known = self.history
+        pairs = sorted({(known.of(a), known.of(b)) for a, b in ripe if known.may_be_one(known.of(a), known.of(b))})
         if len(pairs) < self.loops.closure_pairs:
             return estimate
+        self.pending.difference_update(ripe)
         self.closed_at = number
         return self._close(pairs) or estimate
 
-    def _ripe(self) -> list[tuple[int, int]]:
-        """List the pairs of landmarks, older one last, that are recognised and both determined."""
-        known = self.history
-        found = set()
-        for new, old in sorted(self.pending):
-            pair = known.of(new), known.of(old)
-            if all(len(known.seen.get(landmark, ())) >= 2 for landmark in pair):
-                self.pending.discard((new, old))
-                if known.may_be_one(*pair):
-                    found.add(pair)
-        return sorted(found)
+    def _is_determined(self, *tracks: int) -> bool:
+        """Tell whether the landmarks of all of ``tracks`` were seen twice or more."""
+        return all(len(self.history.seen.get(self.history.of(track), ())) >= 2 for track in tracks)
 
     def _close(self, pairs: list[tuple[int, int]]) -> FrameEstimate | None:
         """Unite what agrees, adjust all frames, and begin the window anew from there; nothing where none agree."""
