@@ -251,6 +251,34 @@ def test_error_of_the_first_position_is_found_out() -> None:
     assert found[-1] < 2.0
 
 
+def test_what_is_certain_stays_as_it_is() -> None:
+    """Nothing is solved for that has no variance, and the covariance of the path is the smaller for it."""
+    certain = Drive(gm_sigma=0.0, radiation_sigma=0.0, velocity_sigma_m_s=0.0)
+    sequence, truth = make_orbit_sequence(np.random.default_rng(6), Recipe(frames=16), certain)
+    assert sequence.forces is not None
+    sure = DynamicSmoother.from_options({"lag": 5}).follow(sequence)
+    assert (sure.diagnostics["gm_m3_s2"], sure.diagnostics["gm_sigma_m3_s2"]) == (pytest.approx(GM, rel=1e-15), 0.0)
+    assert sure.diagnostics["radiation_m_s2"] == pytest.approx(np.linalg.norm(LIGHT), rel=1e-15)
+    assert errors(sure, truth)[-1] < 2.0
+    looser = replace(sequence.forces, gm_sigma_m3_s2=0.1 * GM, velocity_covariance_m2_s2=1e-6 * np.eye(3))
+    unsure = DynamicSmoother.from_options({"lag": 5}).follow(replace(sequence, forces=looser)).frames[-1]
+    last = sure.frames[-1]
+    assert last.covariance_m2 is not None
+    assert unsure.covariance_m2 is not None
+    assert np.all(np.linalg.eigvalsh(unsure.covariance_m2 - last.covariance_m2) > -1e-9)
+
+
+def test_first_estimates_change_little_where_the_parameters_are_well_known() -> None:
+    sequence, _ = make_orbit_sequence(np.random.default_rng(6), Recipe(frames=20))
+    kept, moved = (
+        DynamicSmoother.from_options({"lag": 4, "first_estimates": first}).follow(sequence).frames[-1]
+        for first in (True, False)
+    )
+    assert kept.covariance_m2 is not None
+    apart = kept.position_m - moved.position_m
+    assert 0.0 < apart @ np.linalg.solve(kept.covariance_m2, apart) < 0.1
+
+
 def test_without_forces_it_ends_with_a_reason() -> None:
     sequence, _ = make_orbit_sequence(np.random.default_rng(9), Recipe(frames=3))
     estimate = DynamicSmoother.from_options({}).follow(replace(sequence, forces=None))

@@ -225,6 +225,17 @@ def test_noise_free_loop_is_the_truth() -> None:
     sequence, positions, points = loop(5, noise_px=0.0)
     estimate = LoopSmoother.from_options({"motion": False}).follow(sequence)
     assert estimate.diagnostics["closures"] >= 2
+    assert estimate.diagnostics["refused"] == 0
     last = estimate.frames[-1]
     np.testing.assert_allclose(last.position_m, positions[-1], atol=1e-8)
     np.testing.assert_allclose(last.points_m, points[last.tracks], atol=1e-7)
+
+
+def test_recognitions_wait_until_enough_are_there() -> None:
+    sequence, _, _ = loop(5)
+    many, few = (
+        LoopSmoother.from_options({"closure_frames": 1, "closure_pairs": pairs}).follow(sequence).diagnostics
+        for pairs in (1, 20)
+    )
+    assert few["closures"] < many["closures"]
+    assert many["united"] - 20 < few["united"] <= many["united"]
