@@ -136,3 +136,21 @@ class LoopOptions(SmootherOptions):
         1e-4, gt=0, description="An adjustment of all frames ends when no step is longer"
     )
     gate: float = Field(0.999, gt=0, lt=1, description="Probability with which a right recognition passes")
+
+
+class GtsamOptions(SolverOptions):
+    """Options of ``gtsam-isam2``; tolerance and iterations are those of a new view's first placing."""
+
+    motion: bool = Field(True, description="Count predicted motions as measurements")
+    relinearize_m: float = Field(
+        0.01, gt=0, description="A variable is linearised anew where it has moved by more (relinearizeThreshold)"
+    )
+    rounds: int = Field(
+        2, ge=1, le=100, description="Updates of the tree at each frame, the one with its factors included"
+    )
+
+
+class GtsamFixedLagOptions(GtsamOptions):
+    """Options of ``gtsam-fixed-lag``."""
+
+    lag: int = Field(10, ge=2, le=1000, description="Frames of the window")

@@ -21,6 +21,8 @@ _OWN: Mapping[str, str] = MappingProxyType(
         "consistent-ekf-slam": "estimators.slam.ekf:ConsistentEkfSlam",
         "ekf-slam": "estimators.slam.ekf:EkfSlam",
         "loop-smoother": "estimators.slam.loops.smoother:LoopSmoother",
+        "gtsam-fixed-lag": "estimators.slam.peers.smoothers:GtsamFixedLag",
+        "gtsam-isam2": "estimators.slam.peers.smoothers:GtsamIsam2",
         "fixed-lag": "estimators.slam.smoother:FixedLagSmoother",
         "iterated-ekf-slam": "estimators.slam.ekf:IteratedEkfSlam",
     }

@@ -1,0 +1,170 @@
+"""The incremental smoothers of gtsam: iSAM2 over all frames, and its fixed-lag form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.options import parse_options
+from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from estimators.slam.following import LostError, check_scale, follow
+from estimators.slam.journal import Journal
+from estimators.slam.levenberg import StoppingRule
+from estimators.slam.options import GtsamFixedLagOptions, GtsamOptions
+from estimators.slam.peers.factors import Factors, load_gtsam
+from scenarios.tracks import TrackFrame, TrackSequence
+
+FloatArray = NDArray[np.float64]
+
+
+class GtsamIsam2:
+    """iSAM2 of Kaess et al. (2012) as in gtsam: all frames stay in a Bayes tree, of which each frame redoes a part."""
+
+    name: ClassVar[str] = "gtsam-isam2"
+    version: ClassVar[int] = 1
+
+    def __init__(self, options: GtsamOptions) -> None:
+        self.options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one, or without gtsam."""
+        load_gtsam()
+        return cls(parse_options(GtsamOptions, options, cls.name))
+
+    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
+        """Estimate the camera position at every frame from the frames up to it."""
+        return follow(sequence, IncrementalFollower(sequence, self.options, lag=None))
+
+
+class GtsamFixedLag:
+    """The incremental fixed-lag smoother of gtsam: iSAM2 that marginalises what is older than the lag."""
+
+    name: ClassVar[str] = "gtsam-fixed-lag"
+    version: ClassVar[int] = 1
+
+    def __init__(self, options: GtsamFixedLagOptions) -> None:
+        self.options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one, or without gtsam."""
+        load_gtsam()
+        return cls(parse_options(GtsamFixedLagOptions, options, cls.name))
+
+    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
+        """Estimate the camera position at every frame from the frames up to it."""
+        return follow(sequence, IncrementalFollower(sequence, self.options, lag=self.options.lag))
+
+
+class IncrementalFollower:
+    """A smoother of gtsam at work on one sequence; ``lag`` in frames, nothing for all."""
+
+    def __init__(self, sequence: TrackSequence, options: GtsamOptions, lag: int | None) -> None:
+        self.options, self.lag = options, lag
+        self.sequence = sequence
+        self.journal = Journal(sequence.camera)
+        self.factors = Factors(sequence.camera)
+        self.engine = self._engine()
+        self.mapped: set[int] = set()
+
+    def diagnostics(self) -> dict[str, float]:
+        """Scalars about the whole sequence so far."""
+        return {"landmarks": float(len(self.mapped))}
+
+    def advance(self, frame: TrackFrame) -> FrameEstimate:
+        """Take the next frame in. Raises LostError."""
+        number = len(self.journal.positions_m)
+        self.journal.frames[number] = frame
+        if number == 0:
+            self.journal.positions_m[0] = self.sequence.position_m.copy()
+            self.journal.guess(0, self.journal.median_depth(0))
+        else:
+            self._check_connected(number)
+            depth_m = self.journal.median_depth(number - 1)
+            self.journal.place(number, StoppingRule(self.options.tolerance * depth_m, self.options.iterations))
+        graph, values = self.factors.gtsam.NonlinearFactorGraph(), self.factors.gtsam.Values()
+        self._add_view(graph, values, number)
+        self._add_landmarks(graph, values, number)
+        try:
+            self._update(graph, values, number)
+            return self._estimate(number)
+        except RuntimeError as error:  # what C++ throws
+            raise LostError(f"gtsam: {str(error).strip().splitlines()[0]}") from error
+
+    def _engine(self) -> Any:
+        gtsam = self.factors.gtsam
+        parameters = gtsam.ISAM2Params()
+        parameters.setRelinearizeThreshold(self.options.relinearize_m)
+        parameters.relinearizeSkip = 1
+        if self.lag is None:
+            return gtsam.ISAM2(parameters)
+        return gtsam.IncrementalFixedLagSmoother(float(self.lag), parameters)
+
+    def _check_connected(self, number: int) -> None:
+        shared = self.journal.shared(number - 1, number)
+        if shared < self.options.connectivity:
+            raise LostError(
+                f"tracks are lost: {shared} landmarks are shared with the frame before,"
+                f" {self.options.connectivity} are needed"
+            )
+
+    def _add_view(self, graph: Any, values: Any, number: int) -> None:
+        frame, factors = self.journal.frames[number], self.factors
+        values.insert(factors.view(number), factors.pose(frame.R_cam_body, self.journal.positions_m[number]))
+        graph.add(factors.attitude(number, frame.R_cam_body))
+        if number == 0:
+            graph.add(factors.place(0, self.sequence.position_m, self.sequence.position_covariance_m2))
+        elif self.options.motion:
+            attitudes = self.journal.attitudes([number - 1, number])
+            graph.add(factors.motion((number - 1, number), attitudes, frame.motion_m, frame.motion_covariance_m2))
+
+    def _add_landmarks(self, graph: Any, values: Any, number: int) -> None:
+        """Tell of all landmarks that were seen twice or whose distance is known; a new one with its first sight."""
+        journal, frame = self.journal, self.journal.frames[number]
+        ranges = {item.track: item for item in frame.ranges}
+        before = set(journal.frames[number - 1].tracks.tolist()) if number else set()
+        for row, track in enumerate(frame.tracks.tolist()):
+            if track not in self.mapped:
+                if track not in before and track not in ranges:
+                    continue
+                views = [view for view in (number - 1, number) if view == number or track in before]
+                if len(views) == 2:
+                    journal.points_m[track] = journal.triangulate(track, views)
+                    journal.guessed.discard(track)
+                    earlier = journal.frames[number - 1]
+                    uv_px = earlier.uv_px[int(np.flatnonzero(earlier.tracks == track)[0])]
+                    graph.add(self.factors.sighting(number - 1, track, uv_px, earlier.sigma_px))
+                values.insert(self.factors.point(track), journal.points_m[track])
+                self.mapped.add(track)
+            graph.add(self.factors.sighting(number, track, frame.uv_px[row], frame.sigma_px))
+            if track in ranges:
+                graph.add(self.factors.distance(number, track, ranges[track].range_m, ranges[track].sigma_m))
+
+    def _update(self, graph: Any, values: Any, number: int) -> None:
+        """Take the new factors in, then refine as often as asked for."""
+        if self.lag is None:
+            self.engine.update(graph, values)
+        else:
+            seen = [self.factors.point(t) for t in self.journal.frames[number].tracks.tolist() if t in self.mapped]
+            self.engine.update(graph, values, dict.fromkeys([self.factors.view(number), *seen], float(number)))
+        for _ in range(self.options.rounds - 1):
+            self.engine.update()
+
+    def _estimate(self, number: int) -> FrameEstimate:
+        factors, journal, engine = self.factors, self.journal, self.engine
+        pose = engine.calculateEstimatePose3(factors.view(number))
+        local = engine.marginalCovariance(factors.view(number))[3:, 3:]  # in the camera's axes
+        turn = pose.rotation().matrix()
+        covariance = turn @ local @ turn.T
+        tracks = sorted(track for track in journal.frames[number].tracks.tolist() if track in self.mapped)
+        points = np.array([engine.calculateEstimatePoint3(factors.point(track)) for track in tracks]).reshape(-1, 3)
+        position = np.asarray(pose.translation(), dtype=np.float64)
+        journal.positions_m[number] = position
+        journal.points_m.update(zip(tracks, points, strict=True))
+        if number:
+            check_scale(covariance, points, position, self.options.uncertainty_max)
+        return FrameEstimate(position, covariance, np.array(tracks, dtype=np.int64), points, 0.0)

@@ -1,0 +1,82 @@
+"""gtsam on the contract, and as a foreign check of our own adjustment."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from slam_sequences import Recipe, make_sequence
+from test_slam_kernels import window
+
+from estimators.slam.levenberg import StoppingRule, minimise, view_covariance
+from estimators.slam.peers.factors import Factors, graph_of
+from estimators.slam.peers.smoothers import GtsamFixedLag, GtsamIsam2
+from estimators.slam.registry import sequence_estimator_class
+from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
+from scenarios.errors import BoresightError
+
+
+@pytest.mark.parametrize("name", ["gtsam-fixed-lag", "gtsam-isam2"])
+def test_missing_package_is_named_with_its_remedy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gtsam", None)
+    with pytest.raises(BoresightError, match=r"gtsam: cannot be imported .* pip install 'boresight\[gtsam\]'"):
+        sequence_estimator_class(name).from_options({})
+
+
+@pytest.fixture(scope="module")
+def gtsam():
+    return pytest.importorskip("gtsam", reason="gtsam is not installed")
+
+
+@pytest.mark.parametrize("seed", [0, 5, 6, 12])
+def test_minimum_is_that_of_gtsam(seed: int, gtsam) -> None:
+    problem, state = window(seed)
+    problem = replace(problem, free_views=np.arange(5) > 0, free_points=np.ones(len(state.points_m), dtype=bool))
+    ours = minimise(problem, state, StoppingRule(1e-8))
+    start = state.positions_m.copy()
+    graph, values = graph_of(problem, state)
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(1e-14)
+    parameters.setAbsoluteErrorTol(1e-14)
+    solver = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
+    found = solver.optimize()
+    assert ours.cost == pytest.approx(graph.error(found), rel=1e-6)
+    factors = Factors(problem.camera)
+    places = np.array([found.atPose3(factors.view(i)).translation() for i in range(5)])
+    np.testing.assert_allclose(ours.state.positions_m, places, atol=1e-3)
+    np.testing.assert_array_equal(start, state.positions_m)
+    local = gtsam.Marginals(graph, found).marginalCovariance(factors.view(4))[3:, 3:]
+    R_body_cam = problem.R_cam_body[4].T
+    covariance = view_covariance(problem, ours.state, 4)
+    np.testing.assert_allclose(covariance, R_body_cam @ local @ R_body_cam.T, rtol=1e-3, atol=1e-6)
+
+
+def test_incremental_smoothers_come_to_what_ours_come_to(gtsam) -> None:
+    del gtsam
+    sequence, _ = make_sequence(np.random.default_rng(4), Recipe(frames=20, landmarks=20))
+    pairs = [
+        (GtsamIsam2.from_options({"rounds": 5, "relinearize_m": 1e-3}), BatchAdjustment.from_options({})),
+        (GtsamFixedLag.from_options({"rounds": 5, "relinearize_m": 1e-3}), FixedLagSmoother.from_options({})),
+    ]
+    for theirs, ours in pairs:
+        one, other = theirs.follow(sequence), ours.follow(sequence)
+        assert one.status == other.status == "ok"
+        for found, wanted in zip(one.frames[2:], other.frames[2:], strict=True):
+            assert wanted.covariance_m2 is not None
+            assert found.covariance_m2 is not None
+            gap = found.position_m - wanted.position_m
+            assert np.sqrt(gap @ np.linalg.solve(wanted.covariance_m2, gap)) < 0.2
+            np.testing.assert_allclose(np.trace(found.covariance_m2), np.trace(wanted.covariance_m2), rtol=0.1)
+
+
+@pytest.mark.parametrize("estimator", [GtsamFixedLag, GtsamIsam2])
+def test_lost_tracks_end_with_a_reason(estimator: type[GtsamIsam2], gtsam) -> None:
+    del gtsam
+    sequence, _ = make_sequence(np.random.default_rng(8), Recipe(frames=8))
+    frames = [*sequence.frames[:5], *(replace(f, tracks=f.tracks + 10000) for f in sequence.frames[5:])]
+    estimate = estimator.from_options({}).follow(replace(sequence, frames=tuple(frames)))
+    assert estimate.status == "failed"
+    assert "tracks are lost: 0 landmarks" in estimate.reason
+    assert len(estimate.frames) == 5
