@@ -188,7 +188,8 @@ def _scenario_lines(run: RunData) -> Iterator[str]:
 def draw_figures(content: Content) -> Iterator[NamedFigure]:
     """Draw every figure that the run's tables allow; of a grid of scenarios those of the grid alone."""
     run = content.run
-    if not run.epochs.empty:
+    one_at_a_time = run.manifest.grid is not None and run.manifest.grid.design == "one-at-a-time"
+    if not run.epochs.empty and not one_at_a_time:
         for stem, figure, caption, alt in sequence_figures(run):
             yield NamedFigure(file_stem(stem), figure, caption, alt)
         return

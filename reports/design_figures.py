@@ -11,7 +11,7 @@ from reports.designs import ATTITUDE, POSITION, DesignData, Outcome, outcomes
 from reports.figures.curves import CurvePanel, Points, draw_curves
 from reports.figures.effects import Effect, draw_effects
 from reports.figures.matrix import Matrix, draw_matrix
-from reports.measures import CONTROL, unit_of
+from reports.measures import CONTROL, SEQUENCE, unit_of
 from reports.run_data import DesignAxis, RunData
 from reports.statistics import Measured
 from reports.tables import measure_label, number, stage_label
@@ -26,6 +26,11 @@ def design_figures(run: RunData) -> Iterator[Drawn]:
     if design is None:
         return
     data = DesignData(run, design)
+    if not run.epochs.empty:
+        if design.design == "one-at-a-time":
+            for base, names in data.bases().items():
+                yield from _sequences(data, base, names)
+        return
     draw = {"full": _matrix, "one-at-a-time": _curves, "two-level": _effects}[design.design]
     for base, names in data.bases().items():
         for estimator in dict.fromkeys(outcome.estimator for outcome in outcomes(run)):
@@ -85,6 +90,44 @@ def _curves(data: DesignData, base: str, names: list[str], estimator: str) -> It
         )
 
 
+def _sequences(data: DesignData, base: str, names: list[str]) -> Iterator[Drawn]:
+    """Draw all estimators of sequences together: curves over the axes with values, and the factor of every level."""
+    found = outcomes(data.run)
+    axes = [axis for axis in data.design.axes if axis.values is not None]
+    for measure in dict.fromkeys(outcome.measure for outcome in found):
+        group = [outcome for outcome in found if outcome.measure == measure]
+        what = f"{measure_label(measure)}, {base}"
+        if axes:
+            panels = [CurvePanel(axis.label, _lines(data, names, axis, group)) for axis in axes]
+            yield (
+                f"curves_{measure}_{base}",
+                draw_curves(panels, f"median {measure_label(measure)}, {unit_of(measure)}", what),
+                f"{what}: medians with 95 % intervals over the trials that came so far, the other axes at their first"
+                " level.",
+                f"Curves of the median {measure_label(measure)} against {', '.join(axis.label for axis in axes)}.",
+            )
+        yield (
+            f"levels_{measure}_{base}",
+            draw_effects({o.estimator: _level_effects(data, names, o) for o in group}, what),
+            f"{what}: the factor by which the error changes from the reference to each level, over the trials that came"
+            " so far with both, with its 95 % interval; 1 is no effect. Beside it the trials that came so far, of all.",
+            f"Points with intervals for {', '.join(o.estimator for o in group)}.",
+        )
+
+
+def _level_effects(data: DesignData, names: list[str], outcome: Outcome) -> list[Effect]:
+    """Compare each level with the reference; where nothing can be compared, the effect is NaN and keeps its line."""
+    reference, effects = names[0], []
+    for axis in data.design.axes:
+        for level in axis.levels[1:]:
+            for name in (n for n in names[1:] if data.levels(n)[axis.name] == level):
+                found = data.change(name, reference, outcome)
+                value, low, high = (np.nan if x is None else x for x in (found.value, found.low, found.high))
+                note = data.ok([name], outcome)
+                effects.append(Effect(f"{axis.label}: {level}", value, low, high, note))
+    return effects
+
+
 def _lines(data: DesignData, names: list[str], axis: DesignAxis, group: list[Outcome]) -> dict[str, Points]:
     """Points of each outcome along an axis: the reference and the scenarios that vary this axis alone."""
     reference = data.levels(names[0])
@@ -109,6 +152,8 @@ def _lines(data: DesignData, names: list[str], axis: DesignAxis, group: list[Out
 
 
 def _line_label(outcome: Outcome) -> str:
+    if outcome.stage == SEQUENCE:
+        return outcome.estimator
     if outcome.estimator == CONTROL:
         return "prior"
     return stage_label(outcome.stage) if outcome.stage else outcome.estimator

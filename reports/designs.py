@@ -14,12 +14,13 @@ import numpy as np
 import pandas as pd
 
 from reports.main_effects import main_effects
-from reports.measures import CONTROL, errors_by_stage, final_stage, unit_of
+from reports.measures import CONTROL, SEQUENCE, SEQUENCE_COLUMNS, errors_by_stage, final_stage, unit_of
 from reports.run_data import Design, RunData, select
 from reports.statistics import MEAN, MEDIAN, Measured, measure
 from reports.tables import NO_VALUE, Grid, measure_label, number, stage_label
 
 POSITION, ATTITUDE, CENTROID = "position_error_m", "attitude_error_deg", "centroid_offset_px"
+REVOLUTION_ERRORS = tuple(name for name in SEQUENCE_COLUMNS if name.startswith("error_after_"))
 _REPORTED = "diagnostics"
 
 
@@ -27,7 +28,8 @@ _REPORTED = "diagnostics"
 class Outcome:
     """What is compared between scenarios: an error of an estimator after one of its stages, '' for the final one.
 
-    The stage ``diagnostics`` stands for numbers that the estimator reports.
+    The stage ``diagnostics`` stands for numbers that the estimator reports, ``sequence`` for what a trial of a sequence
+    comes to.
     """
 
     estimator: str
@@ -37,15 +39,20 @@ class Outcome:
     @property
     def label(self) -> str:
         """In words, with the unit."""
-        after = f" {stage_label(self.stage)}" if self.stage not in ("", _REPORTED) else ""
+        after = f" {stage_label(self.stage)}" if self.stage not in ("", _REPORTED, SEQUENCE) else ""
         return f"{measure_label(self.measure)}{after}, {unit_of(self.measure)}"
 
 
 def outcomes(run: RunData) -> list[Outcome]:
     """List the outcomes of a run: what there is of centroiding, then the final position and attitude.
 
-    The attitude is none of an estimator that leaves it as it was, such as centroiding alone.
+    The attitude is none of an estimator that leaves it as it was, such as centroiding alone. Of sequences, list the
+    errors after whole revolutions that they are long enough for.
     """
+    if not run.epochs.empty:
+        names = dict.fromkeys(name for _, name in run.pairs())
+        reached = [name for name in REVOLUTION_ERRORS if run.rows[name].notna().any()]
+        return [Outcome(estimator, SEQUENCE, name) for estimator in names for name in reached or [POSITION]]
     found = []
     for estimator in dict.fromkeys(name for _, name in run.pairs() if name != CONTROL):
         scenario = next(where for where, name in run.pairs() if name == estimator)
@@ -109,9 +116,13 @@ class DesignData:
         """Return the errors by trial; trials without an estimate, or which did not reach the stage, have none."""
         key = (scenario, outcome)
         if key not in self._errors:
-            series = self._reported(scenario, outcome) if outcome.stage == _REPORTED else self._posed(scenario, outcome)
-            self._errors[key] = series.dropna().astype(float)
+            of_stage = {_REPORTED: self._reported, SEQUENCE: self._followed}.get(outcome.stage, self._posed)
+            self._errors[key] = of_stage(scenario, outcome).dropna().astype(float)
         return self._errors[key]
+
+    def _followed(self, scenario: str, outcome: Outcome) -> pd.Series:
+        """Return the error of every trial that came so far, whether or not it failed later."""
+        return select(self.run.rows, scenario, outcome.estimator).set_index("trial")[outcome.measure]
 
     def _posed(self, scenario: str, outcome: Outcome) -> pd.Series:
         stages = errors_by_stage(self.run, scenario, outcome.estimator)

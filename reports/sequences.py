@@ -52,7 +52,10 @@ _NOTE = (
 
 
 def sequence_grids(records: Sequence[Record], compared: Sequence[ComparedValue], run: RunData) -> list[Grid]:
-    """List the tables of a run of sequences."""
+    """List the tables of a run of sequences; where one thing at a time is varied, those of the grid alone."""
+    design = run.manifest.grid
+    if design is not None and design.design == "one-at-a-time":
+        return design_grids(run)
     found = (
         comparison_grid(compared),
         *ratio_grids(records),

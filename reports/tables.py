@@ -56,6 +56,8 @@ _MEASURES = {
     "landmark_observations": "landmark observations",
     "landmark_error_m": "landmark error",
     "chi_square": "chi-square of a landmark",
+    "error_after_1_m": "position error after 1 revolution",
+    "error_after_2_m": "position error after 2 revolutions",
     "landmarks": "landmarks in the data base",
     "facets": "facets of the data base",
     "centroid_offset_px": "offset of the brightness centroid",

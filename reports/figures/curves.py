@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from reports.figures.style import GREY, LINE_STYLES, SERIES_COLOURS, FloatArray, styled
 
@@ -70,6 +71,9 @@ def _draw(axes: Axes, panel: CurvePanel) -> None:
             label=label,
         )
     axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
     ticks = np.unique(np.concatenate([points.x for points in panel.lines.values()]))
     _scale(axes, ticks)
     axes.set_xlabel(panel.label)

@@ -183,3 +183,37 @@ def test_a_report_tells_of_the_grid_and_not_of_each_scenario(square):
     ]
     assert not any("Scenario rock" in note for note in content.notes)
     assert len(content.table()) > len(square.scenarios())
+
+
+def test_sequences_are_compared_by_their_errors_after_whole_revolutions(builder):
+    """A trial that failed after the first revolution counts for it; one that failed before does not."""
+    rng = np.random.default_rng(3)
+    base = rng.lognormal(1.0, 0.5, TRIALS)
+    axes = [axis("noise", "0", "2", values=[0.0, 2.0])]
+    scenarios = []
+    for name, level, factor in (("rock", "0", 1.0), ("rock-noise-2", "2", 3.0)):
+        scenarios.append({"name": name, "base": "rock", "levels": {"noise": level}})
+        for trial, error in enumerate(base):
+            lost = trial < 4 and level == "2"
+            nothing = {**dict.fromkeys(pose_error(np.ones(3), 1.0), np.nan)}
+            prior = {f"prior_{key}": value for key, value in nothing.items()}
+            key = {"trial": trial, "scenario": name, "estimator": "ba-slam"}
+            status, reason = ("failed", "lost") if trial < 8 else ("ok", "")
+            builder.add(
+                "rows", **key, status=status, reason=reason, image="", n_landmarks=9, **prior, **nothing,
+                error_after_1_m=np.nan if lost else factor * error, error_after_2_m=np.nan,
+                landmark_rmse_m=1.0, settled_landmark_rmse_m=1.0, final_landmark_rmse_m=1.0, mean_position_nees=3.0,
+            )  # fmt: skip
+            builder.add("epochs", **key, frame=0, anomaly_deg=0.0, position_error_m=error, landmark_rmse_m=1.0,
+                        settled_landmark_rmse_m=1.0)  # fmt: skip
+    grid = {"design": "one-at-a-time", "axes": axes, "scenarios": scenarios}
+    builder.write(grid=grid, scenarios={one["name"]: {} for one in scenarios}, report=None)
+    run = read_run(builder.folder)
+    assert outcomes(run) == [Outcome("ba-slam", "sequence", "error_after_1_m")]
+    (grid,) = design_grids(run)
+    assert grid.columns == ("axis", "level", "position error after 1 revolution, m", "change", "ok")
+    line = grid.rows[1]
+    assert (line[-1], line[3].split()[0]) == (f"{TRIALS - 4}/{TRIALS}", "3.00")
+    write_report(run.folder)
+    made = {path.stem for path in (run.folder / "report").glob("*.png")}
+    assert made == {"curves_error_after_1_m_rock", "levels_error_after_1_m_rock"}
