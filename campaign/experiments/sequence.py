@@ -29,7 +29,15 @@ from scenarios.bodies import load_body
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera
 from scenarios.load import LoadedScenario
-from scenarios.sequences import Ground, MeshGround, SequenceTruth, SphereGround, draw_sequence
+from scenarios.sequences import (
+    Ground,
+    MeshGround,
+    OrbitEndsError,
+    SequenceTruth,
+    SphereGround,
+    draw_sequence,
+    undisturbed,
+)
 from scenarios.spec.sequence import SequenceSpec
 from scenarios.tracks import TrackSequence
 
@@ -76,10 +84,15 @@ class SequenceTrials:
 
     @classmethod
     def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
-        """Refuse wrong options and a scenario without a sequence; there is nothing to build."""
+        """Refuse wrong options, and an orbit that leads into the body by known forces; there is nothing to build."""
         del shelf
-        _section(scenario)
         _estimators(campaign)
+        section, ground = _section(scenario), ground_of(scenario)
+        if section.orbit.model == "propagated":
+            try:
+                undisturbed(section, ground)
+            except OrbitEndsError as error:
+                raise BoresightError(f"{scenario.path}: {error}") from error
         return []
 
     @classmethod
@@ -98,15 +111,28 @@ class SequenceTrials:
         """Run trials, in the order of trials and estimators."""
         records: Records = {}
         for trial in trials:
-            seen = self._see(trial)
-            for label, estimator in self.estimators.items():
+            for label, found in self._run(trial).items():
                 key: Record = {"trial": trial, "scenario": self.name, "estimator": label}
-                for found in (_judged(estimator, seen.sequence, seen.truth), _vision(seen)):
-                    for table, added in found.items():
-                        records.setdefault(table, []).extend({**key, **record} for record in added)
+                for table, added in found.items():
+                    records.setdefault(table, []).extend({**key, **record} for record in added)
         if self.images is not None:
             self.images.images.flush()
         return records
+
+    def _run(self, trial: int) -> dict[str, Records]:
+        """Run a trial: the records of each estimator; where chance leads the orbit into the body, none has frames."""
+        try:
+            seen = self._see(trial)
+        except OrbitEndsError as error:
+            failed: Record = {"status": "failed", "reason": f"there is no such trial: {error}", "n_landmarks": 0}
+            row = {**_circumstances(None), **no_summary(), **failed}
+            return {label: {"rows": [row]} for label in self.estimators}
+        found = {}
+        for label, estimator in self.estimators.items():
+            found[label] = _judged(estimator, seen.sequence, seen.truth)
+            for table, added in _vision(seen).items():
+                found[label].setdefault(table, []).extend(added)
+        return found
 
     def _see(self, trial: int) -> Seen:
         if self.images is not None:
@@ -117,7 +143,7 @@ class SequenceTrials:
 def _vision(seen: Seen) -> Records:
     """Tell what the vision layer was like, where it saw images: records without their key."""
     timings: list[Record] = [{"stage": stage, "seconds": seconds} for stage, seconds in seen.seconds.items()]
-    return {"vision": seen.vision, "timings": timings}
+    return {"vision": list(seen.vision), "timings": timings}
 
 
 def _judged(estimator: SequenceEstimator, sequence: TrackSequence, truth: SequenceTruth) -> Records:
@@ -159,7 +185,7 @@ def _scored(
     }
 
 
-def _circumstances(truth: SequenceTruth) -> Record:
+def _circumstances(truth: SequenceTruth | None) -> Record:
     """Fill the columns of a row that no estimator can change, or that a sequence has no number for."""
     errors = no_pose_error()
     return {
@@ -167,7 +193,7 @@ def _circumstances(truth: SequenceTruth) -> Record:
         **{f"prior_{name}": None for name in errors},
         **no_consistency(),
         "image": "",
-        "range_m": float(np.linalg.norm(truth.poses[-1].translation_m)),
+        "range_m": None if truth is None else float(np.linalg.norm(truth.poses[-1].translation_m)),
         "phase_deg": None,
     }
 

@@ -3,11 +3,13 @@
 from scenarios.sequences.draw import SequenceTruth, draw_sequence
 from scenarios.sequences.ground import Ground, MeshGround, SphereGround
 from scenarios.sequences.knowledge import Sighting, known_sequence, measured_ranges
-from scenarios.sequences.path import Path, travel, unmodelled
+from scenarios.sequences.path import Path, travel, undisturbed, unmodelled
+from scenarios.sequences.propagation import OrbitEndsError
 
 __all__ = [
     "Ground",
     "MeshGround",
+    "OrbitEndsError",
     "Path",
     "SequenceTruth",
     "Sighting",
@@ -16,5 +18,6 @@ __all__ = [
     "known_sequence",
     "measured_ranges",
     "travel",
+    "undisturbed",
     "unmodelled",
 ]

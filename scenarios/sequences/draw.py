@@ -15,7 +15,7 @@ from scenarios.sequences.ground import Ground
 from scenarios.sequences.knowledge import Sighting, known_sequence
 from scenarios.sequences.lives import Lives, live, recognise
 from scenarios.sequences.orbit import anomalies_deg
-from scenarios.sequences.path import Path, travel, unmodelled
+from scenarios.sequences.path import Path, travel, undisturbed, unmodelled
 from scenarios.sequences.sightline import Sightline
 from scenarios.spec.sequence import SequenceSpec, VisionSpec
 from scenarios.tracks import TrackSequence
@@ -85,7 +85,7 @@ def _path(spec: SequenceSpec, ground: Ground, seed: int, trial: int) -> Path:
 
 @lru_cache(maxsize=8)
 def _undisturbed(spec: SequenceSpec, ground: Ground) -> Path:
-    return travel(spec, ground, np.zeros((spec.orbit.frames - 1, 3)))
+    return undisturbed(spec, ground)
 
 
 @lru_cache(maxsize=8)

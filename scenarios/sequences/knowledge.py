@@ -21,6 +21,9 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 _ALL_LATITUDES_RAD = (-0.5 * np.pi, 0.5 * np.pi)
+# What is exact is believed to be this good: weights without bounds are of no use to an estimator.
+_LEAST_NOISE_PX = 1e-2
+_LEAST_MOTION_ERROR = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +61,7 @@ def known_sequence(
             R_cam_body=_known_attitude(path.poses[i], path.R_body_inertial[i], attitudes[i], turns[i]),
             tracks=sighting.tracks,
             uv_px=sighting.uv_px,
-            sigma_px=spec.sigma_px,
+            sigma_px=max(spec.sigma_px, _LEAST_NOISE_PX),
             motion_m=moves[i][0],
             motion_covariance_m2=moves[i][1],
             ranges=ranges[i],
@@ -127,9 +130,10 @@ def predicted_moves(
     frames = zip(path.positions_m, known, strict=True)
     for (before, old), (after, new) in itertools.pairwise(frames):
         true = after - before
-        length = knowledge.motion_error * float(np.linalg.norm(true))
-        moved = true + length * draw_direction(_ALL_LATITUDES_RAD, rng)
-        moves.append((new @ moved + (new - old) @ before, np.eye(3) * length**2 / 3.0))
+        distance = float(np.linalg.norm(true))
+        moved = true + knowledge.motion_error * distance * draw_direction(_ALL_LATITUDES_RAD, rng)
+        sigma_m = max(knowledge.motion_error, _LEAST_MOTION_ERROR) * distance / np.sqrt(3.0)
+        moves.append((new @ moved + (new - old) @ before, np.eye(3) * sigma_m**2))
     return moves
 
 

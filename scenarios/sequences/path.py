@@ -61,7 +61,7 @@ def travel(spec: SequenceSpec, ground: Ground, unmodelled_m_s2: FloatArray) -> P
 
     Raises
     ------
-    BoresightError
+    OrbitEndsError
         If a propagated orbit comes down to the body.
     """
     orbit, times = spec.orbit, times_s(spec.orbit)
@@ -72,12 +72,17 @@ def travel(spec: SequenceSpec, ground: Ground, unmodelled_m_s2: FloatArray) -> P
     positions = np.array([look.camera_position_m for look in looks])
     if orbit.model == "propagated":
         field = Field(_gravity(orbit, ground), attitude, radiation)
-        positions, velocities = propagate(field, (positions[0], velocities[0]), times, unmodelled_m_s2)
-        _check_height(positions, ground, orbit.step_deg)
+        start = positions[0], velocities[0]
+        positions, velocities = propagate(field, start, times, unmodelled_m_s2, ground.reach_m)
         looks = tuple(pointed(*state) for state in zip(positions, velocities, strict=True))
     turns = attitude(times)
     over = tuple(_over_the_body(look, turn) for look, turn in zip(looks, turns, strict=True))
     return Path(times, positions, velocities, turns, over, sun_dir, radiation)
+
+
+def undisturbed(spec: SequenceSpec, ground: Ground) -> Path:
+    """Move the camera along its orbit without what no model knows."""
+    return travel(spec, ground, np.zeros((spec.orbit.frames - 1, 3)))
 
 
 def unmodelled(orbit: OrbitSpec, seed: int, trial: int) -> FloatArray:
@@ -97,13 +102,3 @@ def _gravity(orbit: OrbitSpec, ground: Ground) -> Gravity:
 def _over_the_body(T_cam_inertial: Pose, R_body_inertial: FloatArray) -> Pose:
     """Take the pose from inertial to body axes, which share their origin."""
     return Pose(T_cam_inertial.rotation @ R_body_inertial.T, T_cam_inertial.translation_m)
-
-
-def _check_height(positions_m: FloatArray, ground: Ground, step_deg: float) -> None:
-    distances = np.linalg.norm(positions_m, axis=1)
-    low = np.flatnonzero(distances <= ground.reach_m)
-    if len(low):
-        raise BoresightError(
-            f"sequence.orbit: at {low[0] * step_deg:g} deg of anomaly it is {distances[low[0]]:.4g} m from the centre"
-            f" of a body that reaches {ground.reach_m:.4g} m: raise radius_m or lower the forces"
-        )

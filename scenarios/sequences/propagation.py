@@ -19,7 +19,6 @@ SUNLIGHT_N_M2 = 1361.0 / 299_792_458.0
 """Pressure of absorbed sunlight at 1 au: total solar irradiance over the speed of light."""
 
 _TOLERANCE = 1e-12
-_CLOSEST = 1e-3
 
 
 def radiation_pressure(forces: ForcesSpec, sun_dir: FloatArray) -> FloatArray:
@@ -54,8 +53,16 @@ class Field:
         return np.asarray(turn.T @ self.gravity.acceleration(turn @ position_m) + self.radiation_m_s2)
 
 
+class OrbitEndsError(BoresightError):
+    """An orbit comes down to the body."""
+
+
 def propagate(
-    field: Field, start: tuple[FloatArray, FloatArray], times_s: FloatArray, unmodelled_m_s2: FloatArray
+    field: Field,
+    start: tuple[FloatArray, FloatArray],
+    times_s: FloatArray,
+    unmodelled_m_s2: FloatArray,
+    reach_m: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Follow an orbit: (F, 3) positions, m, and (F, 3) velocities, m/s, at the times, inertial axes.
 
@@ -69,14 +76,21 @@ def propagate(
         (F,) increasing.
     unmodelled_m_s2
         (F - 1, 3) further acceleration, constant between two times.
+    reach_m
+        Largest distance of the body's surface from its centre.
 
     Raises
     ------
-    BoresightError
-        If the orbit falls into the body's centre, where it cannot be integrated.
+    OrbitEndsError
+        If the orbit comes as near the centre as the body reaches.
     """
     length, speed = float(np.linalg.norm(start[0])), float(np.linalg.norm(start[1]))
     time = length / speed
+
+    def height(_: float, state: FloatArray) -> float:
+        return float(np.linalg.norm(state[:3]) - reach_m / length)
+
+    height.terminal = True  # type: ignore[attr-defined]  # how solve_ivp is told to stop there
     states = np.empty((len(times_s), 6))
     states[0] = np.concatenate([start[0] / length, start[1] / speed])
     for i, extra in enumerate(unmodelled_m_s2):
@@ -85,13 +99,13 @@ def propagate(
             pull = field.acceleration(time * t, length * state[:3]) + extra
             return np.concatenate([state[3:], pull * time / speed])
 
-        span = times_s[i] / time, times_s[i + 1] / time
-        found = solve_ivp(
-            change, span, states[i], "DOP853", rtol=_TOLERANCE, atol=_TOLERANCE, first_step=span[1] - span[0]
-        )
-        states[i + 1] = found.y[:, -1]
-        if not found.success or np.linalg.norm(states[i + 1, :3]) < _CLOSEST:
-            raise BoresightError(
-                f"sequence.orbit: the orbit ends in the body {times_s[i] / 3600.0:.3g} h after its start"
+        begin, end = times_s[i : i + 2] / time
+        options = {"rtol": _TOLERANCE, "atol": _TOLERANCE, "first_step": end - begin}
+        found = solve_ivp(change, (begin, end), states[i], "DOP853", events=height, **options)
+        if found.status != 0:
+            raise OrbitEndsError(
+                f"sequence.orbit: {found.t[-1] * time / 3600.0:.3g} h after the first frame it comes down to the body,"
+                f" which reaches {reach_m:.4g} m from its centre: raise radius_m or lower the forces"
             )
+        states[i + 1] = found.y[:, -1]
     return length * states[:, :3], speed * states[:, 3:]

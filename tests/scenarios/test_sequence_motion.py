@@ -182,7 +182,7 @@ def _potential(gravity, at):
 
 def test_an_orbit_that_comes_down_is_refused():
     section = spec({"model": "propagated"})
-    with pytest.raises(BoresightError, match=r"of anomaly it is .* m from the centre of a body"):
+    with pytest.raises(BoresightError, match="h after the first frame it comes down to the body"):
         travel(section, SphereGround(780.0), calm(section) + np.array([1e-6, 0.0, 0.0]))
 
 
