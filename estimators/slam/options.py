@@ -125,6 +125,12 @@ class DynamicOptions(SolverOptions):
     first_estimates: bool = Field(
         True, description="Take derivatives by variables of the prior where they were when they entered it"
     )
+    innovation_frames: int = Field(10, ge=1, le=1000, description="Frames over which innovations are averaged")
+    innovation_max: float = Field(
+        5.0,
+        gt=1,
+        description="Mean squared normalised innovation at which the smoother counts as diverging; 1 is expected",
+    )
 
 
 class LoopOptions(SmootherOptions):

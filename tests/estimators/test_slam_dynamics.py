@@ -251,6 +251,21 @@ def test_error_of_the_first_position_is_found_out() -> None:
     assert found[-1] < 2.0
 
 
+def test_innovation_is_one_and_wrong_forces_are_declared() -> None:
+    """The mean of 6 trials of 29 frames is a chi-square over its freedom: 1 to within four standard deviations."""
+    told = []
+    for trial in range(6):
+        sequence, _ = make_orbit_sequence(np.random.default_rng([8, trial]), Recipe(frames=30))
+        told.append(DynamicSmoother.from_options({"lag": 6}).follow(sequence).diagnostics["innovation"])
+    freedom = 6 * 29 * 15  # two coordinates of 15 landmarks a frame, of which a tenth are new: 30 - 1.5 x 3 and more
+    assert np.mean(told) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / freedom))
+    assert sequence.forces is not None
+    wrong = replace(sequence.forces, gm_m3_s2=2.0 * GM, gm_sigma_m3_s2=0.01, noise_m_s2=1e-9)
+    estimate = DynamicSmoother.from_options({}).follow(replace(sequence, forces=wrong))
+    assert estimate.status == "failed"
+    assert "the smoother diverges" in estimate.reason
+
+
 def test_what_is_certain_stays_as_it_is() -> None:
     """Nothing is solved for that has no variance, and the covariance of the path is the smaller for it."""
     certain = Drive(gm_sigma=0.0, radiation_sigma=0.0, velocity_sigma_m_s=0.0)

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from estimators.options import parse_options
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from estimators.slam.dynamics.innovation import InnovationTest, measurements_beyond_unknowns
 from estimators.slam.dynamics.marginal import marginalised_dynamic
 from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState
 from estimators.slam.dynamics.solve import covariance_of, minimise_dynamic
-from estimators.slam.dynamics.system import Rows
+from estimators.slam.dynamics.system import Rows, dynamic_cost
 from estimators.slam.dynamics.window import Window
 from estimators.slam.following import LostError, check_scale, follow
 from estimators.slam.levenberg import StoppingRule
@@ -33,7 +34,7 @@ class DynamicSmoother:
     """
 
     name: ClassVar[str] = "dynamic-smoother"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     def __init__(self, options: DynamicOptions) -> None:
         self.options = options
@@ -56,6 +57,8 @@ class _Smoother:
         self.sequence = sequence
         self.window: Window | None = None
         self.parameter_sigmas_m: FloatArray = np.zeros(2)
+        self.innovation = InnovationTest(options.innovation_frames, options.innovation_max)
+        self.before: tuple[float, int] = (0.0, 0)
         self.iterations = 0
         self.count = 0
 
@@ -66,7 +69,9 @@ class _Smoother:
         gm, radiation = forces.gm_m3_s2, float(np.linalg.norm(forces.radiation_m_s2))
         ratio, factor = (self.window.parameters_m / length).tolist()
         ratio_sigma, factor_sigma = (self.parameter_sigmas_m / length).tolist()
+        innovation = self.innovation.mean
         return {
+            **({} if innovation is None else {"innovation": innovation}),
             "iterations_per_frame": self.iterations / max(self.count - 1, 1),
             "gm_m3_s2": ratio * gm,
             "gm_sigma_m3_s2": ratio_sigma * gm,
@@ -90,6 +95,7 @@ class _Smoother:
         self.iterations += solution.iterations
         if not np.isfinite(solution.cost):
             raise LostError("a landmark is behind a camera that sees it")
+        self._test(solution.cost, problem)
         window.keep(solution.state, tracks)
         estimate = self._estimate(problem, solution.state, tracks)
         if len(window.views) > self.options.lag:
@@ -119,6 +125,12 @@ class _Smoother:
                 f" {self.options.connectivity} are needed"
             )
 
+    def _test(self, cost: float, problem: DynamicAdjustment) -> None:
+        """Hold the new frame against what was known before it."""
+        measurements = measurements_beyond_unknowns(problem)
+        self.innovation.add(cost - self.before[0], measurements - self.before[1])
+        self.before = cost, measurements
+
     def _estimate(self, problem: DynamicAdjustment, state: DynamicState, tracks: list[int]) -> FrameEstimate:
         rows = Rows.of(problem)
         wanted = np.concatenate([rows.position[-1], rows.parameters])
@@ -144,3 +156,6 @@ class _Smoother:
         except np.linalg.LinAlgError as error:
             raise LostError("the scale is unobservable: the oldest view is not determined") from error
         window.pass_on(prior, state, tracks, lost)
+        left = window.tracks()
+        rest = window.problem(left, first_estimates=self.options.first_estimates)
+        self.before = dynamic_cost(rest, window.state(left)), measurements_beyond_unknowns(rest)
