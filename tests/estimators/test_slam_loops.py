@@ -239,3 +239,15 @@ def test_recognitions_wait_until_enough_are_there() -> None:
     )
     assert few["closures"] < many["closures"]
     assert many["united"] - 20 < few["united"] <= many["united"]
+
+
+def test_error_of_the_first_position_shifts_all() -> None:
+    """A closed loop tells nothing about where the body's centre is: the error stays, and the covariance adds."""
+    sequence, _, _ = loop(5)
+    shift = np.array([3.0, -2.0, 1.0])
+    unsure = replace(sequence, position_m=sequence.position_m + shift, position_covariance_m2=4.0 * np.eye(3))
+    sure_last, last = (LoopSmoother.from_options({}).follow(given).frames[-1] for given in (sequence, unsure))
+    np.testing.assert_allclose(last.position_m, sure_last.position_m + shift, atol=1e-3)
+    assert last.covariance_m2 is not None
+    assert sure_last.covariance_m2 is not None
+    np.testing.assert_allclose(last.covariance_m2, sure_last.covariance_m2 + 4.0 * np.eye(3), atol=1e-3)

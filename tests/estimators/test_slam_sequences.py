@@ -14,13 +14,23 @@ from estimators.slam.bundle import BundleSlam
 from estimators.slam.contract import SequenceEstimate
 from estimators.slam.dynamics.smoother import DynamicSmoother
 from estimators.slam.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
+from estimators.slam.loops.smoother import LoopSmoother
 from estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
 from scenarios.errors import BoresightError
 from scenarios.tracks import TrackRange, TrackSequence
 
 QUIET = Recipe(frames=40, noise_px=0.0, repeatability=0.95)
-ALL = [BundleSlam, EkfSlam, IteratedEkfSlam, ConsistentEkfSlam, FixedLagSmoother, BatchAdjustment]
+ALL = [
+    BundleSlam,
+    EkfSlam,
+    IteratedEkfSlam,
+    ConsistentEkfSlam,
+    FixedLagSmoother,
+    LoopSmoother,
+    DynamicSmoother,
+    BatchAdjustment,
+]
 
 
 def errors(estimate: SequenceEstimate, truth: Truth) -> np.ndarray:
@@ -153,7 +163,7 @@ def test_error_of_the_smoother_is_what_its_covariance_says() -> None:
     assert 11.9 < total < 79.0
 
 
-@pytest.mark.parametrize("estimator", [*ALL, DynamicSmoother])
+@pytest.mark.parametrize("estimator", ALL)
 def test_later_range_corrects_the_scale(estimator: type[FixedLagSmoother]) -> None:
     """The first range is wrong by 1 %, as it may be by its standard deviation; one at frame 12 is right."""
     drive = Drive(noise_m_s2=1e-5, velocity_sigma_m_s=0.05, spinning=False)
@@ -191,7 +201,7 @@ def test_error_of_the_first_position_shifts_all(estimator: type[FixedLagSmoother
 
 @pytest.mark.parametrize("estimator", ALL)
 def test_estimate_does_not_know_later_frames(estimator: type[BundleSlam]) -> None:
-    sequence, _ = make_sequence(np.random.default_rng(6), Recipe(frames=14))
+    sequence, _ = make_orbit_sequence(np.random.default_rng(6), Recipe(frames=14))
     whole = estimator.from_options({}).follow(sequence)
     part = estimator.from_options({}).follow(replace(sequence, frames=sequence.frames[:9]))
     for one, other in zip(part.frames, whole.frames, strict=False):
@@ -213,7 +223,7 @@ def test_estimate_does_not_know_later_frames(estimator: type[BundleSlam]) -> Non
 def test_bad_sequence_ends_with_a_reason_and_the_frames_before(
     estimator: type[BundleSlam], spoil, frames: int, reason: str
 ) -> None:
-    sequence, _ = make_sequence(np.random.default_rng(8), Recipe(frames=10))
+    sequence, _ = make_orbit_sequence(np.random.default_rng(8), Recipe(frames=10), Drive(spinning=False))
     estimate = estimator.from_options({}).follow(spoil(sequence))
     assert estimate.status == "failed"
     assert reason in estimate.reason
