@@ -45,6 +45,8 @@ _TIMED = {
     "image": "image (rendered or read)",
     "stored_image": "image (from the store)",
 }
+_FRAME = r"^frame \d+: "
+_NUMBER = r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
 _MEASURES = {
     "position_error_m": "position error",
     "position_error_x_m": "position error, x",
@@ -432,11 +434,17 @@ def timing_grid(records: Sequence[Record]) -> Grid | None:
 
 
 def failure_grid(run: RunData) -> Grid | None:
-    """Tabulate failures by reason; None if every trial is ok."""
-    failed = run.rows[run.rows["status"] != "ok"]
+    """Tabulate failures by reason; None if every trial is ok.
+
+    Of sequences, reasons that differ in their frame and numbers alone are one.
+    """
+    failed, note = run.rows[run.rows["status"] != "ok"], ""
+    if not run.epochs.empty:
+        alike = failed["reason"].str.replace(_FRAME, "", regex=True).str.replace(_NUMBER, "n", regex=True)
+        failed, note = failed.assign(reason=alike), "n stands for numbers that differ from trial to trial."
     keys = ["scenario", "estimator", "status", "reason"]
     tally = failed.value_counts(keys, sort=False).sort_index().sort_values(ascending=False, kind="stable")
     table = tally.reset_index().astype(str)
     rows = tuple(table.itertuples(index=False, name=None))
     heads = ("scenario", "estimator", "status", "reason", "trials")
-    return Grid("Failures by reason", heads, rows, frozenset({0, 1, 2, 3})) if rows else None
+    return Grid("Failures by reason", heads, rows, frozenset({0, 1, 2, 3}), note) if rows else None

@@ -79,7 +79,8 @@ class TrackFrame:
         the centre of mass.
     attitude_sigma_rad
         Standard deviation of the error of `R_cam_body` about each camera axis: that of the star tracker, independent
-        from frame to frame, and that of `R_body_inertial`, which grows with time.
+        from frame to frame, that of the camera's attitude on it, always the same, and that of `R_body_inertial`, which
+        grows with time.
     """
 
     time_s: float

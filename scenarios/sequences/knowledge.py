@@ -53,8 +53,9 @@ def known_sequence(
     position = attitudes[0] @ (path.positions_m[0] + knowledge.position_sigma_m * rng.normal(size=3))
     ranges = [measured_ranges(sightings, path.poses[0], camera, knowledge, rng)]
     ranges += _later_ranges(sightings, path, camera, knowledge, generator(seed, Stream.RANGES, trial))
-    turns = star_tracker * rng.normal(size=(len(path.poses), 3))
-    sigmas = np.hypot(star_tracker, rotation_sigma_rad(path.times_s, spec))
+    misalignment = np.radians(knowledge.misalignment_sigma_deg)
+    turns = star_tracker * rng.normal(size=(len(path.poses), 3)) + misalignment * rng.normal(size=3)
+    sigmas = np.sqrt(star_tracker**2 + misalignment**2 + rotation_sigma_rad(path.times_s, spec) ** 2)
     frames = tuple(
         TrackFrame(
             time_s=float(path.times_s[i]),

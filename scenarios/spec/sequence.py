@@ -114,6 +114,9 @@ class KnowledgeSpec(SpecModel):
     )
     position_sigma_m: float = Field(0.0, ge=0, description="Of each coordinate of the first camera position")
     attitude_sigma_deg: float = Field(0.0, ge=0, description="Of a frame's attitude about each camera axis")
+    misalignment_sigma_deg: float = Field(
+        0.0, ge=0, description="Of the camera's attitude on the star tracker, about each axis, the same in all frames"
+    )
     pole_sigma_deg: float = Field(
         0.0, ge=0, description="Of the direction of the body's angular velocity, about each of two axes across it"
     )

@@ -245,6 +245,7 @@ CHANGES: dict[str, tuple[str, str]] = {
     "sequence.knowledge.position_sigma_m": (SEQUENCE, "1"),
     "sequence.knowledge.attitude_sigma_deg": (SEQUENCE, "0.1"),
     "sequence.knowledge.range_every": (SEQUENCE, "5"),
+    "sequence.knowledge.misalignment_sigma_deg": (SEQUENCE, "0.1"),
     "sequence.knowledge.pole_sigma_deg": (SPIN, "1"),
     "sequence.knowledge.spin_sigma": (SPIN, "0.01"),
     "sequence.knowledge.dynamics": (PROPAGATED, "true"),

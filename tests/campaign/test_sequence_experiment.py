@@ -12,7 +12,7 @@ from scipy.spatial.distance import mahalanobis
 from campaign.cli.main import main
 from campaign.experiments.sequence import SequenceTrials
 from campaign.resolve import resolve
-from campaign.sequence_score import check_sequence, parameter_errors, score_epochs, summary
+from campaign.sequence_score import check_sequence, final_landmark_rmse, parameter_errors, score_epochs, summary
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.dead_reckoning import DeadReckoning
 from estimators.slam.registry import sequence_estimator_class
@@ -72,6 +72,26 @@ def test_a_known_error_is_scored_as_what_it_is(drawn):
     assert told["error_after_1_m"] == pytest.approx(3.0)
     assert told["error_after_2_m"] is None
     assert told["landmark_rmse_m"] == pytest.approx(3.0)
+
+
+def test_an_estimate_in_wrong_body_axes_is_right_if_it_is_right_in_inertial_space():
+    """The body's rotation is believed wrong; positions and landmarks are where they are, said in those axes."""
+    turning = {"body_motion": {"kind": "spin"}, "knowledge": {"pole_sigma_deg": 2.0, "spin_sigma": 0.01}}
+    spec = SequenceSpec.model_validate({**SPEC.model_dump(), **turning})
+    truth, sequence = draw_sequence(spec, CAMERA, GROUND, 7, 0)
+    frames = []
+    for pose, seen, true in zip(truth.poses, sequence.frames, truth.path.R_body_inertial, strict=True):
+        place, points = true.T @ pose.camera_position_m, truth.points_m[seen.tracks] @ true
+        shift = np.cross([0.0, 0.0, 1.0], place) / np.linalg.norm(place)  # along the motion about the z axis
+        known = seen.R_body_inertial
+        frames.append(FrameEstimate(known @ (place + 2.0 * shift), np.eye(3), seen.tracks, points @ known.T, 0.0))
+    assert np.linalg.norm(frames[-1].position_m - truth.poses[-1].camera_position_m) > 5.0
+    epochs = score_epochs(SequenceEstimate("ok", frames), sequence, truth)
+    for epoch in epochs:
+        assert epoch["position_error_m"] == pytest.approx(2.0)
+        assert [epoch["radial_m"], epoch["along_m"], epoch["cross_m"]] == pytest.approx([0.0, 2.0, 0.0], abs=1e-6)
+        assert epoch["landmark_rmse_m"] == pytest.approx(0.0, abs=1e-9)
+    assert final_landmark_rmse(SequenceEstimate("ok", frames), sequence, truth) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_new_landmarks_are_left_out_of_the_settled_error(drawn):

@@ -13,6 +13,7 @@ from reports.designs import DesignData, Outcome, design_grids, outcomes
 from reports.figures.curves import CurvePanel, Points, draw_curves
 from reports.figures.matrix import Matrix, draw_matrix
 from reports.run_data import read_run
+from reports.tables import failure_grid
 
 TRIALS = 40
 POSITION = Outcome("landmark-harris", "", "position_error_m")
@@ -198,7 +199,7 @@ def test_sequences_are_compared_by_their_errors_after_whole_revolutions(builder)
             nothing = {**dict.fromkeys(pose_error(np.ones(3), 1.0), np.nan)}
             prior = {f"prior_{key}": value for key, value in nothing.items()}
             key = {"trial": trial, "scenario": name, "estimator": "ba-slam"}
-            status, reason = ("failed", "lost") if trial < 8 else ("ok", "")
+            status, reason = ("failed", f"frame {trial}: {trial} of 9 lost") if trial < 8 else ("ok", "")
             builder.add(
                 "rows", **key, status=status, reason=reason, image="", n_landmarks=9, **prior, **nothing,
                 error_after_1_m=np.nan if lost else factor * error, error_after_2_m=np.nan,
@@ -214,6 +215,9 @@ def test_sequences_are_compared_by_their_errors_after_whole_revolutions(builder)
     assert grid.columns == ("axis", "level", "position error after 1 revolution, m", "change", "ok")
     line = grid.rows[1]
     assert (line[-1], line[3].split()[0]) == (f"{TRIALS - 4}/{TRIALS}", "3.00")
+    assert sorted(failure_grid(run).rows) == [
+        (n, "ba-slam", "failed", "n of n lost", "8") for n in ("rock", "rock-noise-2")
+    ]
     write_report(run.folder)
     made = {path.stem for path in (run.folder / "report").glob("*.png")}
     assert made == {"curves_error_after_1_m_rock", "levels_error_after_1_m_rock"}

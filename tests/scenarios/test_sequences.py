@@ -325,6 +325,17 @@ def test_attitude_and_first_position_are_as_wrong_as_asked():
     np.testing.assert_array_equal(sequence.position_covariance_m2, 4.0 * np.eye(3))
 
 
+def test_a_misaligned_camera_is_wrong_by_the_same_turn_in_all_frames():
+    errors = []
+    for trial in range(60):
+        truth, sequence = drawn(trial, knowledge={"misalignment_sigma_deg": 0.2}, revolutions=0.05)
+        turns = [f.R_cam_body @ pose.rotation.T for f, pose in zip(sequence.frames, truth.poses, strict=True)]
+        np.testing.assert_allclose(turns, np.tile(turns[0], (len(turns), 1, 1)), atol=1e-12)
+        errors.append(cv2.Rodrigues(turns[0])[0][:, 0])
+    assert np.degrees(np.std(errors)) == pytest.approx(0.2, rel=0.25)
+    assert [frame.attitude_sigma_rad for frame in sequence.frames] == pytest.approx([np.radians(0.2)] * 10)
+
+
 @pytest.mark.parametrize(
     ("section", "said"),
     [
