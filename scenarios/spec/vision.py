@@ -32,5 +32,10 @@ class ImageVisionSpec(SpecModel):
         description="A track goes on where its feature is matched, or where its first patch is registered",
     )
     tracks: int = Field(30, ge=3, le=5000, description="Features tracked in each frame, the strongest first")
+    growth_max: float = Field(
+        1.08,
+        gt=1,
+        description="A track begins where areas grow or shrink by this factor at most from frame to frame",
+    )
     spacing_px: float = Field(0.0, ge=0, description="Distance of a new track from all others at least")
     sigma_px: float = Field(0.5, gt=0, description="Standard deviation of a coordinate that estimators are told")

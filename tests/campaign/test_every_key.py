@@ -237,6 +237,7 @@ CHANGES: dict[str, tuple[str, str]] = {
     "sequence.images.carry": (IMAGES, "patch"),
     "sequence.images.tracks": (IMAGES, "9"),
     "sequence.images.spacing_px": (IMAGES, "40"),
+    "sequence.images.growth_max": (IMAGES, "1.01"),
     "sequence.images.sigma_px": (IMAGES, "0.7"),
     "sequence.knowledge.motion_error": (SEQUENCE, "0.4"),
     "sequence.knowledge.ranges": (SEQUENCE, "2"),

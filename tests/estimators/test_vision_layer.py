@@ -23,6 +23,7 @@ from scenarios.spec.vision import ImageVisionSpec
 CAMERA = Camera.from_fov(256, 256, np.radians(30.0))
 LINEAR = np.array([[1.03, 0.04], [-0.05, 0.96]])
 SHIFT = np.array([4.3, -6.7])
+EVERYWHERE = np.array([[0.0, 0.0], [256.0, 256.0]])
 
 
 def texture(rng, size=256):
@@ -122,12 +123,14 @@ def test_a_patch_is_registered_to_hundredths_of_a_pixel_whatever_gain_and_offset
     places = rng.uniform(90, 166, (12, 2))
     other = 1.7 * moved(image) + 40.0 + 2.0 * rng.standard_normal(image.shape).astype(np.float32)
     start = Warps(np.tile(np.eye(2), (12, 1, 1)), where_moved(places) + rng.uniform(-1, 1, (12, 2)))
-    found, correlation = register(Spline(other), cut(Spline(image), places), start)
+    found, correlation = register(Spline(other, EVERYWHERE), cut(Spline(image, EVERYWHERE), places), start)
     error = np.linalg.norm(found.place_px - where_moved(places), axis=1)
     assert np.median(error) < 0.02
     assert (correlation > 0.98).all()
     assert np.abs(found.linear - LINEAR).max() < 0.05
-    strange, correlation = register(Spline(texture(np.random.default_rng(9))), cut(Spline(image), places), start)
+    strange, correlation = register(
+        Spline(texture(np.random.default_rng(9)), EVERYWHERE), cut(Spline(image, EVERYWHERE), places), start
+    )
     assert np.median(correlation) < 0.8
     assert np.isfinite(strange.place_px).all()
 

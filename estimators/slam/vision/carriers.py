@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.slam.vision.features import Features
-from estimators.slam.vision.flow import local_flow
+from estimators.slam.vision.flow import growth, local_flow
 from estimators.slam.vision.registration import Patches, Spline, Warps, cut, register
 
 FloatArray = NDArray[np.float64]
@@ -18,8 +18,8 @@ IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 Image = NDArray[np.float32]
 
-_LEAST_MATCHES = 16
-_LEAST_CORRELATION = 0.8
+LEAST_MATCHES = 16
+_LEAST_CORRELATION = 0.85
 _MOST_CORRECTION_PX = 3.0
 
 
@@ -37,7 +37,7 @@ class Look:
     @cached_property
     def spline(self) -> Spline:
         """The image between its pixels."""
-        return Spline(self.image)
+        return Spline(self.image, self.features.uv_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +108,8 @@ class PatchCarrier:
     The flow of the matches about it says where the patch is to be sought and how it is distorted.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, growth_max: float) -> None:
+        self._growth_max = growth_max
         self._patches: Patches | None = None
         self._warps = Warps(np.empty((0, 2, 2)), np.empty((0, 2)))
 
@@ -120,7 +121,7 @@ class PatchCarrier:
     def carry(self, step: Step) -> BoolArray:
         """Go to the next image."""
         none = np.zeros(len(self.places_px), dtype=np.bool_)
-        if self._patches is None or len(step.pairs) < _LEAST_MATCHES or not len(none):
+        if self._patches is None or len(step.pairs) < LEAST_MATCHES or not len(none):
             self.drop(none)
             return none
         first, second = step.before.uv_px[step.pairs[:, 0]], step.after.features.uv_px[step.pairs[:, 1]]
@@ -129,6 +130,7 @@ class PatchCarrier:
         self._warps, correlation = register(step.after.spline, self._patches, start)
         corrected_px = np.linalg.norm(self._warps.place_px - expected_px, axis=1)
         found: BoolArray = (correlation > _LEAST_CORRELATION) & (corrected_px < _MOST_CORRECTION_PX)
+        found &= growth(change) < self._growth_max**2
         self.drop(found)
         return found
 

@@ -43,3 +43,9 @@ def local_flow(before_px: FloatArray, after_px: FloatArray, at_px: FloatArray) -
         misfit = np.linalg.norm(np.einsum("nki,nij->nkj", design, found) - target, axis=2)
         weight = (misfit <= np.quantile(misfit, _KEPT_SHARE, axis=1, keepdims=True)).astype(np.float64)
     return found[:, 2], np.swapaxes(found[:, :2], 1, 2)
+
+
+def growth(change: FloatArray) -> FloatArray:
+    """(n,) factor by which an area grows or shrinks, at least 1, under maps of derivative (n, 2, 2)."""
+    area = np.maximum(np.abs(np.linalg.det(change)), 1e-12)
+    return np.asarray(np.maximum(area, 1.0 / area), dtype=np.float64)

@@ -16,8 +16,9 @@ from scenarios.geometry import pixel_to_opencv
 
 FloatArray = NDArray[np.float64]
 
-HALF_PX = 7
+HALF_PX = 5
 _ITERATIONS = 15
+_MARGIN_PX = 3 * HALF_PX
 _CONVERGED_PX = 1e-3
 
 
@@ -53,15 +54,22 @@ class Warps:
 
 
 class Spline:
-    """An image (H, W) as a cubic spline."""
+    """An image (H, W) as a cubic spline, about the places (n, 2) that matter; beyond them it is like their edge."""
 
-    def __init__(self, image: NDArray[np.float32]) -> None:
-        self._coefficients = spline_filter(image.astype(np.float64), order=3)
+    def __init__(self, image: NDArray[np.float32], places_px: FloatArray) -> None:
+        height, width = image.shape
+        low, high = (np.zeros(2), np.zeros(2)) if not len(places_px) else (places_px.min(axis=0), places_px.max(axis=0))
+        left, top = np.clip(low.astype(int) - _MARGIN_PX, 0, [width - 1, height - 1])
+        right, bottom = high.astype(int) + _MARGIN_PX
+        self._corner_px = np.array([left, top], dtype=np.float64)
+        self._coefficients = spline_filter(image[top : bottom + 1, left : right + 1].astype(np.float64), order=3)
 
     def at(self, uv_px: FloatArray) -> FloatArray:
         """(...) values at pixels (..., 2)."""
-        columns, rows = np.moveaxis(pixel_to_opencv(uv_px), -1, 0)
-        values: FloatArray = map_coordinates(self._coefficients, [rows, columns], order=3, prefilter=False)
+        columns, rows = np.moveaxis(pixel_to_opencv(uv_px) - self._corner_px, -1, 0)
+        values: FloatArray = map_coordinates(
+            self._coefficients, [rows, columns], order=3, mode="nearest", prefilter=False
+        )
         return values
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.vision.carriers import Carrier, FeatureCarrier, Look, PatchCarrier, Step
+from estimators.slam.vision.carriers import LEAST_MATCHES, Carrier, FeatureCarrier, Look, PatchCarrier, Step
 from estimators.slam.vision.epipolar import (
     agree_with_direction,
     agree_with_fundamental,
@@ -16,6 +16,7 @@ from estimators.slam.vision.epipolar import (
     off_plane,
 )
 from estimators.slam.vision.features import Features
+from estimators.slam.vision.flow import growth, local_flow
 from scenarios.geometry import Camera
 from scenarios.spec.vision import ImageVisionSpec
 
@@ -64,7 +65,7 @@ class Tracker:
         self._camera = camera
         self._spec = spec
         self._rng = rng
-        self._carrier: Carrier = FeatureCarrier() if spec.carry == "feature" else PatchCarrier()
+        self._carrier: Carrier = FeatureCarrier() if spec.carry == "feature" else PatchCarrier(spec.growth_max)
         self._features: Features | None = None
         self._R_cam_body = np.eye(3)
         self._tracks = np.empty(0, dtype=np.int64)
@@ -74,12 +75,14 @@ class Tracker:
         """Take the next image in, with the known attitude of its camera."""
         started = time.perf_counter()
         kept = np.zeros(len(look.pairs), dtype=np.bool_)
+        settled = np.zeros(len(look.features), dtype=np.bool_)
         if self._features is not None:
             agreed = self._agree(self._features, look, R_cam_body)
             kept = agreed.kept
             self._carry(Step(self._features, look, look.pairs[kept]), agreed.direction, R_cam_body)
+            settled[look.pairs[kept, 1]] = self._settled(self._features, look, kept)
         self._features, self._R_cam_body = look.features, R_cam_body
-        self._begin(look, kept)
+        self._begin(look, settled)
         return Tracked(self._tracks, self._carrier.places_px, kept, time.perf_counter() - started)
 
     def _agree(self, before: Features, look: Look, R_cam_body: FloatArray) -> Agreement:
@@ -102,17 +105,26 @@ class Tracker:
             self._carrier.drop(near)
             self._tracks = self._tracks[near]
 
-    def _begin(self, look: Look, kept: BoolArray) -> None:
+    def _settled(self, before: Features, look: Look, kept: BoolArray) -> BoolArray:
+        """Tell of the matches that are kept whether the image about them keeps its size.
+
+        Towards the limb it does not: what is seen there is foreshortened and bends out of its plane.
+        """
+        if kept.sum() < LEAST_MATCHES:
+            return np.ones(int(kept.sum()), dtype=np.bool_)
+        first, second = before.uv_px[look.pairs[kept, 0]], look.features.uv_px[look.pairs[kept, 1]]
+        _, change = local_flow(first, second, first)
+        return np.asarray(growth(change) <= self._spec.growth_max, dtype=np.bool_)
+
+    def _begin(self, look: Look, settled: BoolArray) -> None:
         """Fill up with the strongest features that keep their distance from the tracks.
 
-        Those that were matched with the frame before come first: what was found twice is found again more often.
+        Those that are settled come first: what was found twice is found again more often.
         """
-        unmatched = np.ones(len(look.features), dtype=np.bool_)
-        unmatched[look.pairs[kept, 1]] = False
         apart_px = max(self._spec.spacing_px, _LEAST_APART_PX)
         places = list(self._carrier.places_px)
         rows: list[int] = []
-        for row in np.argsort(unmatched, kind="stable").tolist():
+        for row in np.argsort(~settled, kind="stable").tolist():
             if len(places) >= self._spec.tracks:
                 break
             place = look.features.uv_px[row]
