@@ -141,7 +141,7 @@ class LoopOptions(SmootherOptions):
     closure_tolerance_m: float = Field(
         1e-4, gt=0, description="An adjustment of all frames ends when no step is longer"
     )
-    gate: float = Field(0.999, gt=0, lt=1, description="Probability with which a right recognition passes")
+    recognition: float = Field(0.999, gt=0, lt=1, description="Probability with which a right recognition passes")
 
 
 class GtsamOptions(SolverOptions):

@@ -18,7 +18,11 @@ IndexArray = NDArray[np.int64]
 
 
 class History:
-    """The journal of all frames; ``members`` are the tracks of each landmark that has more than one."""
+    """The journal of all frames, whose tracks are landmarks.
+
+    ``members`` are the tracks of each landmark that has more than one, ``seen`` the frames of each landmark, and
+    ``named`` the tracks of each frame by landmark.
+    """
 
     def __init__(self, sequence: TrackSequence, *, motion: bool) -> None:
         self.journal = Journal(sequence.camera)
@@ -28,12 +32,15 @@ class History:
         self.landmark: dict[int, int] = {}
         self.members: dict[int, set[int]] = {}
         self.seen: dict[int, set[int]] = {}
+        self.named: dict[int, dict[int, int]] = {}
 
     def add(self, number: int, frame: TrackFrame) -> None:
-        """Take a frame in."""
-        named = self._renamed(frame)
-        self.journal.frames[number] = named
-        for landmark in named.tracks.tolist():
+        """Take a frame in, or anew where its pixels have changed."""
+        for landmark in self.named.pop(number, {}):
+            self.seen[landmark].discard(number)
+        self.journal.frames[number] = self._renamed(frame)
+        self.named[number] = {self.of(track): track for track in frame.tracks.tolist()}
+        for landmark in self.named[number]:
             self.seen.setdefault(landmark, set()).add(number)
 
     def of(self, track: int) -> int:
@@ -52,6 +59,7 @@ class History:
         numbers = self.seen.pop(new)
         self.seen[old] |= numbers
         for number in numbers:
+            self.named[number][old] = self.named[number].pop(new)
             self.journal.frames[number] = self._renamed(self.journal.frames[number])
 
     def problem(self, kept: Collection[int] = ()) -> tuple[Adjustment, list[int]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,21 +17,31 @@ IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
-def told_from_outside(problem: Adjustment, state: State, inside: BoolArray, lost: BoolArray) -> Prior:
-    """Marginalise all views not marked in ``inside`` (V,) and all landmarks marked in ``lost`` (L,) at once.
+@dataclass(frozen=True, slots=True, eq=False)
+class Staying:
+    """What a window goes on with: views (V,), landmarks (L,), and of its sightings (k,) and distances (m,) which."""
 
-    All is linearised at ``state``. The quadratic is in the views and landmarks that stay, by their numbers in
-    ``problem``, as far as something that goes speaks of them.
+    views: BoolArray
+    points: BoolArray
+    sightings: BoolArray
+    distances: BoolArray
+
+
+def told_from_outside(problem: Adjustment, state: State, staying: Staying) -> Prior:
+    """Marginalise all views, landmarks and measurements that do not stay, at once.
+
+    All is linearised at ``state``. Motions stay between views that stay. The quadratic is in the views and landmarks
+    that stay, by their numbers in ``problem``, as far as something that goes speaks of them.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         If what goes is not determined.
     """
-    part = _outside(problem, inside, lost)
+    part = _outside(problem, staying)
     layout = Layout.of(part)
     matrix, right, _ = normal_equations(part, state, layout).reduced()
-    views = np.flatnonzero(part.free_views & inside)
+    views = np.flatnonzero(part.free_views & staying.views)
     points = np.flatnonzero(layout.kept_point >= 0)
     stays = np.zeros(layout.kept, dtype=np.bool_)
     stays[layout.view[views]] = True
@@ -56,12 +66,11 @@ def landmark_covariance(problem: Adjustment, state: State, points: IndexArray) -
     return np.asarray(0.5 * (solved + solved.T), dtype=np.float64)
 
 
-def _outside(problem: Adjustment, inside: BoolArray, lost: BoolArray) -> Adjustment:
-    """Return the part of ``problem`` that is not about views inside and landmarks that stay alone."""
+def _outside(problem: Adjustment, staying: Staying) -> Adjustment:
+    """Return the part of ``problem`` that goes; of its landmarks only those that it speaks of are free."""
     seen, measured, moved = problem.sightings, problem.distances, problem.motions
-    goes = ~inside[seen.view] | lost[seen.point]
-    ranged = ~inside[measured.view] | lost[measured.point]
-    motion = ~(inside[moved.start] & inside[moved.end])
+    goes, ranged = ~staying.sightings, ~staying.distances
+    motion = ~(staying.views[moved.start] & staying.views[moved.end])
     part = replace(
         problem,
         sightings=Sightings(seen.view[goes], seen.point[goes], seen.uv_px[goes], seen.sigma_px[goes]),
@@ -73,4 +82,4 @@ def _outside(problem: Adjustment, inside: BoolArray, lost: BoolArray) -> Adjustm
         ),
     )
     told = touched(part)
-    return replace(part, free_points=told, kept_points=told & ~lost)
+    return replace(part, free_points=told, kept_points=told & staying.points)

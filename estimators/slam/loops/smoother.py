@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar, Self
 
@@ -15,13 +15,14 @@ from estimators.slam.following import LostError, follow
 from estimators.slam.levenberg import StoppingRule, minimise
 from estimators.slam.loops.gating import agreeing
 from estimators.slam.loops.history import History, slots
-from estimators.slam.loops.outside import landmark_covariance, told_from_outside
+from estimators.slam.loops.outside import Staying, landmark_covariance, told_from_outside
 from estimators.slam.options import LoopOptions
 from estimators.slam.smoother import WindowSmoother
 from estimators.slam.state import Adjustment, State
 from scenarios.tracks import TrackFrame, TrackSequence
 
-FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 
 class LoopSmoother:
@@ -66,10 +67,10 @@ class _Closing(WindowSmoother):
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         number = len(self.journal.positions_m)
         estimate = super().advance(frame)
-        self.history.add(number, frame)
         self.pending |= {(int(new), int(old)) for new, old in frame.again}
-        if number - self.closed_at < self.loops.closure_frames:
+        if number - self.closed_at < self.loops.closure_frames or len(self.pending) < self.loops.closure_pairs:
             return estimate
+        self._remember()
         ripe = [pair for pair in sorted(self.pending) if self._is_determined(*pair)]
         known = self.history
         pairs = sorted({(known.of(a), known.of(b)) for a, b in ripe if known.may_be_one(known.of(a), known.of(b))})
@@ -79,13 +80,17 @@ class _Closing(WindowSmoother):
         self.closed_at = number
         return self._close(pairs) or estimate
 
+    def _marginalise(self, problem: Adjustment, state: State, tracks: Sequence[int]) -> None:
+        """Let the oldest view go into the history, too."""
+        self.history.add(self.views[0], self.journal.frames[self.views[0]])
+        super()._marginalise(problem, state, tracks)
+
     def _is_determined(self, *tracks: int) -> bool:
         """Tell whether the landmarks of all of ``tracks`` were seen twice or more."""
         return all(len(self.history.seen.get(self.history.of(track), ())) >= 2 for track in tracks)
 
     def _close(self, pairs: list[tuple[int, int]]) -> FrameEstimate | None:
         """Unite what agrees, adjust all frames, and begin the window anew from there; nothing where none agree."""
-        self._remember()
         try:
             united = self._unite(pairs)
             if not united:
@@ -98,8 +103,10 @@ class _Closing(WindowSmoother):
         return self._smoothed()
 
     def _remember(self) -> None:
-        """Give the history the present estimates; landmarks of several tracks keep theirs."""
+        """Give the history the frames of the window and the present estimates; united landmarks keep theirs."""
         known = self.history
+        for view in self.views:
+            known.add(view, self.journal.frames[view])
         known.journal.positions_m.update({view: self.journal.positions_m[view] for view in known.journal.frames})
         for track, point in self.journal.points_m.items():
             if track in known.seen and track not in known.members:
@@ -113,7 +120,7 @@ class _Closing(WindowSmoother):
         joint = landmark_covariance(problem, state, np.concatenate([first, second]))
         half = len(joint) // 2
         covariance = joint[:half, :half] + joint[half:, half:] - joint[:half, half:] - joint[half:, :half]
-        good = agreeing(differences, covariance, self.loops.gate)
+        good = agreeing(differences, covariance, self.loops.recognition)
         if len(good) < self.loops.closure_pairs:
             good = []
         for new, old in (pairs[k] for k in good):
@@ -137,39 +144,38 @@ class _Closing(WindowSmoother):
         return problem, solution.state, tracks
 
     def _re_anchor(self, problem: Adjustment, state: State, tracks: list[int]) -> None:
-        """Let what all frames outside the window tell take the place of the window's prior."""
+        """Let what all frames outside the window tell take the place of the window's prior.
+
+        The window knows a landmark by one track. What it saw of it under another track goes over into the prior.
+        """
         known, views = self.history, np.array(sorted(self.history.journal.frames))
-        alive = {known.of(track): track for track in self.journal.frames[self.views[-1]].tracks.tolist()}
+        alive = known.named[self.views[-1]]
+        numbers = np.array([self._front_number(track, alive) for track in tracks], dtype=np.int64)
         inside = np.isin(views, self.views)
         outer = np.array([min(known.seen[track]) < self.views[0] for track in tracks])
-        lost = outer & ~np.isin(tracks, sorted(alive))
-        prior = told_from_outside(problem, state, inside, lost)
-        numbers = [self._front_number(track, alive) for track in tracks]
-        for slot, (track, number) in enumerate(zip(tracks, numbers, strict=True)):
-            self.journal.points_m[number] = state.points_m[slot]
-            if lost[slot]:
-                self.absorbed |= known.members.get(track, {track})
-        self.journal.positions_m.update(zip(views.tolist(), state.positions_m, strict=True))
-        self._rename(dict(zip(tracks, numbers, strict=True)))
-        self.prior = replace(
-            prior, views=views[prior.views], points=np.array([numbers[k] for k in prior.points], dtype=np.int64)
+        stays = np.isin(tracks, sorted(alive)) | ~outer
+        rows = (problem.sightings, problem.distances)
+        sighted, ranged = (
+            inside[seen.view]
+            & stays[seen.point]
+            & self._under(numbers[seen.point], views[seen.view], seen.point, tracks)
+            for seen in rows
         )
-        self.first_positions_m = dict(zip(views[prior.views].tolist(), state.positions_m[prior.views], strict=True))
-        self.first_points_m = {numbers[k]: state.points_m[k] for k in prior.points.tolist()}
+        prior = told_from_outside(problem, state, Staying(inside, stays, sighted, ranged))
+        for slot, track in enumerate(tracks):
+            self.journal.points_m[int(numbers[slot])] = state.points_m[slot]
+            members = known.members.get(track, {track})
+            self.absorbed |= members - {int(numbers[slot])} if stays[slot] else members
+        self.journal.positions_m.update(zip(views.tolist(), state.positions_m, strict=True))
+        self.prior = replace(prior, views=views[prior.views], points=numbers[prior.points])
+        self.first_positions_m = dict(zip(self.prior.views.tolist(), state.positions_m[prior.views], strict=True))
+        self.first_points_m = dict(zip(self.prior.points.tolist(), state.points_m[prior.points], strict=True))
 
-    def _rename(self, numbers: Mapping[int, int]) -> None:
-        """Call a landmark of several tracks by one number in all frames of the window."""
-        united = {
-            member: numbers[landmark]
-            for landmark, members in self.history.members.items()
-            if landmark in numbers
-            for member in members
-        }
-        for view in self.views:
-            frame = self.journal.frames[view]
-            named = np.array([united.get(track, track) for track in frame.tracks.tolist()], dtype=np.int64)
-            ranges = tuple(replace(item, track=united.get(item.track, item.track)) for item in frame.ranges)
-            self.journal.frames[view] = replace(frame, tracks=named, ranges=ranges)
+    def _under(self, numbers: IndexArray, views: IndexArray, points: IndexArray, tracks: list[int]) -> BoolArray:
+        """(k,): whether a view saw a landmark under the number by which the window knows it."""
+        named = self.history.named
+        rows = zip(numbers.tolist(), views.tolist(), points.tolist(), strict=True)
+        return np.array([named[view][tracks[point]] == number for number, view, point in rows], dtype=np.bool_)
 
     def _front_number(self, landmark: int, alive: Mapping[int, int]) -> int:
         """Return the number by which the window knows a landmark: that of the track in view, if there is one."""
