@@ -127,9 +127,7 @@ class _Window:
     def _map(self, seen: dict[int, list[int]]) -> list[int]:
         """List the landmarks seen by two views or more, sorted; those without an estimate get one."""
         tracks = sorted(track for track, by in seen.items() if len(by) >= 2)
-        for track in tracks:
-            if track not in self.journal.points_m:
-                self.journal.points_m[track] = self.journal.triangulate(track, seen[track])
+        self.journal.triangulate_new(tracks, seen)
         if len(tracks) < self.options.connectivity:
             raise LostError(f"tracks are lost: {len(tracks)} landmarks are seen twice in the window")
         return tracks

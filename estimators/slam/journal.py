@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,11 +108,11 @@ class Journal:
 
     def seen_by(self, views: Sequence[int]) -> dict[int, list[int]]:
         """List for each track the views among ``views`` that saw it."""
-        seen: dict[int, list[int]] = {}
+        seen: defaultdict[int, list[int]] = defaultdict(list)
         for view in views:
             for track in self._sight(view).rows:
-                seen.setdefault(track, []).append(view)
-        return seen
+                seen[track].append(view)
+        return dict(seen)
 
     def shared(self, first: int, second: int) -> int:
         """Count the landmarks that two views share."""
@@ -151,12 +152,22 @@ class Journal:
         solution = minimise(problem, self.state(views, tracks), rule)
         self.positions_m[view] = solution.state.positions_m[1]
 
-    def triangulate(self, track: int, views: Sequence[int]) -> FloatArray:
+    def triangulate_new(self, tracks: Sequence[int], seen: Mapping[int, Sequence[int]]) -> None:
+        """Give those of ``tracks`` that have no point one; ``seen`` tells the views that saw each."""
+        depths_m: dict[int, float] = {}
+        for track in tracks:
+            if track not in self.points_m:
+                last = seen[track][-1]
+                if last not in depths_m:
+                    depths_m[last] = self.median_depth(last)
+                self.points_m[track] = self.triangulate(track, seen[track], depths_m[last])
+
+    def triangulate(self, track: int, views: Sequence[int], depth_m: float | None = None) -> FloatArray:
         """(3,) where the rays of ``views`` come closest together, or at the median depth if that is out of reason."""
         rays = np.array([self.ray(view, track) for view in views])
         positions = np.array([self.positions_m[view] for view in views])
         across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-        depth = self.median_depth(views[-1])
+        depth = self.median_depth(views[-1]) if depth_m is None else depth_m
         near = positions[-1] + depth * rays[-1]
         matrix = across.sum(axis=0)
         if np.linalg.eigvalsh(matrix)[0] < 1e-12:

@@ -19,6 +19,7 @@ from estimators.slam.residuals import cost
 from estimators.slam.state import Adjustment, State
 
 FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
 
 RANK_TOLERANCE = 1e-11
 
@@ -89,7 +90,7 @@ def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
     """
     kernels = _kernels(problem)
     if kernels is not None:
-        known, matrix, layout = kernels.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
+        known, matrix, _, layout = kernels.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
         if not known or not kernels.factorise(matrix, layout.shape):
             raise LinAlgError("the reduced matrix is not positive definite")
         return np.asarray(kernels.block_of_inverse(matrix, layout.shape, layout.view_slot[view]), dtype=np.float64)
@@ -105,12 +106,32 @@ def _reduced(problem: Adjustment, state: State) -> FloatArray | None:
     """(3n, 3n) reduced matrix; nothing if a landmark is not determined."""
     kernels = _kernels(problem)
     if kernels is not None:
-        known, values, found = kernels.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
+        known, values, _, found = kernels.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
         return np.asarray(kernels.dense(values, found.shape), dtype=np.float64) if known else None
     try:
         return normal_equations(problem, state, Layout.of(problem)).reduced()[0]
     except np.linalg.LinAlgError:
         return None
+
+
+def reduced_system(problem: Adjustment, state: State) -> tuple[FloatArray, FloatArray, IndexArray, IndexArray]:
+    """Reduced matrix (3n, 3n) and right side (3n,) at a state, and the slots of views (V,) and kept landmarks (L,).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If a landmark that is eliminated is not determined.
+    """
+    kernels = _kernels(problem)
+    if kernels is None:
+        layout = Layout.of(problem)
+        matrix, right, _ = normal_equations(problem, state, layout).reduced()
+        return matrix, right, layout.view, layout.kept_point
+    at = floats(state.positions_m), floats(state.points_m)
+    known, values, right, found = kernels.reduced_at(flat(problem), *at)
+    if not known:
+        raise LinAlgError("a landmark is not determined")
+    return kernels.dense(values, found.shape), right, found.view_slot, found.point_slot
 
 
 def _kernels(problem: Adjustment) -> ModuleType | None:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from estimators.slam.normal import Layout, normal_equations
+from estimators.slam.kernels import compiled_kernels, kernel_variant
+from estimators.slam.levenberg import reduced_system
 from estimators.slam.state import Adjustment, Distances, Motions, Prior, Sightings, State
 
 BoolArray = NDArray[np.bool_]
@@ -47,40 +48,40 @@ def marginalised(problem: Adjustment, state: State, view: int, lost: BoolArray) 
         If what goes is not determined.
     """
     part = departing(problem, view, lost)
-    part = replace(part, free_points=part.free_points & (touched(part) | ~lost))
-    information, gradient = _without_lost(part, state, lost)
-    layout = Layout.of(replace(part, prior=None, free_points=part.free_points & ~lost, kept_points=~lost))
-    rows = np.arange(3 * layout.kept)
-    slot = int(layout.view[view])
-    out = (rows // 3 == slot) if slot >= 0 else np.zeros(len(rows), dtype=np.bool_)
-    information, gradient = schur(information, gradient, out)
-    views = np.flatnonzero(problem.free_views & (np.arange(len(problem.free_views)) != view))
-    points = np.flatnonzero(problem.free_points & ~lost)
-    return restricted(Prior(views, points, _values(state, views, points), information, gradient))
-
-
-def _without_lost(part: Adjustment, state: State, lost: BoolArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Information and gradient of all free views and staying landmarks, the lost landmarks eliminated.
-
-    Lost landmarks of the old prior are joined to others and so go by a dense elimination.
-    """
-    layout = Layout.of(part)
-    matrix, right, _ = normal_equations(part, state, layout).reduced()
-    slots = layout.kept_point[lost & (layout.kept_point >= 0)]
+    part = replace(part, free_points=part.free_points & touched(part))
+    matrix, right, view_slots, point_slots = reduced_system(part, state)
+    slots = point_slots[lost & (point_slots >= 0)]  # joined to others by the old prior
+    if view_slots[view] >= 0:
+        slots = np.append(slots, view_slots[view])
     out = np.isin(np.arange(len(matrix)) // 3, slots)
-    return schur(matrix, -right, out)
+    information, gradient = schur(matrix, -right, out)
+    views = np.flatnonzero(problem.free_views & (np.arange(len(problem.free_views)) != view))
+    points = np.flatnonzero(part.free_points & ~lost)
+    return restricted(Prior(views, points, _values(state, views, points), information, gradient))
 
 
 def schur(
     information: NDArray[np.float64], gradient: NDArray[np.float64], out: BoolArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Eliminate the rows marked in ``out``."""
+    """Eliminate the rows marked in ``out``.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If they are not determined.
+    """
     if not out.any():
         return information, gradient
-    cross = information[np.ix_(out, ~out)]
-    solved = cho_solve(cho_factor(information[np.ix_(out, out)]), np.column_stack([cross, gradient[out]]))
-    left = information[np.ix_(~out, ~out)] - cross.T @ solved[:, :-1]
-    return 0.5 * (left + left.T), gradient[~out] - cross.T @ solved[:, -1]
+    if kernel_variant() == "numpy":
+        cross = information[np.ix_(out, ~out)]
+        solved = cho_solve(cho_factor(information[np.ix_(out, out)]), np.column_stack([cross, gradient[out]]))
+        left = information[np.ix_(~out, ~out)] - cross.T @ solved[:, :-1]
+        return 0.5 * (left + left.T), gradient[~out] - cross.T @ solved[:, -1]
+    order, count = np.argsort(~out, kind="stable"), int(np.count_nonzero(out))
+    matrix, right = information[order][:, order], gradient[order]
+    if not compiled_kernels().eliminate(matrix, right, count):
+        raise np.linalg.LinAlgError("what goes is not determined")
+    return matrix[count:, count:].copy(), right[count:].copy()
 
 
 def touched(part: Adjustment) -> BoolArray:

@@ -142,9 +142,7 @@ class WindowSmoother:
             for track, by in seen.items()
             if track not in self.absorbed and (len(by) >= 2 or track in ranged or track in joined)
         )
-        for track in tracks:
-            if track not in self.journal.points_m:
-                self.journal.points_m[track] = self.journal.triangulate(track, seen[track])
+        self.journal.triangulate_new(tracks, seen)
         return tracks
 
     def _problem(self, tracks: list[int]) -> Adjustment:

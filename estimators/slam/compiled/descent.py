@@ -5,13 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled.envelope import Envelope, add_diagonal, block_of_inverse, dense, factorise, solve
+from estimators.slam.compiled.envelope import (
+    Envelope,
+    add_diagonal,
+    block_of_inverse,
+    dense,
+    eliminate,
+    factorise,
+    solve,
+)
 from estimators.slam.compiled.equations import FlatEquations, cost, linearise
 from estimators.slam.compiled.flat import FlatProblem
 from estimators.slam.compiled.jit import kernel
 from estimators.slam.compiled.layout import FlatLayout, make_layout
 
-__all__ = ["block_of_inverse", "dense", "factorise", "minimise", "reduced_at"]
+__all__ = ["block_of_inverse", "dense", "eliminate", "factorise", "minimise", "reduced_at"]
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -86,11 +94,13 @@ def reduced(
 
 
 @kernel
-def reduced_at(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> tuple[bool, FloatArray, FlatLayout]:
-    """Reduced matrix of the problem linearised at a state; the first is False if a landmark is not determined."""
+def reduced_at(
+    problem: FlatProblem, positions: FloatArray, points: FloatArray
+) -> tuple[bool, FloatArray, FloatArray, FlatLayout]:
+    """Reduced matrix and right side at a state; the first is False if a landmark is not determined."""
     layout = make_layout(problem)
-    determined, matrix, _, _ = reduced(linearise(problem, layout, positions, points), layout, 0.0)
-    return determined, matrix, layout
+    determined, matrix, right, _ = reduced(linearise(problem, layout, positions, points), layout, 0.0)
+    return determined, matrix, right, layout
 
 
 @kernel

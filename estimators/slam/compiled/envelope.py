@@ -162,3 +162,26 @@ def dense(values: FloatArray, shape: Envelope) -> FloatArray:
                 matrix[3 * i + row, 3 * i + column] = values[at + column]
                 matrix[3 * i + column, 3 * i + row] = values[at + column]
     return matrix
+
+
+@kernel
+def eliminate(matrix: FloatArray, right: FloatArray, count: int) -> bool:
+    """Leave the Schur complement of the first rows in the others, and in ``right`` (n,).
+
+    False, with rubbish, if their part is not positive definite.
+    """
+    n = len(matrix)
+    for i in range(count):
+        pivot = matrix[i, i]
+        if not pivot > 0.0:
+            return False
+        for j in range(i + 1, n):
+            part = matrix[i, j] / pivot
+            if part != 0.0:
+                right[j] -= part * right[i]
+                for k in range(j, n):
+                    matrix[j, k] -= part * matrix[i, k]
+    for i in range(count, n):
+        for j in range(i):
+            matrix[i, j] = matrix[j, i]
+    return True
