@@ -110,6 +110,11 @@ class SmootherOptions(SolverOptions):
         True, description="Take derivatives by variables of the prior where they were when they entered it"
     )
     motion: bool = Field(True, description="Count predicted motions as measurements")
+    prior_landmarks: int = Field(
+        200,
+        ge=0,
+        description="Landmarks that the prior holds at most; what older frames tell of others joins their views alone",
+    )
 
 
 class BatchOptions(SolverOptions):

@@ -184,6 +184,23 @@ def test_later_range_corrects_the_scale(estimator: type[FixedLagSmoother]) -> No
         assert low <= abs(found / np.linalg.norm(truth.points_m[track] - truth.positions_m[13]) - 1.0) < high
 
 
+def test_small_prior_knows_less_and_says_so() -> None:
+    """As above, with room for four landmarks of about ten: nothing is counted twice."""
+    total = 0.0
+    for trial in range(12):
+        sequence, truth = make_sequence(np.random.default_rng([21, trial]), Recipe(frames=25, landmarks=20))
+        capped = FixedLagSmoother.from_options({"lag": 6, "prior_landmarks": 4}).follow(sequence)
+        whole = FixedLagSmoother.from_options({"lag": 6}).follow(sequence)
+        assert capped.diagnostics["prior_variables"] <= 4 + 6 < whole.diagnostics["prior_variables"]
+        last, covariance = capped.frames[-1], whole.frames[-1].covariance_m2
+        assert last.covariance_m2 is not None
+        assert covariance is not None
+        assert np.trace(last.covariance_m2) > 1.02 * np.trace(covariance)
+        error = last.position_m - truth.positions_m[-1]
+        total += error @ np.linalg.solve(last.covariance_m2, error)
+    assert 11.9 < total < 79.0
+
+
 @pytest.mark.parametrize("estimator", [EkfSlam, FixedLagSmoother, BatchAdjustment])
 def test_error_of_the_first_position_shifts_all(estimator: type[FixedLagSmoother]) -> None:
     """Bearings and ranges tell nothing about where the body's centre is: the error stays, and the covariance adds."""
