@@ -14,6 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from reports.figures.style import GREY, LINE_STYLES, SERIES_COLOURS, FloatArray, styled
 
 _PANELS_A_ROW = 3
+_FEW_DECADES = 300.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +44,7 @@ def draw_curves(panels: Sequence[CurvePanel], ordinate: str, title: str) -> Figu
     places = list(figure.subplots(down, across, squeeze=False, sharey=True).ravel())
     for axes, panel in zip(places, panels, strict=False):
         _draw(axes, panel)
+    _mark(places[0])
     for axes in places[len(panels) :]:
         axes.set_axis_off()
     handles, labels = places[0].get_legend_handles_labels()
@@ -71,12 +73,17 @@ def _draw(axes: Axes, panel: CurvePanel) -> None:
             label=label,
         )
     axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_locator(NullLocator())
     ticks = np.unique(np.concatenate([points.x for points in panel.lines.values()]))
     _scale(axes, ticks)
     axes.set_xlabel(panel.label)
+
+
+def _mark(axes: Axes) -> None:
+    """Mark the shared ordinate with plain numbers: decades, and 2 and 5 of each where there is room."""
+    low, high = axes.get_ylim()
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
 
 
 def _scale(axes: Axes, ticks: FloatArray) -> None:
@@ -87,5 +94,8 @@ def _scale(axes: Axes, ticks: FloatArray) -> None:
             axes.set_xscale("log")
         else:
             axes.set_xscale("symlog", linthresh=float(positive.min()), linscale=0.5)
+    if axes.get_xscale() == "linear":
+        margin = 0.06 * float(np.ptp(ticks))
+        axes.set_xlim(ticks[0] - margin, ticks[-1] + margin)
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_xticks([], minor=True)
