@@ -125,7 +125,7 @@ def benchmark(campaign: ResolvedCampaign, blocks: int, folder: Path, tell: Calla
         raise BoresightError(f"a benchmark needs at least 1 block of trials, not {blocks}")
     trials = (blocks + 1) * experiment_class(campaign.spec.experiment).block_trials
     clock = _Clock(tell)
-    with _one_core(), store_switched(on=False):
+    with one_core(), store_switched(on=False):
         run_campaign(campaign, RunRequest(folder, trials, jobs=1), clock)
     yardstick = float(np.median(clock.yardsticks_s))
     stages = _stages(pd.concat(clock.timings, ignore_index=True), yardstick)
@@ -158,7 +158,7 @@ def _whole(blocks: pd.DataFrame, yardstick: float) -> Iterator[StageTime]:
 
 
 @contextmanager
-def _one_core() -> Iterator[None]:
+def one_core() -> Iterator[None]:
     """Keep this process to one core where the system can, so that times are those of a worker among many."""
     if not hasattr(os, "sched_setaffinity"):
         yield

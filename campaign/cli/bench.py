@@ -5,15 +5,19 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
+from threadpoolctl import threadpool_limits
 
-from campaign.benchmark import WHOLE_TRIAL, Benchmark, StageTime, benchmark
+from campaign.benchmark import WHOLE_TRIAL, Benchmark, StageTime, benchmark, one_core
 from campaign.cli.catalog import add_overrides
 from campaign.cli.terminal import console
 from campaign.resolve import resolve
+from campaign.slam_benchmark import COST_TOLERANCE, cycle_ratios, window_ratios
 from campaign.store.atomic import write_text
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
@@ -21,13 +25,18 @@ from scenarios.errors import BoresightError
 if TYPE_CHECKING:
     from argparse import _SubParsersAction
 
+_SLAM = "slam"
+_CYCLE_FRAMES = 45
 _Ratios = dict[tuple[str, str, str], float]
 
 
 def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command to the parser."""
     bench = commands.add_parser("bench", help="time every stage of a campaign's trials on one core")
-    bench.add_argument("name", help="a campaign from the list, or a YAML file")
+    bench.add_argument(
+        "name",
+        help=f"a campaign from the list, a YAML file, or {_SLAM}: adjustments and smoothers beside other engines",
+    )
     bench.add_argument("--blocks", type=int, default=4, help="blocks of trials of each scenario (default: 4)")
     bench.add_argument("--variant", help="Mitsuba variant (default: the fastest that works)")
     bench.add_argument("--json", type=Path, metavar="FILE", help="write the times as JSON")
@@ -37,6 +46,8 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _bench(arguments: argparse.Namespace) -> int:
+    if arguments.name == _SLAM:
+        return _bench_slam(arguments)
     out = console()
     earlier = {} if arguments.against is None else _read_ratios(arguments.against)
     campaign = resolve(arguments.name, arguments.overrides, variant=choose_variant(arguments.variant).name)
@@ -50,6 +61,34 @@ def _bench(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         write_text(arguments.json, json.dumps(found.plain(), indent=1) + "\n")
     return 0
+
+
+def _bench_slam(arguments: argparse.Namespace) -> int:
+    out = console()
+    with one_core(), threadpool_limits(limits=1):
+        tell = partial(out.print, markup=False)
+        windows = list(window_ratios(arguments.blocks, tell))
+        cycles = list(cycle_ratios(_CYCLE_FRAMES, tell))
+    table = Table("adjustment beside", "landmarks", "views", "ours ms", "x whole", "x its solver", "cost gap", box=None)
+    for row in windows:
+        cells = f"{1e3 * row.ours_s:.3f}", f"{row.whole:.1f}", f"{row.solve_alone:.1f}", f"{row.cost_gap:.1e}"
+        table.add_row(row.peer, str(row.landmarks), str(row.views), *cells)
+    out.print(table)
+    table = Table("cycle of fixed-lag beside gtsam's", "frames", "ours ms", "x", "apart, sigma", box=None)
+    for cycle in cycles:
+        times = f"{1e3 * cycle.ours_s:.2f}", f"{cycle.ratio:.1f}", f"{cycle.apart_sigma:.3f}"
+        table.add_row(f"{cycle.landmarks} landmarks", str(cycle.frames), *times)
+    out.print(table)
+    out.print(
+        f"one core; medians of {arguments.blocks} windows, each the best of three; x is the peer's time over ours"
+    )
+    if arguments.json is not None:
+        plain = {"windows": [asdict(row) for row in windows], "cycles": [asdict(row) for row in cycles]}
+        write_text(arguments.json, json.dumps(plain, indent=1) + "\n")
+    unequal = [row for row in windows if row.cost_gap > COST_TOLERANCE]
+    for row in unequal:
+        out.print(f"{row.peer}, {row.landmarks} landmarks, {row.views} views: the costs differ by {row.cost_gap:.1e}")
+    return 1 if unequal else 0
 
 
 def _table(found: Benchmark, earlier: _Ratios) -> Table:

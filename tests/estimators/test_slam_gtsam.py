@@ -11,10 +11,12 @@ from slam_sequences import Recipe, make_sequence
 from test_slam_kernels import window
 
 from estimators.slam.levenberg import StoppingRule, minimise, view_covariance
+from estimators.slam.peers.adjust import solved_by_ceres, solved_by_gtsam
 from estimators.slam.peers.factors import Factors, graph_of
 from estimators.slam.peers.smoothers import GtsamFixedLag, GtsamIsam2
 from estimators.slam.registry import sequence_estimator_class
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
+from estimators.slam.state import Distances, Motions
 from scenarios.errors import BoresightError
 
 
@@ -51,6 +53,35 @@ def test_minimum_is_that_of_gtsam(seed: int, gtsam) -> None:
     R_body_cam = problem.R_cam_body[4].T
     covariance = view_covariance(problem, ours.state, 4)
     np.testing.assert_allclose(covariance, R_body_cam @ local @ R_body_cam.T, rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 5, 6])
+def test_adjustment_solved_by_peers_ends_at_our_minimum(seed: int) -> None:
+    """Ceres holds attitudes exactly, and shares no projection with us."""
+    pytest.importorskip("pyceres", reason="pyceres is not installed")
+    pytest.importorskip("pycolmap", reason="pycolmap is not installed")
+    pytest.importorskip("gtsam", reason="gtsam is not installed")
+    problem, state = window(seed)
+    fixed = problem.distances.view == 0
+    first = Distances(*(part[fixed] for part in _columns(problem.distances)))
+    problem = replace(
+        problem,
+        free_views=np.arange(5) > 0,
+        free_points=np.ones(len(state.points_m), dtype=bool),
+        distances=first,
+        motions=Motions(),
+        prior=None,
+        kept_points=None,
+        frozen=None,
+    )
+    ours = minimise(problem, state, StoppingRule(1e-8))
+    for found in (solved_by_ceres(problem, state), solved_by_gtsam(problem, state)):
+        assert found.cost == pytest.approx(ours.cost, rel=1e-6)
+        np.testing.assert_allclose(found.state.positions_m, ours.state.positions_m, atol=1e-2)
+
+
+def _columns(distances: Distances) -> tuple[np.ndarray, ...]:
+    return distances.view, distances.point, distances.range_m, distances.sigma_m
 
 
 def test_incremental_smoothers_come_to_what_ours_come_to(gtsam) -> None:

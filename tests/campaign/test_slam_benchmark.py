@@ -1,0 +1,57 @@
+"""The comparison with other engines: equal costs, and a missing engine is named."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from campaign import slam_benchmark
+from campaign.cli.main import main
+from campaign.slam_benchmark import make_window
+from estimators.slam.levenberg import StoppingRule, minimise
+
+
+def test_window_starts_away_from_its_minimum_and_has_one() -> None:
+    problem, start = make_window(10, 4, 1)
+    found = minimise(problem, start, StoppingRule(1e-6))
+    assert found.converged
+    assert found.cost < 1e-2 * minimise(problem, start, StoppingRule(1e-6, 0)).cost
+    freedom = 2 * len(problem.sightings.view) + 1 - 3 * (3 + len(start.points_m))
+    assert 0.2 * freedom < 2.0 * found.cost < 3.0 * freedom
+
+    def off(step: np.ndarray) -> np.ndarray:  # the cost along each landmark is least where it ended
+        moved = type(start)(found.state.positions_m, found.state.points_m + step.reshape(-1, 3))
+        return np.array([np.sqrt(minimise(problem, moved, StoppingRule(1e-6, 0)).cost)])
+
+    np.testing.assert_allclose(least_squares(off, np.zeros(3 * len(start.points_m))).x, 0.0, atol=1e-3)
+
+
+def test_missing_engines_are_named_and_no_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "gtsam", None)
+    monkeypatch.setitem(sys.modules, "pyceres", None)
+    assert main(["bench", "slam", "--blocks", "1"]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "left out: gtsam: cannot be imported" in told
+    assert "left out: pyceres: cannot be imported" in told
+    assert "pip install 'boresight[peers]'" in told
+
+
+def test_costs_are_equal_and_stored(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in ("gtsam", "pyceres", "pycolmap"):
+        pytest.importorskip(name, reason=f"{name} is not installed")
+    monkeypatch.setattr(slam_benchmark, "WINDOWS", ((10, 3), (20, 4)))
+    monkeypatch.setattr(slam_benchmark, "LANDMARKS", (10,))
+    assert main(["bench", "slam", "--blocks", "2", "--json", str(tmp_path / "x.json")]) == 0
+    stored = json.loads((tmp_path / "x.json").read_text())
+    assert {(row["peer"], row["landmarks"]) for row in stored["windows"]} == {
+        (peer, landmarks) for peer in ("gtsam", "pyceres") for landmarks in (10, 20)
+    }
+    assert all(row["cost_gap"] < 1e-6 and row["solve_alone"] < row["whole"] for row in stored["windows"])
+    assert stored["cycles"][0]["apart_sigma"] < 0.2
