@@ -68,7 +68,7 @@ class CycleRatio:
 def window_ratios(windows: int, tell: Callable[[str], None]) -> Iterator[WindowRatio]:
     """Time full adjustments of windows of all sizes; a peer that is not installed is told of and left out."""
     peers = [peer for peer in PEERS if _present(peer, tell)]
-    for landmarks, views in WINDOWS:
+    for landmarks, views in WINDOWS if peers else ():
         cases = [make_window(landmarks, views, trial) for trial in range(windows)]
         ours = [min(_our_time(*case) for _ in range(1 + _BEST_OF)) for case in cases]
         for name, solve in peers:
