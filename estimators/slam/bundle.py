@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.options import parse_options
+from estimators.slam.association import MOST_ROUNDS, Adjusted, Jury
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.following import LostError, follow
 from estimators.slam.gauge import Gauge, estimated_anew, gauge_rows, handed_over, measured_gauge
@@ -58,6 +59,8 @@ class _Window:
         self.propagator = Propagator(sequence, options) if options.motion == "constant-gain" else None
         self.trailing: list[int] = []
         self.gauge: Gauge | None = None
+        self.jury = Jury(self.journal, options.false_alarm) if options.associations == "consensus" else None
+        self.adjusted: Adjusted | None = None
         self.handovers = 0
         self.shifts = 0
         self.iterations = 0
@@ -68,6 +71,7 @@ class _Window:
             "gauge_handovers": float(self.handovers),
             "window_shifts": float(self.shifts),
             "iterations_per_frame": self.iterations / frames,
+            **({} if self.jury is None else {"refused_pixels": float(self.jury.ever)}),
         }
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
@@ -75,6 +79,8 @@ class _Window:
         if self.propagator is not None:
             frame = self.propagator.predict(frame)
         self.journal.frames[number] = frame
+        if self.jury is not None:
+            self.jury.admit(number, frame)
         estimate = self._begin(frame) if number == 0 else self._follow(number)
         if self.propagator is None:
             return estimate
@@ -82,19 +88,32 @@ class _Window:
 
     def _follow(self, number: int) -> FrameEstimate:
         rule = StoppingRule(self.options.tolerance * self.journal.median_depth(number - 1), self.options.iterations)
+        if self.jury is not None:
+            self.jury.hear(number, self.adjusted)
         self.journal.place(number, rule)
         views = self._window(number)
-        seen = self.journal.seen_by(views)
-        self._hold_the_scale(views, seen)
-        tracks = self._map(seen)
-        problem = self._problem(views, tracks)
-        if self.options.steps == "motion-structure-full":
-            self._adjust(replace(problem, free_views=np.zeros_like(problem.free_views)), views, tracks, rule)
-        self._check_rank(problem, self._adjust(problem, views, tracks, rule))
+        self.adjusted = self._adjusted(views, rule)
+        self._check_rank(self.adjusted.problem, self.adjusted.state)
+        tracks = self.adjusted.tracks.tolist()
         if len(self.journal.distances(views[-1:], tracks).view):
             self.gauge = estimated_anew(self.journal, self._gauge(), self.options.gauge_sigma_m)
         points = np.array([self.journal.points_m[track] for track in tracks])
         return FrameEstimate(self.journal.positions_m[number], None, np.array(tracks, dtype=np.int64), points, 0.0)
+
+    def _adjusted(self, views: list[int], rule: StoppingRule) -> Adjusted:
+        """Adjust the window, again as long as what is left of a pixel is too much."""
+        for rounds in range(MOST_ROUNDS):
+            seen = self.journal.seen_by(views)
+            self._hold_the_scale(views, seen)
+            tracks = self._map(seen)
+            problem = self._problem(views, tracks)
+            if self.options.steps == "motion-structure-full":
+                self._adjust(replace(problem, free_views=np.zeros_like(problem.free_views)), views, tracks, rule)
+            state = self._adjust(problem, views, tracks, rule)
+            adjusted = Adjusted(problem, state, tuple(views), np.array(tracks, dtype=np.int64))
+            if self.jury is None or rounds + 1 == MOST_ROUNDS or not self.jury.object(adjusted):
+                break
+        return adjusted
 
     def _begin(self, frame: TrackFrame) -> FrameEstimate:
         """Place the first view, and all landmarks provisionally at the distance of the gauge."""

@@ -36,9 +36,12 @@ def believed(residual_px: FloatArray, covariance_px2: FloatArray, gate: Gate, fa
         return np.ones(n, dtype=np.bool_)
     limit = float(chdtri(2, false_alarm))
     joint = covariance_px2.reshape(n, 2, n, 2).transpose(0, 2, 1, 3)  # (n, n, 2, 2) blocks
-    alone = _squares(residual_px, joint[np.arange(n), np.arange(n)]) <= limit
+    alone = mahalanobis_squares(residual_px, joint[np.arange(n), np.arange(n)]) <= limit
     if gate == "individual" or not alone.any():
         return alone
+    together = np.ones(n, dtype=np.bool_)
+    if _contradictions(residual_px, covariance_px2, together).max() <= limit:
+        return together
     core = _consensus(residual_px, joint, alone, limit)
     return _rescued(residual_px, covariance_px2, _cleared(residual_px, covariance_px2, core, limit), limit)
 
@@ -52,7 +55,7 @@ def _consensus(residual_px: FloatArray, joint: FloatArray, alone: BoolArray, lim
     for one in some.tolist():
         gain = joint[:, one] @ np.linalg.inv(own[one])
         left = np.asarray(residual_px - gain @ residual_px[one], dtype=np.float64)
-        squares = _squares(left, np.asarray(own - gain @ joint[one], dtype=np.float64))
+        squares = mahalanobis_squares(left, np.asarray(own - gain @ joint[one], dtype=np.float64))
         squares[one] = 0.0
         fit = squares <= limit
         key = (int(fit.sum()), -float(squares[fit].sum()))
@@ -62,22 +65,27 @@ def _consensus(residual_px: FloatArray, joint: FloatArray, alone: BoolArray, lim
 
 
 def _cleared(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolArray, limit: float) -> BoolArray:
-    """(n,) the core without those that the rest of it contradicts, the worst first (Baarda's data snooping).
-
-    With L the inverse of their covariance, what the others leave of pixel j is ``L_jj^-1 (L r)_j``, of covariance
-    ``L_jj^-1``.
-    """
+    """(n,) the core without those that the rest of it contradicts, the worst first (Baarda's data snooping)."""
     left = core.copy()
     while np.count_nonzero(left) > 2:
-        inside = np.repeat(left, 2)
-        inverse = np.asarray(np.linalg.inv(covariance_px2[np.ix_(inside, inside)]), dtype=np.float64)
-        pull = (inverse @ residual_px[left].ravel()).reshape(-1, 2)
-        n = np.arange(len(pull))
-        squares = _squares(pull, inverse.reshape(len(n), 2, len(n), 2)[n, :, n])
+        squares = _contradictions(residual_px, covariance_px2, left)
         if squares.max() <= limit:
             break
         left[np.flatnonzero(left)[squares.argmax()]] = False
     return left
+
+
+def _contradictions(residual_px: FloatArray, covariance_px2: FloatArray, among: BoolArray) -> FloatArray:
+    """(k,) squared distance of each of those marked from what all the others of them predict.
+
+    With L the inverse of their covariance, what the others leave of pixel j is ``L_jj^-1 (L r)_j``, of covariance
+    ``L_jj^-1``.
+    """
+    inside = np.repeat(among, 2)
+    inverse = np.asarray(np.linalg.inv(covariance_px2[np.ix_(inside, inside)]), dtype=np.float64)
+    pull = (inverse @ residual_px[among].ravel()).reshape(-1, 2)
+    k = np.arange(len(pull))
+    return mahalanobis_squares(pull, inverse.reshape(len(k), 2, len(k), 2)[k, :, k])
 
 
 def _rescued(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolArray, limit: float) -> BoolArray:
@@ -90,12 +98,13 @@ def _rescued(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolArra
     blocks = covariance.reshape(len(n), 2, len(n), 2)[n, :, n]
     outside = ~core
     rescued = core.copy()
-    rescued[outside] = _squares(left[outside], blocks[outside]) <= limit
+    rescued[outside] = mahalanobis_squares(left[outside], blocks[outside]) <= limit
     return rescued
 
 
-def _squares(residual_px: FloatArray, covariance_px2: FloatArray) -> FloatArray:
-    """(n,) squared Mahalanobis distances of (n, 2) by (n, 2, 2)."""
-    tiny = 1e-12 * np.trace(covariance_px2, axis1=1, axis2=2)[:, None, None] * np.eye(2) + 1e-12 * np.eye(2)
-    solved = np.linalg.solve(covariance_px2 + tiny, residual_px[:, :, None])[:, :, 0]
-    return np.asarray(np.sum(residual_px * solved, axis=1), dtype=np.float64)
+def mahalanobis_squares(residual_px: FloatArray, covariance_px2: FloatArray) -> FloatArray:
+    """(n,) squared Mahalanobis distances of (n, 2) by (n, 2, 2), in closed form."""
+    a, b, c = covariance_px2[:, 0, 0], covariance_px2[:, 0, 1], covariance_px2[:, 1, 1]
+    x, y = residual_px[:, 0], residual_px[:, 1]
+    determinant = np.maximum(a * c - b**2, 1e-18)  # of a pixel taken for right, nothing is left
+    return np.asarray((c * x**2 - 2.0 * b * x * y + a * y**2) / determinant, dtype=np.float64)

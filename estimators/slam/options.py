@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from estimators.slam.gating import Gate
 from scenarios.spec.base import SpecModel
@@ -25,7 +25,20 @@ class SolverOptions(SpecModel):
     )
 
 
-class BundleOptions(SolverOptions):
+class AssociationOptions(SolverOptions):
+    """Of every estimator that adjusts a window: wrong associations."""
+
+    associations: Literal["all", "consensus"] = Field(
+        "all",
+        description="Believe all, or leave out pixels that disagree with the largest set that one of them explains, and"
+        " those that an adjustment leaves too far off",
+    )
+    false_alarm: float = Field(
+        0.001, gt=0, le=0.1, description="Probability that a right pixel is refused when it comes"
+    )
+
+
+class BundleOptions(AssociationOptions):
     """Options of ``ba-slam``."""
 
     views: int = Field(5, ge=2, le=100, description="Views of the window, the leading one included")
@@ -102,9 +115,14 @@ class ConsistentFilterOptions(IteratedFilterOptions):
     )
 
 
-class SmootherOptions(SolverOptions):
+class SmootherOptions(AssociationOptions):
     """Options of ``fixed-lag``."""
 
+    associations: Literal["all", "consensus"] = Field(
+        "consensus",
+        description="Believe all, or leave out pixels that disagree with the largest set that one of them explains, and"
+        " those that an adjustment leaves too far off",
+    )
     lag: int = Field(10, ge=2, le=1000, description="Frames of the window")
     first_estimates: bool = Field(
         True, description="Take derivatives by variables of the prior where they were when they entered it"
@@ -117,7 +135,7 @@ class SmootherOptions(SolverOptions):
     )
 
 
-class BatchOptions(SolverOptions):
+class BatchOptions(AssociationOptions):
     """Options of ``batch``."""
 
     motion: bool = Field(True, description="Count predicted motions as measurements")
@@ -141,12 +159,22 @@ class DynamicOptions(SolverOptions):
 class LoopOptions(SmootherOptions):
     """Options of ``loop-smoother``."""
 
+    associations: Literal["all", "consensus"] = Field(
+        "all", description="Only all: closing a loop gives tracks new names, which refused pixels would not follow"
+    )
+
     closure_frames: int = Field(15, ge=1, le=10000, description="Frames between adjustments of all frames, at least")
     closure_pairs: int = Field(3, ge=1, le=1000, description="Landmarks seen again that must agree")
     closure_tolerance_m: float = Field(
         1e-4, gt=0, description="An adjustment of all frames ends when no step is longer"
     )
     recognition: float = Field(0.999, gt=0, lt=1, description="Probability with which a right recognition passes")
+
+    @model_validator(mode="after")
+    def _believes_all(self) -> Self:
+        if self.associations != "all":
+            raise ValueError("associations: consensus is not for a smoother that closes loops: leave it out")
+        return self
 
 
 class GtsamOptions(SolverOptions):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.options import parse_options
+from estimators.slam.association import MOST_ROUNDS, Adjusted, Jury, without_tracks
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.following import LostError, check_scale, follow, lookup
 from estimators.slam.journal import Journal
@@ -28,7 +29,7 @@ class FixedLagSmoother:
     """Adjusts the last frames; older ones and lost landmarks are marginalised: nothing measured is forgotten."""
 
     name: ClassVar[str] = "fixed-lag"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
     def __init__(self, options: SmootherOptions) -> None:
         self.options = options
@@ -78,35 +79,56 @@ class WindowSmoother:
         self.absorbed: set[int] = set()
         self.first_positions_m: dict[int, FloatArray] = {}
         self.first_points_m: dict[int, FloatArray] = {}
+        self.jury = Jury(self.journal, options.false_alarm) if options.associations == "consensus" else None
+        self.adjusted: Adjusted | None = None
         self.iterations = 0
         self.widest_prior = 0
 
     def diagnostics(self) -> dict[str, float]:
         """Return the steps of a minimisation, and how many variables the prior had at most."""
         frames = max(len(self.journal.positions_m) - 1, 1)
-        return {"iterations_per_frame": self.iterations / frames, "prior_variables": float(self.widest_prior)}
+        refused = {} if self.jury is None else {"refused_pixels": float(self.jury.ever)}
+        return {
+            "iterations_per_frame": self.iterations / frames,
+            "prior_variables": float(self.widest_prior),
+            **refused,
+        }
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         """Take the next frame in, and drop the oldest one where the window is full. Raises LostError."""
         number = len(self.journal.positions_m)
         self.journal.frames[number] = frame
+        if self.jury is not None:
+            self.jury.admit(number, frame)
         self.views.append(number)
         if number == 0:
             return self._begin(frame)
         rule = StoppingRule(self.options.tolerance * self.journal.median_depth(number - 1), self.options.iterations)
         self._check_connected(number)
+        if self.jury is not None:
+            self.jury.hear(number, self.adjusted)
         self.journal.place(number, rule)
-        tracks = self._map()
-        problem = self._problem(tracks)
-        solution = minimise(problem, self.journal.state(self.views, tracks), rule)
-        self.iterations += solution.iterations
-        if not np.isfinite(solution.cost):
-            raise LostError("a landmark is behind a camera that sees it")
-        self.journal.keep(solution.state, self.views, tracks)
-        estimate = self._estimate(problem, solution.state, tracks)
+        self.adjusted = self._adjust(rule)
+        problem, state, tracks = self.adjusted.problem, self.adjusted.state, self.adjusted.tracks.tolist()
+        estimate = self._estimate(problem, state, tracks)
         if len(self.views) > self.options.lag:
-            self._marginalise(problem, solution.state, tracks)
+            self._marginalise(problem, state, tracks)
         return estimate
+
+    def _adjust(self, rule: StoppingRule) -> Adjusted:
+        """Adjust the window, again as long as what is left of a pixel is too much."""
+        for rounds in range(MOST_ROUNDS):
+            tracks = self._map()
+            problem = self._problem(tracks)
+            solution = minimise(problem, self.journal.state(self.views, tracks), rule)
+            self.iterations += solution.iterations
+            if not np.isfinite(solution.cost):
+                raise LostError("a landmark is behind a camera that sees it")
+            self.journal.keep(solution.state, self.views, tracks)
+            adjusted = Adjusted(problem, solution.state, tuple(self.views), np.array(tracks, dtype=np.int64))
+            if self.jury is None or rounds + 1 == MOST_ROUNDS or not self.jury.object(adjusted):
+                break
+        return adjusted
 
     def _begin(self, frame: TrackFrame) -> FrameEstimate:
         """Place the first view, and all landmarks provisionally at the distance that was measured."""
@@ -127,7 +149,7 @@ class WindowSmoother:
         return bool(np.any(self.first_covariance_m2))
 
     def _check_connected(self, number: int) -> None:
-        shared = self.journal.shared(number - 1, number)
+        shared = (self.journal if self.jury is None else self.jury).shared(number - 1, number)
         if shared < self.options.connectivity:
             raise LostError(
                 f"tracks are lost: {shared} landmarks are shared with the frame before,"
@@ -139,11 +161,10 @@ class WindowSmoother:
         seen = self.journal.seen_by(self.views)
         ranged = {item.track for view in self.views for item in self.journal.frames[view].ranges}
         joined = set() if self.prior is None else set(self.prior.points.tolist())
-        tracks = sorted(
-            track
-            for track, by in seen.items()
-            if track not in self.absorbed and (len(by) >= 2 or track in ranged or track in joined)
-        )
+        determined = {
+            track for track, by in seen.items() if track not in self.absorbed and (len(by) >= 2 or track in ranged)
+        }
+        tracks = sorted(determined | joined)  # also those of the prior whose pixels are all refused
         self.journal.triangulate_new(tracks, seen)
         return tracks
 
@@ -192,7 +213,8 @@ class WindowSmoother:
         oldest = np.isin(number, self.journal.frames[self.views[0]].tracks)
         if problem.prior is not None:
             oldest[problem.prior.points] = True
-        lost = oldest & ~np.isin(number, self.journal.frames[self.views[-1]].tracks)
+        newest = self.journal.frames if self.jury is None else self.jury.complete
+        lost = oldest & ~np.isin(number, newest[self.views[-1]].tracks)
         begun_anew = self._beyond_the_cap(number, oldest & ~lost)
         try:
             local = marginalised(problem, state, 0, lost | begun_anew)
@@ -206,6 +228,8 @@ class WindowSmoother:
             self.first_points_m.setdefault(track, point)
         self.absorbed |= set(number[lost].tolist())
         del self.journal.frames[self.views[0]]
+        if self.jury is not None:
+            self.jury.forget(self.views[0])
         self.views = self.views[1:]
         self._begin_anew(number[begun_anew])
 
@@ -228,11 +252,8 @@ class WindowSmoother:
         """Forget what the window saw of ``tracks``: the prior knows it."""
         gone = set(tracks.tolist())
         for view in self.views if gone else ():
-            frame = self.journal.frames[view]
-            rest = ~np.isin(frame.tracks, tracks)
-            ranges = tuple(item for item in frame.ranges if item.track not in gone)
-            self.journal.frames[view] = replace(
-                frame, tracks=frame.tracks[rest], uv_px=frame.uv_px[rest], ranges=ranges
-            )
+            self.journal.frames[view] = without_tracks(self.journal.frames[view], gone)
+            if self.jury is not None:
+                self.jury.leave_out(view, gone)
         for track in gone:
             self.first_points_m.pop(track, None)

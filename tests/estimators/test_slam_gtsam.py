@@ -89,7 +89,10 @@ def test_incremental_smoothers_come_to_what_ours_come_to(gtsam) -> None:
     sequence, _ = make_sequence(np.random.default_rng(4), Recipe(frames=20, landmarks=20))
     pairs = [
         (GtsamIsam2.from_options({"rounds": 5, "relinearize_m": 1e-3}), BatchAdjustment.from_options({})),
-        (GtsamFixedLag.from_options({"rounds": 5, "relinearize_m": 1e-3}), FixedLagSmoother.from_options({})),
+        (
+            GtsamFixedLag.from_options({"rounds": 5, "relinearize_m": 1e-3}),
+            FixedLagSmoother.from_options({"associations": "all"}),
+        ),
     ]
     for theirs, ours in pairs:
         one, other = theirs.follow(sequence), ours.follow(sequence)

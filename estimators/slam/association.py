@@ -1,0 +1,207 @@
+"""Wrong associations in a window of views: which pixels are refused, and which may come back.
+
+A pixel is judged twice. When its frame comes, by what the landmarks and the predicted motion lead to expect, before it
+can pull at anything. And after each adjustment, as long as its view is in the window, by what is left of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from estimators.slam.expected import Common, Expected, guessed_landmarks, mapped_landmarks
+from estimators.slam.following import lookup
+from estimators.slam.hearing import fitting
+from estimators.slam.journal import Journal
+from estimators.slam.residuals import bearing_residuals
+from estimators.slam.state import Adjustment, State
+from scenarios.tracks import TrackFrame
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+MOST_ROUNDS = 5
+"""Adjustments of a frame at most, each without what the one before found wrong."""
+
+_MOST_VARIABLES = 1500
+_LOOK_BACK = 5
+_MOST_IN_A_ROW = 2
+_BACK = 0.5
+"""Share of the limit below which a refused pixel comes back."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjusted:
+    """An adjustment at its minimum: problem, state, its views by number, and its landmarks (n,) by track, ascending."""
+
+    problem: Adjustment
+    state: State
+    views: tuple[int, ...]
+    tracks: IndexArray
+
+
+class Jury:
+    """Keeps the frames of a journal free of pixels that do not fit.
+
+    ``complete`` are the frames as they came; those of the journal lack what is refused.
+    """
+
+    def __init__(self, journal: Journal, false_alarm: float) -> None:
+        self.journal = journal
+        self.false_alarm = false_alarm
+        self.limit = float(chdtri(2, false_alarm))
+        self.complete: dict[int, TrackFrame] = {}
+        self.refused: dict[int, set[int]] = {}
+        self.in_a_row: dict[int, list[int]] = {}
+        self.ever = 0
+
+    def admit(self, view: int, frame: TrackFrame) -> None:
+        """Take in a frame as it is."""
+        self.complete[view] = self.journal.frames[view] = frame
+
+    def shared(self, first: int, second: int) -> int:
+        """Count the landmarks that two frames share as they came."""
+        return len(np.intersect1d(self.complete[first].tracks, self.complete[second].tracks, assume_unique=True))
+
+    def forget(self, view: int) -> None:
+        """Forget a view that left the window, and what was refused of it."""
+        self.complete.pop(view, None)
+        self.refused.pop(view, None)
+
+    def leave_out(self, view: int, tracks: set[int]) -> None:
+        """Forget what a view saw of some tracks."""
+        self.complete[view] = without_tracks(self.complete[view], tracks)
+        self.refused[view] = self.refused.get(view, set()) - tracks
+
+    def hear(self, view: int, before: Adjusted | None) -> None:
+        """Judge a new frame by the adjustment before it and the predicted motion.
+
+        Where most of it disagrees, nothing is known well enough to judge by, and all is believed.
+        """
+        frame = self.complete[view]
+        if before is not None and 3 * (len(before.views) + len(before.tracks)) > _MOST_VARIABLES:
+            return
+        seen = self._expected(view, before)
+        fit = fitting(self.journal.camera, frame, seen, self.false_alarm, self.limit)
+        if 2 * np.count_nonzero(fit) > len(fit):
+            self._refuse(view, frame.tracks[seen.rows[~fit]].tolist())
+            self._restart(view, frame.tracks[seen.rows[~fit]].tolist(), _prior_tracks(before))
+
+    def object(self, adjusted: Adjusted) -> bool:
+        """Refuse pixels that an adjustment leaves too far off; True if it has to be done again.
+
+        Of each landmark only the worst goes at a time, and only if it is among the worst of all: one wrong pixel pulls
+        the others along. Refused ones that fit again come back with the next frame.
+        """
+        seen = adjusted.problem.sightings
+        squares = np.sum(bearing_residuals(adjusted.problem, adjusted.state) ** 2, axis=1)
+        for view, point in zip(adjusted.problem.distances.view, adjusted.problem.distances.point, strict=True):
+            squares[(seen.view == view) & (seen.point == point)] = 0.0  # without it the range would be lost
+        self._let_back(adjusted)
+        if squares.max(initial=0.0) <= self.limit:
+            return False
+        worst = np.zeros(len(adjusted.tracks))
+        np.maximum.at(worst, seen.point, squares)
+        out = (squares > self.limit) & (squares >= worst[seen.point]) & (squares >= 0.25 * squares.max())
+        for slot, point in zip(seen.view[out].tolist(), seen.point[out].tolist(), strict=True):
+            track = int(adjusted.tracks[point])
+            self._refuse(adjusted.views[slot], [track])
+            if not _in_prior(adjusted.problem, point):
+                self.journal.points_m.pop(track, None)
+        return True
+
+    def _restart(self, view: int, refused: Sequence[int], settled: set[int]) -> None:
+        """Begin those anew that are refused time and again: it may be their older pixels that were wrong.
+
+        Not those that the prior knows or that have a range.
+        """
+        self.in_a_row = {track: [*self.in_a_row.get(track, []), view] for track in refused}
+        ranged = {item.track for frame in self.complete.values() for item in frame.ranges}
+        for track, run in list(self.in_a_row.items()):
+            if len(run) < _MOST_IN_A_ROW or track in settled or track in ranged:
+                continue
+            for other, frame in self.complete.items():
+                if other in run:
+                    self._set(other, self.refused.get(other, set()) - {track})
+                elif np.any(frame.tracks == track):
+                    self._refuse(other, [track])
+            self.journal.points_m.pop(track, None)
+            del self.in_a_row[track]
+
+    def _expected(self, view: int, before: Adjusted | None) -> Expected:
+        """Gather the landmarks of the map that a frame sees, and those seen once before."""
+        frame = self.complete[view]
+        row = np.full(len(frame.tracks), -1, dtype=np.int64)
+        motion = frame.motion_covariance_m2
+        last = self._last_seen(view)
+        if before is None:
+            common = Common.of(None, (), motion)
+        else:
+            common = Common.of((before.problem, before.state), before.views, motion)
+            row = lookup(before.tracks.tolist(), frame.tracks)
+        once = [r for r in np.flatnonzero(row < 0).tolist() if int(frame.tracks[r]) in last]
+        sights = [(last[int(frame.tracks[r])], int(frame.tracks[r])) for r in once]
+        depth = self.journal.median_depth(view - 1)
+        guessed = guessed_landmarks(common, self.journal, (np.array(once, dtype=np.int64), sights), depth, view)
+        if before is None:
+            return guessed
+        places = (np.flatnonzero(row >= 0), row[row >= 0])
+        at = self.journal.positions_m[view - 1] + frame.motion_m
+        return mapped_landmarks(common, before.state, places, view, at).joined(guessed)
+
+    def _last_seen(self, view: int) -> dict[int, int]:
+        """Tell for each track that one of the views before saw, as far as believed, the last such view."""
+        last: dict[int, int] = {}
+        for other in range(view - _LOOK_BACK, view):
+            if other in self.complete:
+                last.update(dict.fromkeys(self.journal.frames[other].tracks.tolist(), other))
+        return last
+
+    def _refuse(self, view: int, tracks: Sequence[int]) -> None:
+        if not tracks:
+            return
+        self.ever += len(tracks)
+        self._set(view, self.refused.get(view, set()) | set(tracks))
+
+    def _set(self, view: int, refused: set[int]) -> None:
+        self.refused[view] = refused
+        self.journal.frames[view] = without_tracks(self.complete[view], refused)
+
+    def _let_back(self, adjusted: Adjusted) -> None:
+        """Give pixels back that fit a landmark which does without them."""
+        rows = {track: row for row, track in enumerate(adjusted.tracks.tolist())} if any(self.refused.values()) else {}
+        for slot, view in enumerate(adjusted.views):
+            refused = self.refused.get(view, set())
+            again = {t for t in refused if t in rows and self._fits(view, t, adjusted, (slot, rows[t]))}
+            if again:
+                self._set(view, refused - again)
+
+    def _fits(self, view: int, track: int, adjusted: Adjusted, place: tuple[int, int]) -> bool:
+        frame, (slot, row) = self.complete[view], place
+        line = adjusted.state.points_m[row] - adjusted.state.positions_m[slot]
+        uv = frame.uv_px[np.flatnonzero(frame.tracks == track)[0]]
+        off = (uv - self.journal.camera.project(frame.R_cam_body @ line)) / frame.sigma_px
+        return bool(off @ off < _BACK * self.limit)
+
+
+def without_tracks(frame: TrackFrame, tracks: set[int]) -> TrackFrame:
+    """Return a frame that does not see some tracks, nor their ranges."""
+    kept = ~np.isin(frame.tracks, np.array(sorted(tracks), dtype=np.int64))
+    ranges = tuple(item for item in frame.ranges if item.track not in tracks)
+    return replace(frame, tracks=frame.tracks[kept], uv_px=frame.uv_px[kept], ranges=ranges)
+
+
+def _in_prior(problem: Adjustment, point: int) -> bool:
+    return problem.prior is not None and bool(np.any(problem.prior.points == point))
+
+
+def _prior_tracks(adjusted: Adjusted | None) -> set[int]:
+    """Tracks of the landmarks that the prior of an adjustment knows."""
+    if adjusted is None or adjusted.problem.prior is None:
+        return set()
+    return set(adjusted.tracks[adjusted.problem.prior.points].tolist())
