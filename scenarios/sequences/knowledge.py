@@ -125,7 +125,8 @@ def predicted_moves(
     """Predict the displacement before each frame, (3,) in body axes, and the covariance of its error, (3, 3).
 
     The error has a random direction and the length lambda |displacement| in inertial space: lambda^2 |d|^2 / 3 on each
-    axis. To it comes how the body turns below the camera, by its ``known`` attitude, (F, 3, 3).
+    axis. To it comes how the body turns below the camera, by its ``known`` attitude, (F, 3, 3): at the camera's true
+    place, for which a navigator would put its own, which differs by the angle of a step times its own error.
     """
     moves = [(np.zeros(3), np.zeros((3, 3)))]
     frames = zip(path.positions_m, known, strict=True)
