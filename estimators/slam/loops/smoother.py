@@ -56,6 +56,7 @@ class _Closing(WindowSmoother):
         super().__init__(sequence, options)
         self.loops = options
         self.history = History(sequence, motion=options.motion)
+        self.came: dict[int, TrackFrame] = {}
         self.pending: set[tuple[int, int]] = set()
         self.closed_at = 0
         self.closures = self.united = self.refused = 0
@@ -66,6 +67,7 @@ class _Closing(WindowSmoother):
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         number = len(self.journal.positions_m)
+        self.came[number] = frame
         estimate = super().advance(frame)
         self.pending |= {(int(new), int(old)) for new, old in frame.again}
         if number - self.closed_at < self.loops.closure_frames or len(self.pending) < self.loops.closure_pairs:
@@ -82,7 +84,7 @@ class _Closing(WindowSmoother):
 
     def _marginalise(self, problem: Adjustment, state: State, tracks: Sequence[int]) -> None:
         """Let the oldest view go into the history, too."""
-        self.history.add(self.views[0], self.journal.frames[self.views[0]])
+        self.history.add(self.views[0], self.came.pop(self.views[0]))
         super()._marginalise(problem, state, tracks)
 
     def _is_determined(self, *tracks: int) -> bool:
@@ -106,7 +108,7 @@ class _Closing(WindowSmoother):
         """Give the history the frames of the window and the present estimates; united landmarks keep theirs."""
         known = self.history
         for view in self.views:
-            known.add(view, self.journal.frames[view])
+            known.add(view, self.came[view])
         known.journal.positions_m.update({view: self.journal.positions_m[view] for view in known.journal.frames})
         for track, point in self.journal.points_m.items():
             if track in known.seen and track not in known.members:
@@ -146,7 +148,8 @@ class _Closing(WindowSmoother):
     def _re_anchor(self, problem: Adjustment, state: State, tracks: list[int]) -> None:
         """Let what all frames outside the window tell take the place of the window's prior.
 
-        The window knows a landmark by one track. What it saw of it under another track goes over into the prior.
+        The window knows a landmark by one track. What it saw of it under another track, or has
+        left to its prior, goes over into the new one.
         """
         known, views = self.history, np.array(sorted(self.history.journal.frames))
         alive = known.named[self.views[-1]]
@@ -172,10 +175,14 @@ class _Closing(WindowSmoother):
         self.first_points_m = dict(zip(self.prior.points.tolist(), state.points_m[prior.points], strict=True))
 
     def _under(self, numbers: IndexArray, views: IndexArray, points: IndexArray, tracks: list[int]) -> BoolArray:
-        """(k,): whether a view saw a landmark under the number by which the window knows it."""
+        """(k,): whether a view of the window has a landmark under the number by which the window knows it."""
+        held = {view: set(self.journal.frames[view].tracks.tolist()) for view in self.views}
         named = self.history.named
         rows = zip(numbers.tolist(), views.tolist(), points.tolist(), strict=True)
-        return np.array([named[view][tracks[point]] == number for number, view, point in rows], dtype=np.bool_)
+        return np.array(
+            [named[view][tracks[point]] == number and number in held.get(view, ()) for number, view, point in rows],
+            dtype=np.bool_,
+        )
 
     def _front_number(self, landmark: int, alive: Mapping[int, int]) -> int:
         """Return the number by which the window knows a landmark: that of the track in view, if there is one."""
