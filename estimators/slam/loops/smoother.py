@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.options import parse_options
+from estimators.slam.association import without_tracks
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.following import LostError, follow
 from estimators.slam.levenberg import StoppingRule, minimise
@@ -84,7 +85,8 @@ class _Closing(WindowSmoother):
 
     def _marginalise(self, problem: Adjustment, state: State, tracks: Sequence[int]) -> None:
         """Let the oldest view go into the history, too."""
-        self.history.add(self.views[0], self.came.pop(self.views[0]))
+        self.history.add(self.views[0], self._believed(self.views[0]))
+        del self.came[self.views[0]]
         super()._marginalise(problem, state, tracks)
 
     def _is_determined(self, *tracks: int) -> bool:
@@ -108,7 +110,7 @@ class _Closing(WindowSmoother):
         """Give the history the frames of the window and the present estimates; united landmarks keep theirs."""
         known = self.history
         for view in self.views:
-            known.add(view, self.came[view])
+            known.add(view, self._believed(view))
         known.journal.positions_m.update({view: self.journal.positions_m[view] for view in known.journal.frames})
         for track, point in self.journal.points_m.items():
             if track in known.seen and track not in known.members:
@@ -152,7 +154,7 @@ class _Closing(WindowSmoother):
         left to its prior, goes over into the new one.
         """
         known, views = self.history, np.array(sorted(self.history.journal.frames))
-        alive = known.named[self.views[-1]]
+        alive = {known.of(track): track for track in self.came[self.views[-1]].tracks.tolist()}
         numbers = np.array([self._front_number(track, alive) for track in tracks], dtype=np.int64)
         inside = np.isin(views, self.views)
         outer = np.array([min(known.seen[track]) < self.views[0] for track in tracks])
@@ -192,9 +194,11 @@ class _Closing(WindowSmoother):
 
     def _smoothed(self) -> FrameEstimate:
         """Adjust the window once more."""
-        tracks = self._map()
-        problem = self._problem(tracks)
         rule = StoppingRule(self.loops.closure_tolerance_m, self.options.iterations)
-        solution = minimise(problem, self.journal.state(self.views, tracks), rule)
-        self.journal.keep(solution.state, self.views, tracks)
-        return self._estimate(problem, solution.state, tracks)
+        self.adjusted = self._adjust(rule)
+        return self._estimate(self.adjusted.problem, self.adjusted.state, self.adjusted.tracks.tolist())
+
+    def _believed(self, view: int) -> TrackFrame:
+        """Return a frame of the window as it came, without the pixels that are refused."""
+        refused = set() if self.jury is None else self.jury.refused.get(view, set())
+        return without_tracks(self.came[view], refused)
