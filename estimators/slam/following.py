@@ -80,12 +80,18 @@ def follow(sequence: TrackSequence, follower: Follower) -> SequenceEstimate:
 def check_scale(covariance_m2: FloatArray, points_m: FloatArray, position_m: FloatArray, limit: float) -> None:
     """Raise LostError where the position is uncertain by more than ``limit`` of the distance to the landmarks."""
     sigma = float(np.sqrt(max(np.linalg.eigvalsh(covariance_m2)[-1], 0.0)))
-    distance = float(np.median(np.linalg.norm(points_m - position_m, axis=1)))
+    distance = median_distance(points_m, position_m)
     if sigma > limit * distance:
         raise LostError(
             f"the scale is no longer observable: the position is uncertain by {sigma:.3g} m"
             f" at {distance:.3g} m from the landmarks"
         )
+
+
+def median_distance(points_m: FloatArray, position_m: FloatArray) -> float:
+    """Return the median distance (m) of points (n, 3) from a position."""
+    squares = np.sort(((points_m - position_m) ** 2).sum(axis=1))
+    return float(np.sqrt(squares[(len(squares) - 1) // 2 : len(squares) // 2 + 1]).mean())
 
 
 def lookup(keys: Sequence[int], wanted: IndexArray) -> IndexArray:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.following import LostError, lookup
+from estimators.slam.following import LostError, lookup, median_distance
 from estimators.slam.levenberg import StoppingRule, minimise
 from estimators.slam.state import Adjustment, Distances, Motions, Sightings, State
 from scenarios.geometry import Camera
@@ -17,6 +17,7 @@ from scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +44,7 @@ class Journal:
         self.points_m: dict[int, FloatArray] = {}
         self.guessed: set[int] = set()
         self._sights: dict[int, _Sights] = {}
+        self._information: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     def sightings(self, views: Sequence[int], tracks: Sequence[int]) -> Sightings:
         """Gather where ``views`` saw ``tracks`` (sorted), numbered by their places in the two."""
@@ -82,7 +84,7 @@ class Journal:
             start=np.array([slots[view - 1] for view in ends], dtype=np.int64),
             end=np.array([slots[view] for view in ends], dtype=np.int64),
             displacement_m=np.array([self.frames[view].motion_m for view in ends]),
-            information=np.linalg.inv(np.array([self.frames[view].motion_covariance_m2 for view in ends])),
+            information=np.array([self._motion_information(view) for view in ends]),
         )
 
     def state(self, views: Sequence[int], tracks: Sequence[int]) -> State:
@@ -114,6 +116,11 @@ class Journal:
                 seen[track].append(view)
         return dict(seen)
 
+    def in_view(self, view: int, tracks: Sequence[int]) -> BoolArray:
+        """(n,) which of ``tracks`` a view sees."""
+        rows = self._sight(view).rows
+        return np.array([track in rows for track in tracks], dtype=np.bool_)
+
     def shared(self, first: int, second: int) -> int:
         """Count the landmarks that two views share."""
         return len(self._sight(first).rows.keys() & self._sight(second).rows.keys())
@@ -128,8 +135,7 @@ class Journal:
         frame = self.frames[view]
         known = [self.points_m[track] for track in self._sight(view).rows if track in self.points_m]
         if known:
-            squares = np.sort(((np.array(known) - self.positions_m[view]) ** 2).sum(axis=1))
-            return float(np.sqrt(squares[(len(squares) - 1) // 2 : len(squares) // 2 + 1]).mean())
+            return median_distance(np.array(known), self.positions_m[view])
         if frame.ranges:
             return float(np.median([item.range_m for item in frame.ranges]))
         raise LostError("no landmark of known distance is in view: the scale is unobservable")
@@ -176,6 +182,14 @@ class Journal:
         depths = np.einsum("ki,ki->k", point - positions, rays)
         good = np.all((depths > 0.3 * depth) & (depths < 3.0 * depth))
         return np.asarray(point if good else near, dtype=np.float64)
+
+    def _motion_information(self, view: int) -> FloatArray:
+        """(3, 3) inverse covariance of the predicted motion to a view, worked out once."""
+        covariance = self.frames[view].motion_covariance_m2
+        kept = self._information.get(view)
+        if kept is None or kept[0] is not covariance:
+            kept = self._information[view] = covariance, np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+        return kept[1]
 
     def _sight(self, view: int) -> _Sights:
         kept = self._sights.get(view)

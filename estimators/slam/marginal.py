@@ -53,7 +53,8 @@ def marginalised(problem: Adjustment, state: State, view: int, lost: BoolArray) 
     slots = point_slots[lost & (point_slots >= 0)]  # joined to others by the old prior
     if view_slots[view] >= 0:
         slots = np.append(slots, view_slots[view])
-    out = np.isin(np.arange(len(matrix)) // 3, slots)
+    out = np.zeros(len(matrix), dtype=np.bool_)
+    out.reshape(-1, 3)[slots] = True
     information, gradient = schur(matrix, -right, out)
     views = np.flatnonzero(problem.free_views & (np.arange(len(problem.free_views)) != view))
     points = np.flatnonzero(part.free_points & ~lost)

@@ -210,7 +210,7 @@ class WindowSmoother:
     def _marginalise(self, problem: Adjustment, state: State, tracks: Sequence[int]) -> None:
         """Drop the oldest view, and the landmarks that it saw and that are lost; keep what they tell."""
         number = np.array(tracks, dtype=np.int64)
-        oldest = np.isin(number, self.journal.frames[self.views[0]].tracks)
+        oldest = self.journal.in_view(self.views[0], tracks)
         if problem.prior is not None:
             oldest[problem.prior.points] = True
         newest = self.journal.frames if self.jury is None else self.jury.complete
