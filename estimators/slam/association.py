@@ -29,6 +29,8 @@ MOST_ROUNDS = 5
 """Adjustments of a frame at most, each without what the one before found wrong."""
 
 _MOST_VARIABLES = 1500
+"""Of an adjustment whose joint covariance is worked out; beyond, pixels are judged after it alone."""
+
 _LOOK_BACK = 5
 _MOST_IN_A_ROW = 2
 _BACK = 0.5
@@ -81,13 +83,17 @@ class Jury:
     def hear(self, view: int, before: Adjusted | None) -> None:
         """Judge a new frame by the adjustment before it and the predicted motion.
 
-        Where most of it disagrees, nothing is known well enough to judge by, and all is believed.
+        Where most of it disagrees, or the adjustment has no covariance, nothing is known well enough to judge by, and
+        all is believed.
         """
         frame = self.complete[view]
         if before is not None and 3 * (len(before.views) + len(before.tracks)) > _MOST_VARIABLES:
             return
-        seen = self._expected(view, before)
-        fit = fitting(self.journal.camera, frame, seen, self.false_alarm, self.limit)
+        try:
+            seen = self._expected(view, before)
+            fit = fitting(self.journal.camera, frame, seen, self.false_alarm, self.limit)
+        except np.linalg.LinAlgError:
+            return
         if 2 * np.count_nonzero(fit) > len(fit):
             self._refuse(view, frame.tracks[seen.rows[~fit]].tolist())
             self._restart(view, frame.tracks[seen.rows[~fit]].tolist(), _prior_tracks(before))
