@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,6 +99,38 @@ class TrackFrame:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Where an estimator expects its landmarks in the next image.
+
+    Parameters
+    ----------
+    tracks, uv_px
+        (n,), ascending, and (n, 2).
+    covariance_px2
+        (2 n, 2 n) joint covariance of those pixels, without the noise of a sighting: landmarks share the error of the
+        camera's position.
+    """
+
+    tracks: IndexArray
+    uv_px: FloatArray
+    covariance_px2: FloatArray
+
+
+Predict = Callable[[TrackFrame], Prediction | None]
+
+
+class Eye(Protocol):
+    """A vision layer that looks where an estimator expects its landmarks."""
+
+    def frames(self, predict: Predict) -> Iterator[TrackFrame]:
+        """Yield the frames in the order of time.
+
+        Before each one ``predict`` is asked where tracks will be, with a frame that has no tracks yet.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class TrackSequence:
     """Frames in the order of time, and what is known of the first camera position.
 
@@ -111,6 +145,9 @@ class TrackSequence:
         it is known perfectly.
     forces
         What is known of the forces on the camera; None where nothing is.
+    eye
+        Makes the frames while an estimator follows them; those of ``frames`` have no tracks then. None where all are
+        there beforehand.
     """
 
     camera: Camera
@@ -118,3 +155,4 @@ class TrackSequence:
     position_m: FloatArray
     position_covariance_m2: FloatArray
     forces: Forces | None = None
+    eye: Eye | None = None

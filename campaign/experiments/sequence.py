@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from campaign.experiments.registry import Bench, Record, Records
-from campaign.image_tracks import ImageTracks, Seen
+from campaign.image_tracks import ImageTracks, Seen, Watch
 from campaign.orbit_images import OrbitImages
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
@@ -33,6 +33,7 @@ from scenarios.sequences import (
     Ground,
     MeshGround,
     OrbitEndsError,
+    Path,
     SequenceTruth,
     SphereGround,
     draw_sequence,
@@ -129,8 +130,10 @@ class SequenceTrials:
             return {label: {"rows": [row]} for label in self.estimators}
         found = {}
         for label, estimator in self.estimators.items():
-            found[label] = _judged(estimator, seen.sequence, seen.truth)
-            for table, added in _vision(seen).items():
+            guided = self.images is not None and self.images.guided
+            watch = self.images.watch(self.seed, trial) if self.images is not None and guided else None
+            found[label] = _judged(estimator, seen if watch is None else watch)
+            for table, added in _vision(seen if watch is None else watch.seen()).items():
                 found[label].setdefault(table, []).extend(added)
         return found
 
@@ -146,13 +149,14 @@ def _vision(seen: Seen) -> Records:
     return {"vision": list(seen.vision), "timings": timings}
 
 
-def _judged(estimator: SequenceEstimator, sequence: TrackSequence, truth: SequenceTruth) -> Records:
+def _judged(estimator: SequenceEstimator, view: Seen | Watch) -> Records:
     """Let an estimator follow and score what it returns: records without their key, whatever goes wrong."""
-    circumstances = _circumstances(truth)
+    circumstances = _circumstances(view.path)
     try:
-        estimate = estimator.follow(sequence)
-        check_sequence(estimate, sequence)
-        return _scored(estimate, sequence, truth, circumstances)
+        estimate = estimator.follow(view.sequence)
+        seen = view if isinstance(view, Seen) else view.seen()
+        check_sequence(estimate, seen.sequence)
+        return _scored(estimate, seen.sequence, seen.truth, circumstances)
     except Exception:  # noqa: BLE001  an estimator's fault is a result, recorded with its trace
         reason = "the estimator raised or returned rubbish: see the table tracebacks"
         row = {**circumstances, **no_summary(), "status": "error", "reason": reason, "n_landmarks": 0}
@@ -185,7 +189,7 @@ def _scored(
     }
 
 
-def _circumstances(truth: SequenceTruth | None) -> Record:
+def _circumstances(path: Path | None) -> Record:
     """Fill the columns of a row that no estimator can change, or that a sequence has no number for."""
     errors = no_pose_error()
     return {
@@ -193,7 +197,7 @@ def _circumstances(truth: SequenceTruth | None) -> Record:
         **{f"prior_{name}": None for name in errors},
         **no_consistency(),
         "image": "",
-        "range_m": None if truth is None else float(np.linalg.norm(truth.poses[-1].translation_m)),
+        "range_m": None if path is None else float(np.linalg.norm(path.poses[-1].translation_m)),
         "phase_deg": None,
     }
 

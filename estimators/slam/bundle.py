@@ -13,6 +13,7 @@ from estimators.options import parse_options
 from estimators.slam.association import MOST_ROUNDS, Adjusted, Jury
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.following import LostError, follow
+from estimators.slam.foresight import foreseen_by_window
 from estimators.slam.gauge import Gauge, estimated_anew, gauge_rows, handed_over, measured_gauge
 from estimators.slam.journal import Journal
 from estimators.slam.keyframes import offset_views, trailing_views
@@ -20,7 +21,7 @@ from estimators.slam.levenberg import StoppingRule, minimise, reduced_rank_defic
 from estimators.slam.motion_filter import Propagator
 from estimators.slam.options import BundleOptions
 from estimators.slam.state import Adjustment, State
-from scenarios.tracks import TrackFrame, TrackSequence
+from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 
@@ -85,6 +86,11 @@ class _Window:
         if self.propagator is None:
             return estimate
         return replace(estimate, velocity_m_s=self.propagator.correct(estimate.position_m))
+
+    def predict(self, frame: TrackFrame) -> Prediction | None:
+        """Tell where the landmarks in view will be in the next frame, by the covariance of the window's adjustment."""
+        last = len(self.journal.frames) - 1
+        return foreseen_by_window(self.journal, last, frame, self.adjusted) if last >= 0 else None
 
     def _follow(self, number: int) -> FrameEstimate:
         rule = StoppingRule(self.options.tolerance * self.journal.median_depth(number - 1), self.options.iterations)

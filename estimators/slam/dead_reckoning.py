@@ -11,6 +11,7 @@ import numpy as np
 
 from estimators.options import parse_options
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from estimators.slam.following import frames_of
 from scenarios.spec.base import SpecModel
 from scenarios.tracks import TrackSequence
 
@@ -37,7 +38,7 @@ class DeadReckoning:
         position, covariance = sequence.position_m, sequence.position_covariance_m2
         nothing, no_points = np.empty(0, dtype=np.int64), np.empty((0, 3))
         frames = []
-        for frame in sequence.frames:
+        for frame in frames_of(sequence, lambda _: None):
             started = time.perf_counter()
             position, covariance = position + frame.motion_m, covariance + frame.motion_covariance_m2
             seconds = time.perf_counter() - started

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -17,7 +18,7 @@ from estimators.slam.ekf_state import FilterState
 from estimators.slam.ekf_update import Iteration, iterated, updated
 from estimators.slam.following import LostError, check_scale, follow
 from estimators.slam.options import ConsistentFilterOptions, FilterOptions, IteratedFilterOptions
-from scenarios.tracks import TrackFrame, TrackSequence
+from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 
@@ -127,6 +128,20 @@ class _Filter:
         points = self.state.points(self.camera)
         check_scale(covariance, points, position, self.options.uncertainty_max)
         return FrameEstimate(position, covariance, self.state.tracks, points, 0.0)
+
+    def predict(self, frame: TrackFrame) -> Prediction | None:
+        """Tell where the landmarks of the state will be in the next frame."""
+        state = self.state.predicted(frame.motion_m, frame.motion_covariance_m2)
+        if not len(state.tracks):
+            return None
+        order = np.argsort(state.tracks)
+        nowhere = replace(frame, tracks=state.tracks[order], uv_px=np.zeros((len(order), 2)), ranges=())
+        sight = Sight.of(self.camera, state, nowhere)
+        innovation = sight.innovation(state)
+        covariance = innovation.jacobian @ state.covariance @ innovation.jacobian.T
+        return Prediction(
+            state.tracks[sight.rows], -innovation.residual.reshape(-1, 2), covariance + sight.second_order(state)
+        )
 
     def _drop_lost(self, frame: TrackFrame) -> None:
         """Drop landmarks that are not seen any more."""

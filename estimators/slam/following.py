@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from functools import partial
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from scenarios.tracks import TrackFrame, TrackSequence
+from scenarios.tracks import Predict, Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -30,6 +31,15 @@ class Follower(Protocol):
 
     def diagnostics(self) -> dict[str, float]:
         """Scalars about the whole sequence so far."""
+        ...
+
+
+@runtime_checkable
+class Foresight(Protocol):
+    """A follower that can tell where its landmarks will be."""
+
+    def predict(self, frame: TrackFrame) -> Prediction | None:
+        """Tell where the landmarks of the frame before will be in the next one, whose tracks are not known yet."""
         ...
 
 
@@ -64,7 +74,7 @@ def follow(sequence: TrackSequence, follower: Follower) -> SequenceEstimate:
     done: list[FrameEstimate] = []
     check = FrameCheck()
     reason = "" if sequence.frames else "the sequence has no frame"
-    for number, frame in enumerate(sequence.frames):
+    for number, frame in enumerate(frames_of(sequence, partial(foreseen, follower))):
         start = time.perf_counter()
         try:
             check.check(frame)
@@ -75,6 +85,16 @@ def follow(sequence: TrackSequence, follower: Follower) -> SequenceEstimate:
             break
         done.append(replace(estimate, seconds=time.perf_counter() - start))
     return SequenceEstimate("failed" if reason else "ok", tuple(done), reason, follower.diagnostics())
+
+
+def frames_of(sequence: TrackSequence, predict: Predict) -> Iterable[TrackFrame]:
+    """Return the frames as they are, or as the sequence's eye makes them."""
+    return sequence.frames if sequence.eye is None else sequence.eye.frames(predict)
+
+
+def foreseen(follower: Follower, frame: TrackFrame) -> Prediction | None:
+    """Ask a follower where its landmarks will be in a frame; None from one that cannot tell, and before the start."""
+    return follower.predict(frame) if isinstance(follower, Foresight) else None
 
 
 def check_scale(covariance_m2: FloatArray, points_m: FloatArray, position_m: FloatArray, limit: float) -> None:

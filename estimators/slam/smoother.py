@@ -13,12 +13,13 @@ from estimators.options import parse_options
 from estimators.slam.association import MOST_ROUNDS, Adjusted, Jury, without_tracks
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.following import LostError, check_scale, follow, lookup
+from estimators.slam.foresight import foreseen_by_window
 from estimators.slam.journal import Journal
 from estimators.slam.levenberg import StoppingRule, minimise, view_covariance
 from estimators.slam.marginal import marginalised
 from estimators.slam.options import BatchOptions, SmootherOptions
 from estimators.slam.state import Adjustment, Motions, Prior, State
-from scenarios.tracks import TrackFrame, TrackSequence
+from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -129,6 +130,10 @@ class WindowSmoother:
             if self.jury is None or rounds + 1 == MOST_ROUNDS or not self.jury.object(adjusted):
                 break
         return adjusted
+
+    def predict(self, frame: TrackFrame) -> Prediction | None:
+        """Tell where the landmarks in view will be in the next frame."""
+        return foreseen_by_window(self.journal, self.views[-1], frame, self.adjusted) if self.views else None
 
     def _begin(self, frame: TrackFrame) -> FrameEstimate:
         """Place the first view, and all landmarks provisionally at the distance that was measured."""

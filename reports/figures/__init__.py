@@ -7,6 +7,7 @@ from reports.figures.landmarks import draw_count_comparison, draw_landmark_count
 from reports.figures.methods import draw_method_errors
 from reports.figures.pose import draw_cumulative_errors, draw_pose_errors
 from reports.figures.roc import MOST_CURVES, Curve, draw_roc
+from reports.figures.sightings import draw_sightings
 from reports.figures.style import save_figure
 from reports.figures.tradeoff import TradeMark, draw_trade_off
 from reports.figures.triangulation import SurfaceView, draw_triangulation
@@ -30,6 +31,7 @@ __all__ = [
     "draw_method_errors",
     "draw_pose_errors",
     "draw_roc",
+    "draw_sightings",
     "draw_trade_off",
     "draw_triangulation",
     "save_figure",

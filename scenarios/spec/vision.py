@@ -31,6 +31,10 @@ class ImageVisionSpec(SpecModel):
         "feature",
         description="A track goes on where its feature is matched, or where its first patch is registered",
     )
+    guided: bool = Field(
+        False,
+        description="Seek features where an estimator expects them; each estimator has its own tracks",
+    )
     tracks: int = Field(30, ge=3, le=5000, description="Features tracked in each frame, the strongest first")
     growth_max: float = Field(
         1.08,

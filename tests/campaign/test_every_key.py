@@ -25,6 +25,7 @@ from campaign.image_tracks import ImageTracks
 from campaign.orbit_images import OrbitImages
 from campaign.products import Shelf
 from campaign.world import open_world
+from estimators.slam.registry import sequence_estimator_class
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
 from scenarios.geometry import View, look_at
@@ -237,6 +238,7 @@ CHANGES: dict[str, tuple[str, str]] = {
     "sequence.images.carry": (IMAGES, "patch"),
     "sequence.images.tracks": (IMAGES, "9"),
     "sequence.images.spacing_px": (IMAGES, "40"),
+    "sequence.images.guided": (IMAGES, "true"),
     "sequence.images.growth_max": (IMAGES, "1.01"),
     "sequence.images.sigma_px": (IMAGES, "0.7"),
     "sequence.knowledge.motion_error": (SEQUENCE, "0.4"),
@@ -373,7 +375,9 @@ def sequence_fingerprint(scenario: LoadedScenario) -> str:
             truth, sequence = draw_sequence(spec.sequence, spec.camera.camera(), ground, 3, trial)
         else:
             images = OrbitImages.open(scenario, choose_variant().name, 3)
-            seen = ImageTracks(spec.sequence, ground, images).see(3, trial)
+            watch = ImageTracks(spec.sequence, ground, images).watch(3, trial)
+            sequence_estimator_class("ba-slam").from_options({"connectivity": 2}).follow(watch.sequence)
+            seen = watch.seen()
             truth, sequence = seen.truth, seen.sequence
         parts += [repr((sequence.camera, [(f.time_s, f.sigma_px, f.ranges) for f in sequence.frames])).encode()]
         arrays = [truth.points_m, sequence.position_m, sequence.position_covariance_m2]

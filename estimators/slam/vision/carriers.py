@@ -71,10 +71,10 @@ class Carrier(Protocol):
 
 
 class FeatureCarrier:
-    """A track is where its feature is found again."""
+    """A track is where its feature is found again; ``rows`` are those of its features in the present image."""
 
     def __init__(self) -> None:
-        self._rows = np.empty(0, dtype=np.int64)
+        self.rows = np.empty(0, dtype=np.int64)
         self._places_px = np.empty((0, 2))
 
     @property
@@ -86,19 +86,19 @@ class FeatureCarrier:
         """Go to the next image."""
         follow = np.full(len(step.before), -1, dtype=np.int64)
         follow[step.pairs[:, 0]] = step.pairs[:, 1]
-        rows = follow[self._rows]
+        rows = follow[self.rows]
         found = rows >= 0
-        self._rows = rows[found]
-        self._places_px = step.after.features.uv_px[self._rows]
+        self.rows = rows[found]
+        self._places_px = step.after.features.uv_px[self.rows]
         return found
 
     def drop(self, keep: BoolArray) -> None:
         """Keep some of the tracks alone."""
-        self._rows, self._places_px = self._rows[keep], self._places_px[keep]
+        self.rows, self._places_px = self.rows[keep], self._places_px[keep]
 
     def add(self, look: Look, rows: IndexArray) -> None:
         """Begin tracks at features."""
-        self._rows = np.concatenate([self._rows, rows])
+        self.rows = np.concatenate([self.rows, rows])
         self._places_px = np.concatenate([self._places_px, look.features.uv_px[rows]])
 
 

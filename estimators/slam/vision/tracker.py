@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,10 @@ from estimators.slam.vision.epipolar import (
 )
 from estimators.slam.vision.features import Features
 from estimators.slam.vision.flow import growth, local_flow
+from estimators.slam.vision.guided import guided_rows
 from scenarios.geometry import Camera
 from scenarios.spec.vision import ImageVisionSpec
+from scenarios.tracks import Prediction
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -71,19 +73,37 @@ class Tracker:
         self._tracks = np.empty(0, dtype=np.int64)
         self._next = 0
 
-    def advance(self, look: Look, R_cam_body: FloatArray) -> Tracked:
-        """Take the next image in, with the known attitude of its camera."""
+    def advance(self, look: Look, R_cam_body: FloatArray, prediction: Prediction | None = None) -> Tracked:
+        """Take the next image in, with the known attitude of its camera.
+
+        Where it is predicted where tracks will be, and features carry them, those are sought there.
+        """
         started = time.perf_counter()
         kept = np.zeros(len(look.pairs), dtype=np.bool_)
         settled = np.zeros(len(look.features), dtype=np.bool_)
         if self._features is not None:
             agreed = self._agree(self._features, look, R_cam_body)
             kept = agreed.kept
-            self._carry(Step(self._features, look, look.pairs[kept]), agreed.direction, R_cam_body)
+            step, direction = Step(self._features, look, look.pairs[kept]), agreed.direction
+            if prediction is not None and isinstance(self._carrier, FeatureCarrier):
+                step, direction = replace(step, pairs=self._guided(self._features, look, prediction)), None
+            self._carry(step, direction, R_cam_body)
             settled[look.pairs[kept, 1]] = self._settled(self._features, look, kept)
         self._features, self._R_cam_body = look.features, R_cam_body
         self._begin(look, settled)
         return Tracked(self._tracks, self._carrier.places_px, kept, time.perf_counter() - started)
+
+    def _guided(self, before: Features, look: Look, prediction: Prediction) -> IndexArray:
+        """(k, 2) rows of features of tracks and of those matched with them."""
+        assert isinstance(self._carrier, FeatureCarrier)  # noqa: S101
+        _, ours, theirs = np.intersect1d(self._tracks, prediction.tracks, assume_unique=True, return_indices=True)
+        rows = self._carrier.rows[ours]
+        both = (2 * theirs[:, None] + np.arange(2)).ravel()
+        known = Prediction(
+            prediction.tracks[theirs], prediction.uv_px[theirs], prediction.covariance_px2[np.ix_(both, both)]
+        )
+        found = guided_rows(known, before.descriptors[rows], look.features, self._spec.sigma_px)
+        return np.column_stack([rows, found])[found >= 0]
 
     def _agree(self, before: Features, look: Look, R_cam_body: FloatArray) -> Agreement:
         first, second = before.uv_px[look.pairs[:, 0]], look.features.uv_px[look.pairs[:, 1]]

@@ -1,0 +1,83 @@
+"""Matching by an estimator's covariance: consensus against a known world, covariance against another way."""
+
+from __future__ import annotations
+
+import numpy as np
+from slam_sequences import Recipe, make_sequence
+
+from estimators.slam.foresight import joint_covariance
+from estimators.slam.levenberg import view_covariance
+from estimators.slam.options import SmootherOptions
+from estimators.slam.smoother import WindowSmoother
+from estimators.slam.vision.features import Features
+from estimators.slam.vision.guided import guided_rows
+from scenarios.tracks import Prediction
+
+
+def smoother_after(frames: int):
+    sequence, truth = make_sequence(np.random.default_rng(4), Recipe(frames=frames + 1))
+    smoother = WindowSmoother(sequence, SmootherOptions())
+    for frame in sequence.frames[:-1]:
+        smoother.advance(frame)
+    return smoother, sequence, truth
+
+
+def test_the_joint_covariance_holds_that_of_the_view():
+    smoother, _, _ = smoother_after(6)
+    problem, state, tracks = smoother.adjusted.problem, smoother.adjusted.state, smoother.adjusted.tracks
+    joint = joint_covariance(problem, state, len(state.positions_m) - 1, np.arange(len(tracks)))
+    assert joint.shape == (3 + 3 * len(tracks),) * 2
+    np.testing.assert_allclose(joint[:3, :3], view_covariance(problem, state, len(state.positions_m) - 1), rtol=1e-6)
+    assert np.linalg.eigvalsh(joint)[0] > 0.0
+
+
+def test_the_next_sightings_lie_in_the_predicted_ellipses():
+    squares = []
+    for frames in (5, 8, 12):
+        smoother, sequence, _ = smoother_after(frames)
+        last = sequence.frames[-1]
+        expected = smoother.predict(last)
+        _, ours, theirs = np.intersect1d(expected.tracks, last.tracks, return_indices=True)
+        noisy = expected.covariance_px2 + (2.0 / 3.0) ** 2 * np.eye(2 * len(expected.tracks))
+        for a, b in zip(ours, theirs, strict=True):
+            error = last.uv_px[b] - expected.uv_px[a]
+            squares.append(error @ np.linalg.solve(noisy[2 * a : 2 * a + 2, 2 * a : 2 * a + 2], error))
+    assert len(squares) > 20
+    # Chi-square of 2 degrees of freedom: 98.9 % lie within 3 sigma.
+    assert np.mean(np.array(squares) <= 9.0) > 0.9
+
+
+def world(rng, n=25, clutter=300):
+    """Landmarks that a shared error of 40 px shifts, among features that look like nothing in particular."""
+    expected = rng.uniform(200, 800, (n, 2))
+    shared = np.tile(np.eye(2), (n, n)) * 40.0**2 + np.eye(2 * n) * 2.0**2
+    shift = np.array([37.0, -51.0])
+    seen = expected + shift + 2.0 * rng.standard_normal((n, 2))
+    descriptors = rng.standard_normal((n, 64)).astype(np.float32)
+    uv = np.concatenate([seen, rng.uniform(0, 1024, (clutter, 2))])
+    look = np.concatenate([descriptors + 0.4 * rng.standard_normal((n, 64)), rng.standard_normal((clutter, 64))])
+    return (
+        Prediction(np.arange(n), expected, shared),
+        descriptors,
+        Features(uv, look.astype(np.float32), np.ones(len(uv))),
+    )
+
+
+def test_landmarks_are_found_though_some_look_more_like_something_else():
+    prediction, descriptors, features = world(np.random.default_rng(1))
+    # Copies of a fifth of them lie within the ellipses, but not where the others say.
+    features.descriptors[100:105] = descriptors[:5]
+    features.uv_px[100:105] = prediction.uv_px[:5] + np.array([-30.0, 60.0])
+    rows = guided_rows(prediction, descriptors, features, 0.5)
+    assert np.mean(rows == np.arange(25)) > 0.9
+    assert not np.isin(rows, range(100, 105)).any()
+
+
+def test_what_is_not_there_is_not_found():
+    prediction, descriptors, features = world(np.random.default_rng(2))
+    gone = Features(features.uv_px[10:], features.descriptors[10:], features.strength[10:])
+    rows = guided_rows(prediction, descriptors, gone, 0.5)
+    assert (rows[:10] == -1).mean() > 0.8
+    assert np.mean(rows[10:] == np.arange(15)) > 0.9
+    nothing = Features(np.empty((0, 2)), np.empty((0, 64), dtype=np.float32), np.empty(0))
+    assert (guided_rows(prediction, descriptors, nothing, 0.5) == -1).all()
