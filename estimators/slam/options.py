@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from estimators.slam.gating import Gate
 from scenarios.spec.base import SpecModel
@@ -159,22 +159,12 @@ class DynamicOptions(SolverOptions):
 class LoopOptions(SmootherOptions):
     """Options of ``loop-smoother``."""
 
-    associations: Literal["all", "consensus"] = Field(
-        "all", description="Only all: closing a loop gives tracks new names, which refused pixels would not follow"
-    )
-
     closure_frames: int = Field(15, ge=1, le=10000, description="Frames between adjustments of all frames, at least")
     closure_pairs: int = Field(3, ge=1, le=1000, description="Landmarks seen again that must agree")
     closure_tolerance_m: float = Field(
         1e-4, gt=0, description="An adjustment of all frames ends when no step is longer"
     )
     recognition: float = Field(0.999, gt=0, lt=1, description="Probability with which a right recognition passes")
-
-    @model_validator(mode="after")
-    def _believes_all(self) -> Self:
-        if self.associations != "all":
-            raise ValueError("associations: consensus is not for a smoother that closes loops: leave it out")
-        return self
 
 
 class GtsamOptions(SolverOptions):
