@@ -309,12 +309,17 @@ def test_smoother_without_motion_and_gauge_loses_the_scale(estimator: type[Fixed
     assert len(estimate.frames) == 1
 
 
-def test_every_name_follows_the_contract() -> None:
-    for name in sequence_estimator_names():
-        found = sequence_estimator_class(name)
-        assert found.name == name
-        sequence, _ = make_orbit_sequence(np.random.default_rng(8), Recipe(frames=3))
-        assert found.from_options({}).follow(sequence).status == "ok"
+@pytest.mark.parametrize("name", sequence_estimator_names())
+def test_every_name_follows_the_contract(name: str) -> None:
+    if name.startswith("gtsam-"):
+        pytest.importorskip("gtsam", reason="gtsam is not installed")
+    found = sequence_estimator_class(name)
+    assert found.name == name
+    sequence, _ = make_orbit_sequence(np.random.default_rng(8), Recipe(frames=3))
+    assert found.from_options({}).follow(sequence).status == "ok"
+
+
+def test_unknown_name_is_refused() -> None:
     with pytest.raises(BoresightError, match="'kalman' is unknown"):
         sequence_estimator_class("kalman")
 
