@@ -33,6 +33,7 @@ _MOST_VARIABLES = 1500
 
 _LOOK_BACK = 5
 _MOST_IN_A_ROW = 2
+_FARTHEST = 3.0
 _BACK = 0.5
 """Share of the limit below which a refused pixel comes back."""
 
@@ -55,6 +56,7 @@ class Jury:
 
     def __init__(self, journal: Journal, false_alarm: float) -> None:
         self.journal = journal
+        journal.refusing = True
         self.false_alarm = false_alarm
         self.limit = float(chdtri(2, false_alarm))
         self.complete: dict[int, TrackFrame] = {}
@@ -109,6 +111,8 @@ class Jury:
         for view, point in zip(adjusted.problem.distances.view, adjusted.problem.distances.point, strict=True):
             squares[(seen.view == view) & (seen.point == point)] = 0.0  # without it the range would be lost
         self._let_back(adjusted)
+        if self._cut_off(adjusted):
+            return True
         if squares.max(initial=0.0) <= self.limit:
             return False
         worst = np.zeros(len(adjusted.tracks))
@@ -120,6 +124,20 @@ class Jury:
             if not _in_prior(adjusted.problem, point):
                 self.journal.points_m.pop(track, None)
         return True
+
+    def _cut_off(self, adjusted: Adjusted) -> bool:
+        """Refuse the newest pixel of landmarks at a distance out of reason: two pixels always meet somewhere."""
+        seen, state = adjusted.problem.sightings, adjusted.state
+        distances = np.linalg.norm(state.points_m - state.positions_m[-1], axis=1)
+        middle = float(np.median(distances))
+        odd = np.flatnonzero((distances < middle / _FARTHEST) | (distances > middle * _FARTHEST)).tolist()
+        odd = [point for point in odd if not _in_prior(adjusted.problem, point)]
+        for point in odd:
+            slots = seen.view[seen.point == point]
+            if len(slots):
+                self._refuse(adjusted.views[int(slots.max())], [int(adjusted.tracks[point])])
+            self.journal.points_m.pop(int(adjusted.tracks[point]), None)
+        return bool(odd)
 
     def _restart(self, view: int, refused: Sequence[int], settled: set[int]) -> None:
         """Begin those anew that are refused time and again: it may be their older pixels that were wrong.

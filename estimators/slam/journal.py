@@ -43,6 +43,8 @@ class Journal:
         self.positions_m: dict[int, FloatArray] = {}
         self.points_m: dict[int, FloatArray] = {}
         self.guessed: set[int] = set()
+        self.refusing = False  # pixels of its frames may be refused, and a frame be left without a landmark for a while
+        self.last_depth_m: float | None = None
         self._sights: dict[int, _Sights] = {}
         self._information: dict[int, tuple[FloatArray, FloatArray]] = {}
 
@@ -135,7 +137,10 @@ class Journal:
         frame = self.frames[view]
         known = [self.points_m[track] for track in self._sight(view).rows if track in self.points_m]
         if known:
-            return median_distance(np.array(known), self.positions_m[view])
+            self.last_depth_m = median_distance(np.array(known), self.positions_m[view])
+            return self.last_depth_m
+        if self.last_depth_m is not None and self.refusing:
+            return self.last_depth_m
         if frame.ranges:
             return float(np.median([item.range_m for item in frame.ranges]))
         raise LostError("no landmark of known distance is in view: the scale is unobservable")

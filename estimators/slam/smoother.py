@@ -25,12 +25,14 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+_LOOSELY = 10.0
+
 
 class FixedLagSmoother:
     """Adjusts the last frames; older ones and lost landmarks are marginalised: nothing measured is forgotten."""
 
     name: ClassVar[str] = "fixed-lag"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
 
     def __init__(self, options: SmootherOptions) -> None:
         self.options = options
@@ -225,7 +227,10 @@ class WindowSmoother:
             local = marginalised(problem, state, 0, lost | begun_anew)
         except np.linalg.LinAlgError as error:
             raise LostError("the scale is unobservable: the oldest view is not determined") from error
+        old = np.zeros(0, dtype=np.int64) if self.prior is None else self.prior.points
         self.prior = replace(local, views=np.array(self.views)[local.views], points=number[local.points])
+        if self.jury is not None:
+            self.prior = _held(self.prior, ~np.isin(self.prior.points, old), self.journal.median_depth(self.views[-1]))
         self.widest_prior = max(self.widest_prior, len(local.origin_m))
         for view, position in zip(self.prior.views.tolist(), state.positions_m[local.views], strict=True):
             self.first_positions_m.setdefault(view, position)
@@ -262,3 +267,20 @@ class WindowSmoother:
                 self.jury.leave_out(view, gone)
         for track in gone:
             self.first_points_m.pop(track, None)
+
+
+def _held(prior: Prior, new: BoolArray, depth_m: float) -> Prior:
+    """Hold landmarks that are new in a prior at their line from its first view, to within ten times their distance.
+
+    It may know one from a single bearing, and the pixels that would tell its distance may be refused later on. A line
+    and not a place is held, since nothing tells where all of it is.
+    """
+    if len(prior.views) == 0 or not new.any():
+        return prior
+    weight = 1.0 / (_LOOSELY * depth_m) ** 2
+    between = np.zeros((len(prior.origin_m), len(prior.origin_m)))
+    points = len(prior.views) + np.flatnonzero(new)
+    between[points, points] = weight
+    between[0, points] = between[points, 0] = -weight
+    between[0, 0] = weight * len(points)
+    return replace(prior, information=prior.information + np.kron(between, np.eye(3)))
