@@ -53,6 +53,7 @@ from reports.tables import (
     timing_grid,
 )
 from reports.tradeoff import ATTITUDE, POSITION, costs, prior_medians, trade_grid
+from reports.vision import vision_records
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,7 +143,7 @@ def read_content(folder: Path) -> Content:
     derived = derived_records(run, comparison.radius_m) if comparison and comparison.radius_m else ()
     reductions = tuple(reduction_records(run, comparison)) if comparison else ()
     beside = (*paired_records(run), *ratio_records(run), *consistency_records(run))
-    records = (*measure_run(run), *derived, *reductions, *outlier_records(run), *beside)
+    records = (*measure_run(run), *vision_records(run), *derived, *reductions, *outlier_records(run), *beside)
     compared = compare(records, comparison) if comparison else ()
     claims = compare_claims(records, comparison) if comparison else ()
     return Content(run, records, comparison, compared, claims, tuple(_notes(run, comparison)))

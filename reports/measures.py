@@ -78,6 +78,10 @@ UNITS = {
     "settled_landmark_rmse_m": "m",
     "final_landmark_rmse_m": "m",
     "mean_position_nees": "",
+    "features_per_image": "",
+    "repeatability_share": "%",
+    "right_share": "%",
+    "kept_right_share": "%",
 }
 # Units of numbers that estimators report, by the end of their names.
 _REDUCTIONS = {"position_reduction_m": POSE_COLUMNS[0], "attitude_reduction_deg": POSE_COLUMNS[1]}

@@ -27,6 +27,20 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "landmarks": (*_KEY, "landmark", "error_m", "chi_square"),
     "diagnostics": (*_KEY, "name", "value"),
     "timings": (*_KEY, "stage", "seconds"),
+    "vision": (
+        *_KEY,
+        "frame",
+        "n_features",
+        "repeatability",
+        "n_matches",
+        "right_share",
+        "n_kept",
+        "kept_right_share",
+        "n_tracks",
+        "n_wrong",
+        "error_px",
+        "sigma_px",
+    ),
     "epochs": (*_KEY, "frame", "anomaly_deg", "position_error_m", "landmark_rmse_m", "settled_landmark_rmse_m"),
 }
 
@@ -127,6 +141,8 @@ class RunData:
         landmarks, numbers that estimators report, wall times.
     epochs
         Of sequences: the errors of every frame.
+    vision
+        Of sequences of images: what the vision layer found in every frame.
     """
 
     folder: Path
@@ -138,6 +154,7 @@ class RunData:
     diagnostics: pd.DataFrame
     timings: pd.DataFrame
     epochs: pd.DataFrame = field(default_factory=pd.DataFrame)
+    vision: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     def pairs(self) -> list[tuple[str, str]]:
         """List (scenario, estimator) in the order in which the rows name them."""

@@ -11,6 +11,7 @@ from reports.comparison import ComparedValue
 from reports.contrasts import RATIO
 from reports.designs import design_grids
 from reports.figures.revolutions import draw_revolutions
+from reports.figures.starts import draw_starts
 from reports.figures.traces import LANDMARKS, POSITION, draw_traces
 from reports.measures import SEQUENCE, Record, find
 from reports.run_data import RunData, select
@@ -25,6 +26,7 @@ from reports.tables import (
     timing_grid,
     value_of,
 )
+from reports.vision import vision_grid
 
 Drawn = tuple[str, Figure, str, str]
 """Stem of the file, the figure, its caption and its description."""
@@ -60,6 +62,7 @@ def sequence_grids(records: Sequence[Record], compared: Sequence[ComparedValue],
         comparison_grid(compared),
         *ratio_grids(records),
         sequence_grid(records),
+        vision_grid(records),
         *design_grids(run),
         diagnostic_grid(records),
         timing_grid(records),
@@ -137,6 +140,17 @@ def trace_figure(
         f"{title}: median over {trials} trials, and the band of 5 to 95 % of them; a thin line: the first trial; a"
         " trial that failed ends with its last good frame.",
         f"Position error and landmark error against the anomaly for {', '.join(labels)}.",
+    )
+
+
+def start_figure(run: RunData, scenario: str, estimator: str) -> tuple[Figure, str, str]:
+    """Draw the errors of every trial along the frames: the figure, its caption and its description."""
+    epochs = select(run.epochs, scenario, estimator)
+    title = f"Position error from {epochs['trial'].nunique()} starts, {estimator}"
+    return (
+        draw_starts(epochs, title),
+        f"{title}, {scenario}: a line for each trial; a line that ends early is a trial that failed there.",
+        f"Position error against the anomaly for {estimator}, one line for each start.",
     )
 
 

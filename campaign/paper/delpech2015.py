@@ -5,15 +5,26 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from campaign.paper.first_image import first_image
 from campaign.paper.gather import FinishedRun
 from campaign.paper.kinds import Draw, Paper, PaperFigure, Runs
 from reports.content import NamedFigure
 from reports.designs import design_grids
+from reports.figures.sightings import draw_sightings
 from reports.figures.traces import LANDMARKS, POSITION
-from reports.sequences import ratio_grids, revolution_figure, revolution_series, sequence_grid, trace_figure
+from reports.sequences import (
+    ratio_grids,
+    revolution_figure,
+    revolution_series,
+    sequence_grid,
+    start_figure,
+    trace_figure,
+)
 from reports.tables import Grid
+from reports.vision import vision_grid
 from scenarios.errors import BoresightError
 
+_STRONGEST = 30
 _SENSITIVITY = "delpech2015-sensitivity"
 
 
@@ -45,13 +56,46 @@ def _series(abscissa: str) -> Draw:
     return draw
 
 
+def _starts(method: str) -> Draw:
+    """Draw the errors of a method from every start on the images."""
+
+    def draw(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+        del jobs
+        for run in runs.values():
+            data, label = run.content.run, run.labels(method)[0]
+            scenario = next(scenario for scenario, name in data.pairs() if name == label)
+            yield NamedFigure("", *start_figure(data, scenario, label))
+
+    return draw
+
+
+def _image(features: int) -> Draw:
+    """Draw the first image, with its strongest features or without."""
+
+    def draw(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+        del jobs
+        for run in runs.values():
+            campaign = run.campaign()
+            scenario = campaign.scenarios[0]
+            image, uv_px, found = first_image(scenario, campaign.variant, campaign.seed, _STRONGEST)
+            name = scenario.spec.name
+            shown = f"the {len(uv_px)} strongest of {found} features" if features else "the first image"
+            yield NamedFigure(
+                "", draw_sightings(image, uv_px[:features], f"{name}: {shown}"),
+                f"The body as the camera sees it over the terminator, {name}: {shown}.",
+                f"A half-lit textured sphere, {shown}.",
+            )  # fmt: skip
+
+    return draw
+
+
 def _grids(run: FinishedRun) -> list[Grid]:
     """Return what a run tells beside the published numbers: all statistics, and the ratios between its methods."""
     content = run.content
     found = [*ratio_grids(content.records)]
     found += design_grids(content.run) if run.manifest["name"] == _SENSITIVITY else []
-    table = sequence_grid(content.records)
-    return [replace(grid, title=f"{run.manifest['name']}: {grid.title}") for grid in (table, *found) if grid]
+    tables = (sequence_grid(content.records), vision_grid(content.records))
+    return [replace(grid, title=f"{run.manifest['name']}: {grid.title}") for grid in (*tables, *found) if grid]
 
 
 _ORDER = ("ba-trace", "ba-landmarks", "ba-views", "ekf-trace", "comparison", "images", "sensitivity")
@@ -66,6 +110,10 @@ PAPER = Paper(
         PaperFigure("4.2", ("delpech2015-ba-views",), _series("views")),
         PaperFigure("5.1", ("delpech2015-ekf-trace",), _trace("ekf-slam", POSITION)),
         PaperFigure("5.2", ("delpech2015-ekf-trace",), _trace("ekf-slam", LANDMARKS)),
+        PaperFigure("6.1", ("delpech2015-images",), _image(0)),
+        PaperFigure("6.2", ("delpech2015-images",), _image(_STRONGEST)),
+        PaperFigure("7.1", ("delpech2015-images",), _starts("ba-slam")),
+        PaperFigure("7.2", ("delpech2015-images",), _starts("ekf-slam")),
     ),
     grids=_grids,
 )

@@ -118,7 +118,7 @@ def test_tolerances_follow_the_stated_rule(name, stage_rule):
 
 def test_names_are_listed_and_an_unknown_one_is_refused_with_them():
     kinds = ("centroid", "convergence", "database", "real", "real-context", "real-like", "simulated")
-    slam = ("ba-landmarks", "ba-views", "comparison")
+    slam = ("ba-landmarks", "ba-views", "comparison", "images")
     assert published_names() == [f"delpech2015-{kind}" for kind in slam] + [f"rowell2015-{kind}" for kind in kinds]
     with pytest.raises(BoresightError, match=r"'rowell2016'.*rowell2015-simulated"):
         load_published("rowell2016")
