@@ -27,7 +27,7 @@ class EkfSlam:
     """An extended Kalman filter of the camera position and of the landmarks in view, which are anchored."""
 
     name: ClassVar[str] = "ekf-slam"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
     def __init__(self, options: FilterOptions) -> None:
         self.options = options
@@ -46,7 +46,7 @@ class IteratedEkfSlam:
     """The same filter, each update iterated to the minimum of prediction and measurements together."""
 
     name: ClassVar[str] = "iterated-ekf-slam"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     def __init__(self, options: IteratedFilterOptions) -> None:
         self.options = options
@@ -72,7 +72,7 @@ class ConsistentEkfSlam:
     """
 
     name: ClassVar[str] = "consistent-ekf-slam"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     def __init__(self, options: ConsistentFilterOptions) -> None:
         self.options = options

@@ -77,9 +77,10 @@ class FilterOptions(SpecModel):
     )
     innovation_frames: int = Field(10, ge=1, le=1000, description="Frames over which innovations are averaged")
     innovation_max: float = Field(
-        5.0,
+        25.0,
         gt=1,
-        description="Mean squared normalised innovation at which the filter counts as diverging; 1 is expected",
+        description="Mean squared normalised innovation at which the filter counts as diverging; 1 is expected, and an"
+        " overconfident filter that still follows its path comes to 5 or 10",
     )
     connectivity: int = Field(3, ge=1, le=100, description="Landmarks that two frames must share")
     uncertainty_max: float = Field(

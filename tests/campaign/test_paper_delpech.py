@@ -54,7 +54,7 @@ def test_the_numbers_are_those_of_the_rows(page, runs):
             mine = rows[(rows["scenario"] == scenario) & (rows["estimator"] == method)]
             told = table[
                 (table["scenario"] == scenario) & (table["estimator"] == method)
-                & (table["quantity"].str.startswith("error after 1")) & (table["campaign"] == "delpech2015-comparison")
+                & (table["quantity"].str.startswith("position error after 1")) & (table["campaign"] == "delpech2015-comparison")
             ].set_index("statistic")  # fmt: skip
             assert told.loc["mean", "ours"] == pytest.approx(mine["error_after_1_m"].mean())
             assert told.loc["deviation", "ours"] == pytest.approx(mine["error_after_1_m"].std())
