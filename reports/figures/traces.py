@@ -14,6 +14,7 @@ POSITION, LANDMARKS = "position_error_m", "landmark_rmse_m"
 _PANELS = {POSITION: "camera position error, m", LANDMARKS: "RMS error of the frame's landmarks, m"}
 _BAND = (0.05, 0.95)
 _FULL_TURN_DEG = 360.0
+_FAR_APART = 20.0
 
 
 @styled
@@ -47,12 +48,21 @@ def draw_traces(
         for turn in range(1, int(last / _FULL_TURN_DEG) + 1):
             axes.axvline(turn * _FULL_TURN_DEG, color="black", linewidth=0.6, linestyle=":")
         axes.set(xlabel="anomaly, deg", ylabel=_PANELS[name])
-        axes.set_ylim(bottom=0.0)
+        _scale(axes, [table[name] for table in epochs.values()])
     handles, labels = places[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
     return figure
+
+
+def _scale(axes: Axes, errors: Sequence[pd.Series]) -> None:
+    """Choose a logarithmic ordinate where the curves would else lie upon the axis: estimators that are far apart."""
+    medians = [float(values.median()) for values in errors if values.notna().any()]
+    if medians and max(medians) > _FAR_APART * min(medians) > 0.0:
+        axes.set_yscale("log")
+    else:
+        axes.set_ylim(bottom=0.0)
 
 
 def _draw(axes: Axes, table: pd.DataFrame, name: str, label: str, index: int) -> None:
