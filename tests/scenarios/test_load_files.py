@@ -108,7 +108,7 @@ def test_faults_of_lookup_and_reading(here, tmp_path):
     here("long.yaml", "#" * 1_000_001)
     assert fault("quikstart") == "quikstart: no such scenario; did you mean quickstart?"
     assert fault("empti.yaml") == "empti.yaml: no such scenario; did you mean empty.yaml?"
-    assert "no such scenario; give a path, or one of itokawa-2km-altimeter, " in fault("zzz")
+    assert "no such scenario; give a path, or one of apophis-dynamics-sequence, " in fault("zzz")
     assert fault("empty.yaml") == "empty.yaml: the file is empty: write 'key: value' lines"
     assert fault("list.yaml") == "list.yaml: the file is not a section of keys: write 'key: value' lines"
     assert fault("word.yaml") == "word.yaml: the file is not a section of keys: write 'key: value' lines"
@@ -212,7 +212,7 @@ def test_what_a_file_must_hold(here):
     here("x.yaml", "description: nothing else\n")
     assert fault("x.yaml") == "x.yaml: camera: this key is missing"
     here("x.yaml", "camera: {fov_deg: 20}\n")
-    assert fault("x.yaml") == "x.yaml: give either viewpoint or images"
+    assert fault("x.yaml") == "x.yaml: give either viewpoint or images or sequence"
 
 
 def test_real_images_take_no_detector_and_no_light():
