@@ -84,12 +84,13 @@ def paper_lines(
 def _value_line(campaign: str, item: ComparedValue) -> PaperLine:
     published = item.published
     stage = stage_label(published.stage, timed=published.measure == "seconds")
+    whose = f", {item.estimator}" if published.estimator else ""
     return PaperLine(
         campaign,
         item.scenario,
         item.estimator,
         published.place,
-        f"{measure_label(published.measure)}, {stage}",
+        f"{measure_label(published.measure)}, {stage}{whose}",
         published.statistic,
         published.printed,
         (item.ours,),
