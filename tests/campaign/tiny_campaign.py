@@ -101,7 +101,13 @@ def boresight(*arguments: object, cwd: Path | None = None, **environment: str) -
 def started(*arguments: object) -> Iterator[subprocess.Popen[str]]:
     """Start the command line in a process group of its own, its workers included; whatever is left of it ends."""
     process = subprocess.Popen(
-        command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        command(*arguments),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # A shell without job control has its background jobs ignore interrupts, and so would all that they start.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     try:
         yield process
