@@ -35,7 +35,7 @@ class BundleSlam:
     """
 
     name: ClassVar[str] = "ba-slam"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     def __init__(self, options: BundleOptions) -> None:
         self.options = options
