@@ -22,6 +22,7 @@ from reports.tables import (
     comparison_grid,
     counts,
     diagnostic_grid,
+    measure_label,
     number,
     timing_grid,
     value_of,
@@ -32,16 +33,6 @@ Drawn = tuple[str, Figure, str, str]
 """Stem of the file, the figure, its caption and its description."""
 _NUMBERED = re.compile(r"(?P<stem>.+)-(?P<number>\d+)")
 
-_LABELS = {
-    "error_after_1_m": "position error after 1 revolution",
-    "error_after_2_m": "position error after 2 revolutions",
-    "landmark_rmse_m": "landmark RMSE",
-    "settled_landmark_rmse_m": "landmark RMSE without new ones",
-    "final_landmark_rmse_m": "landmark RMSE as seen last",
-    "error_after_1_ratio": "Ratio of the position errors after 1 revolution",
-    "error_after_2_ratio": "Ratio of the position errors after 2 revolutions",
-    "mean_position_nees": "mean NEES of the position (3 expected)",
-}
 _RATIO_NOTE = (
     "Mean error of the line's estimator over that of the column's, over the trials of which both have one, with its"
     " 95 % bootstrap interval; both follow the same tracks. Below 1 the line's estimator is the better."
@@ -80,7 +71,7 @@ def ratio_grids(records: Sequence[Record]) -> Iterator[Grid]:
             (one, *(value_of(find(own, estimator=one, reference=other), interval=True) for other in labels))
             for one in labels
         )
-        title = f"{_LABELS[name]}, {scenario}"
+        title = f"{measure_label(name).capitalize()}, {scenario}"
         yield Grid(title, ("mean error of / over", *labels), rows, frozenset({0}), _RATIO_NOTE)
 
 
@@ -92,7 +83,7 @@ def sequence_grid(records: Sequence[Record]) -> Grid | None:
         (
             line.scenario,
             line.estimator,
-            _LABELS[line.measure],
+            measure_label(line.measure),
             value_of(line, interval=True),
             _mean_and_deviation(records, line),
             *(value_of(_other(records, line, statistic.name)) for statistic in (RMS, P95)),

@@ -23,7 +23,6 @@ from scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 MOST_ROUNDS = 5
 """Adjustments of a frame at most, each without what the one before found wrong."""
