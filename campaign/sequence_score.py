@@ -79,7 +79,7 @@ def score_epochs(estimate: SequenceEstimate, sequence: TrackSequence, truth: Seq
                 **_inertial(frame.position_m, seen.R_body_inertial, ""),
                 **_inertial(truth.poses[index].camera_position_m, truth.path.R_body_inertial[index], "true_"),
                 **_position(frame, index, truth, turn),
-                **_landmarks(frame, seen.tracks, older, truth.points_m @ turn.T),
+                **_landmarks(frame, seen.tracks, older, _squares(frame, truth, turn)),
                 "n_tracks": len(seen.tracks),
             }
         )
@@ -138,11 +138,16 @@ def _weighted_square(error: FloatArray, covariance: FloatArray | None) -> float 
     return float(white @ white)
 
 
-def _landmarks(frame: FrameEstimate, seen: NDArray[np.int64], older: NDArray[np.int64], points_m: FloatArray) -> Epoch:
+def _squares(frame: FrameEstimate, truth: SequenceTruth, turn: FloatArray) -> FloatArray:
+    """(n,) squared errors of the landmarks of a frame, m2; ``turn`` leads to the axes that they stand in."""
+    true = truth.points_m[frame.tracks] @ turn.T
+    return np.asarray(np.sum((frame.points_m - true) ** 2, axis=1), dtype=np.float64)
+
+
+def _landmarks(frame: FrameEstimate, seen: NDArray[np.int64], older: NDArray[np.int64], squares: FloatArray) -> Epoch:
     """Score the landmarks of the tracks that are seen in this frame, all of them and without the new ones."""
     current = np.isin(frame.tracks, seen)
     settled = current & np.isin(frame.tracks, older)
-    squares = np.sum((frame.points_m - points_m[frame.tracks]) ** 2, axis=1)
     return {
         "landmark_rmse_m": _root_mean(squares[current]),
         "settled_landmark_rmse_m": _root_mean(squares[settled]),
@@ -163,8 +168,8 @@ def final_landmark_rmse(estimate: SequenceEstimate, sequence: TrackSequence, tru
         turn = known_from_true(true, seen.R_body_inertial)
         times_seen.update(seen.tracks.tolist())
         current = np.isin(frame.tracks, seen.tracks)
-        errors = np.sum((frame.points_m[current] - truth.points_m[frame.tracks[current]] @ turn.T) ** 2, axis=1)
-        squares.update(zip(frame.tracks[current].tolist(), errors.tolist(), strict=True))
+        own = _squares(frame, truth, turn)[current]
+        squares.update(zip(frame.tracks[current].tolist(), own.tolist(), strict=True))
     return _root_mean(np.array([square for track, square in squares.items() if times_seen[track] > 1]))
 
 

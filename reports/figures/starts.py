@@ -6,8 +6,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from reports.figures.style import LINE_STYLES, SERIES_COLOURS, new_figure, styled
-
-_FULL_TURN_DEG = 360.0
+from reports.figures.turns import mark_turns
 
 
 @styled
@@ -25,8 +24,7 @@ def draw_starts(epochs: pd.DataFrame, title: str) -> Figure:
     for i, (trial, own) in enumerate(epochs.groupby("trial")):
         colour, line = SERIES_COLOURS[i % len(SERIES_COLOURS)], LINE_STYLES[i // len(SERIES_COLOURS) % len(LINE_STYLES)]
         axes.plot(own["anomaly_deg"], own["position_error_m"], color=colour, linestyle=line, linewidth=1.0, label=trial)
-    for turn in range(1, int(epochs["anomaly_deg"].max() / _FULL_TURN_DEG) + 1):
-        axes.axvline(turn * _FULL_TURN_DEG, color="black", linewidth=0.6, linestyle=":")
+    mark_turns(axes, float(epochs["anomaly_deg"].max()))
     axes.set(xlabel="anomaly, deg", ylabel="camera position error, m")
     axes.set_ylim(bottom=0.0)
     handles, labels = axes.get_legend_handles_labels()

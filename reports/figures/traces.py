@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from reports.figures.style import LINE_STYLES, SERIES_COLOURS, add_credits, new_figure, styled
+from reports.figures.turns import mark_turns
 
 POSITION, LANDMARKS = "position_error_m", "landmark_rmse_m"
 _PANELS = {POSITION: "camera position error, m", LANDMARKS: "RMS error of the frame's landmarks, m"}
 _BAND = (0.05, 0.95)
-_FULL_TURN_DEG = 360.0
 _FAR_APART = 20.0
 
 
@@ -45,8 +45,7 @@ def draw_traces(
         for i, (estimator, table) in enumerate(epochs.items()):
             _draw(axes, table, name, estimator, i)
         last = max((float(table["anomaly_deg"].max()) for table in epochs.values()), default=0.0)
-        for turn in range(1, int(last / _FULL_TURN_DEG) + 1):
-            axes.axvline(turn * _FULL_TURN_DEG, color="black", linewidth=0.6, linestyle=":")
+        mark_turns(axes, last)
         axes.set(xlabel="anomaly, deg", ylabel=_PANELS[name])
         _scale(axes, [table[name] for table in epochs.values()])
     handles, labels = places[0].get_legend_handles_labels()
