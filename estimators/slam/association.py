@@ -175,7 +175,7 @@ class Jury:
             return guessed
         places = (np.flatnonzero(row >= 0), row[row >= 0])
         at = self.journal.positions_m[view - 1] + frame.motion_m
-        return mapped_landmarks(common, before.state, places, view, at).joined(guessed)
+        return mapped_landmarks(common, (before.problem, before.state, before.views), places, view, at).joined(guessed)
 
     def _last_seen(self, view: int) -> dict[int, int]:
         """Tell for each track that one of the views before saw, as far as believed, the last such view."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 
 from estimators.slam.journal import Journal
+from estimators.slam.levenberg import reduced_system
 from estimators.slam.residuals import bearing_jacobians, distance_jacobians
 from estimators.slam.state import Adjustment, State
 
@@ -18,9 +20,6 @@ BoolArray = NDArray[np.bool_]
 
 DEPTH_SIGMA = 0.3
 """Relative standard deviation of a guessed distance."""
-
-_FIXED = 1e12
-"""Information, 1/m^2, that stands for a view that is not free."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +35,7 @@ class Expected:
     by_all
         (n, 3, m) derivative of a line by what is uncertain in common.
     covariance
-        (m, m) of that: views and landmarks of the adjustment, and the last motion.
+        (m, m) of that: what the reduced system of the adjustment before holds, and the last motion.
     own_m2
         (n, 3, 3) covariance that a line shares with no other.
     known
@@ -64,28 +63,40 @@ class Expected:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Common:
-    """What is uncertain when a frame comes: slots of ``views`` by number, landmarks, the motion; and its covariance.
+    """What is uncertain when a frame comes: free views and landmarks of the prior before it, and the motion.
 
-    ``slots`` tells where a view stands among the 3 m columns; the motion has the last three.
+    Parameters
+    ----------
+    covariance
+        (m, m); the motion has the last three columns.
+    views, points
+        Where views, by number, and landmarks of the adjustment before begin among the columns.
     """
 
     covariance: FloatArray
-    slots: dict[int, int]
-    points: int
+    views: dict[int, int]
+    points: dict[int, int]
 
     @classmethod
     def of(
         cls, adjusted: tuple[Adjustment, State] | None, views: Sequence[int], motion_covariance_m2: FloatArray
     ) -> Common:
-        """Put the covariance of an adjustment and that of the motion after it together."""
+        """Put the covariance of an adjustment and that of the motion after it together.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the adjustment is not determined.
+        """
         if adjusted is None:
-            return cls(motion_covariance_m2.copy(), {}, 0)
-        before = joint_covariance(*adjusted)
+            return cls(motion_covariance_m2.copy(), {}, {})
+        before, view_slots, point_slots = kept_covariance(*adjusted)
         size = len(before)
         covariance = np.zeros((size + 3, size + 3))
         covariance[:size, :size] = before
         covariance[size:, size:] = motion_covariance_m2
-        return cls(covariance, {view: 3 * slot for slot, view in enumerate(views)}, 3 * len(views))
+        free = {view: 3 * slot for view, slot in zip(views, view_slots.tolist(), strict=True) if slot >= 0}
+        return cls(covariance, free, {j: 3 * slot for j, slot in enumerate(point_slots.tolist()) if slot >= 0})
 
     def by_camera(self, view: int) -> FloatArray:
         """(3, m) derivative of the new camera's position by all: the view before, and the motion."""
@@ -94,23 +105,78 @@ class Common:
         return rows + self.by_view(view - 1)
 
     def by_view(self, view: int) -> FloatArray:
-        """(3, m) derivative of a view's position; zero where it is not among the views of the adjustment."""
+        """(3, m) derivative of a view's position; zero where it is not free."""
         rows = np.zeros((3, len(self.covariance)))
-        if view in self.slots:
-            rows[:, self.slots[view] : self.slots[view] + 3] = np.eye(3)
+        if view in self.views:
+            rows[:, self.views[view] : self.views[view] + 3] = np.eye(3)
         return rows
+
+    def by_landmarks(
+        self, problem: Adjustment, state: State, views: Sequence[int], points: IndexArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(n, 3, m) derivatives of landmarks, and (n, 3, 3) what each has of its own, m^2.
+
+        One that the adjustment eliminated goes with the views that saw it: ``p = sum_v V^-1 W_v x_v`` and an error of
+        covariance ``V^-1``, where ``W_v`` is the information of view v about the line to it and V their sum.
+        """
+        rows, own = np.zeros((len(points), 3, len(self.covariance))), np.zeros((len(points), 3, 3))
+        kept = np.array([j in self.points for j in points.tolist()], dtype=np.bool_)
+        for k in np.flatnonzero(kept).tolist():
+            column = self.points[int(points[k])]
+            rows[k, :, column : column + 3] = np.eye(3)
+        told = line_information(problem, state, points[~kept])
+        own[~kept] = np.linalg.inv(told.sum(axis=1))
+        weights = own[~kept][:, None] @ told
+        for slot, view in enumerate(views):
+            if view in self.views:
+                rows[~kept, :, self.views[view] : self.views[view] + 3] = weights[:, slot]
+        return rows, own
+
+
+def line_information(problem: Adjustment, state: State, points: IndexArray) -> FloatArray:
+    """(n, V, 3, 3) what each view measured of its line to each of some landmarks, 1/m^2."""
+    place = np.full(len(state.points_m), -1, dtype=np.int64)
+    place[points] = np.arange(len(points))
+    told = np.zeros((len(points), len(state.positions_m), 3, 3))
+    for measured, by_point in (
+        (problem.sightings, bearing_jacobians(problem, state)),
+        (problem.distances, distance_jacobians(problem, state)),
+    ):
+        wanted = place[measured.point] >= 0
+        square = np.swapaxes(by_point[wanted], 1, 2) @ by_point[wanted]
+        np.add.at(told, (place[measured.point[wanted]], measured.view[wanted]), square)
+    return told
+
+
+def kept_covariance(problem: Adjustment, state: State) -> tuple[FloatArray, IndexArray, IndexArray]:
+    """(3 n, 3 n) covariance of the free views and the prior's landmarks, m^2, and the slots of views and landmarks.
+
+    Slots are -1 for what is held or eliminated.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If they are not determined.
+    """
+    matrix, _, views, points = reduced_system(replace(problem, frozen=None), state)
+    if not len(matrix):
+        return matrix, views, points
+    inverse = np.asarray(cho_solve(cho_factor(matrix), np.eye(len(matrix))), dtype=np.float64)
+    return 0.5 * (inverse + inverse.T), views, points
 
 
 def mapped_landmarks(
-    common: Common, state: State, places: tuple[IndexArray, IndexArray], view: int, position_m: FloatArray
+    common: Common,
+    before: tuple[Adjustment, State, Sequence[int]],
+    places: tuple[IndexArray, IndexArray],
+    view: int,
+    position_m: FloatArray,
 ) -> Expected:
-    """Landmarks of the adjustment, at (rows of the frame, places in the state), from where ``view`` is expected."""
-    rows, points = places
-    by_all = np.tile(-common.by_camera(view), (len(rows), 1, 1))
-    columns = common.points + 3 * points[:, None] + np.arange(3)
-    by_all[np.arange(len(rows))[:, None], np.arange(3), columns] += 1.0
+    """Landmarks of the adjustment before, at (rows of the frame, places in its state), from where ``view`` will be."""
+    (rows, points), (problem, state, views) = places, before
+    by_landmark, own = common.by_landmarks(problem, state, views, points)
     lines = state.points_m[points] - position_m
-    own = np.zeros((len(rows), 3, 3))
+    by_all = by_landmark - common.by_camera(view)
     return Expected(rows, lines, by_all, common.covariance, own, np.ones(len(rows), dtype=np.bool_))
 
 
@@ -143,37 +209,3 @@ def guessed_landmarks(
         own,
         np.zeros(n, dtype=np.bool_),
     )
-
-
-def joint_covariance(problem: Adjustment, state: State) -> FloatArray:
-    """(3 (V + L), 3 (V + L)) covariance of all views and landmarks of an adjustment at its minimum, m^2.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If they are not determined.
-    """
-    views, size = len(state.positions_m), len(state.positions_m) + len(state.points_m)
-    blocks = np.zeros((size, size, 3, 3))
-    for measured, by_point in (
-        (problem.sightings, bearing_jacobians(problem, state)),
-        (problem.distances, distance_jacobians(problem, state)),
-    ):
-        square = np.swapaxes(by_point, 1, 2) @ by_point
-        point = views + measured.point
-        np.add.at(blocks, (measured.view, measured.view), square)
-        np.add.at(blocks, (point, point), square)
-        np.add.at(blocks, (measured.view, point), -square)
-        np.add.at(blocks, (point, measured.view), -square)
-    moved = problem.motions
-    for one, other, sign in ((0, 0, 1.0), (1, 1, 1.0), (0, 1, -1.0), (1, 0, -1.0)):
-        ends = (moved.start, moved.end)
-        np.add.at(blocks, (ends[one], ends[other]), sign * moved.information)
-    fixed = np.flatnonzero(~problem.free_views)
-    blocks[fixed, fixed] += _FIXED * np.eye(3)
-    information = blocks.transpose(0, 2, 1, 3).reshape(3 * size, 3 * size)
-    if problem.prior is not None:
-        place = np.concatenate([problem.prior.views, views + problem.prior.points])
-        rows = (3 * place[:, None] + np.arange(3)).ravel()
-        information[np.ix_(rows, rows)] += problem.prior.information
-    return np.asarray(np.linalg.inv(information), dtype=np.float64)

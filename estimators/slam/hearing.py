@@ -49,7 +49,14 @@ def _alone(camera: Camera, frame: TrackFrame, seen: Expected, shift: FloatArray,
     """(n,) squared distances of single pixels, what is common having moved by ``shift`` with ``left`` as covariance."""
     residual, by_line = _pixels(camera, frame, seen, seen.lines_m + seen.by_all @ shift)
     rows = by_line @ seen.by_all
-    return mahalanobis_squares(residual, rows @ left @ np.swapaxes(rows, 1, 2) + _own(frame, seen, by_line, left))
+    return mahalanobis_squares(residual, _own_blocks(rows, left) + _own(frame, seen, by_line, left))
+
+
+def _own_blocks(rows: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(n, k, k) blocks of ``rows covariance rows'`` for rows (n, k, m), the first product being one for all."""
+    n, k, m = rows.shape
+    half = (rows.reshape(n * k, m) @ covariance).reshape(n, k, m)
+    return np.asarray(half @ np.swapaxes(rows, 1, 2), dtype=np.float64)
 
 
 def _pixels(camera: Camera, frame: TrackFrame, seen: Expected, lines_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -65,7 +72,7 @@ def _own(frame: TrackFrame, seen: Expected, by_line: FloatArray, covariance: Flo
     Where the distance is a guess there is a term of second order: a pixel goes with the way of the camera over the
     distance, and both are uncertain.
     """
-    way = seen.by_all @ covariance @ np.swapaxes(seen.by_all, 1, 2)
+    way = _own_blocks(seen.by_all, covariance)
     guessed = np.where(seen.known, 0.0, DEPTH_SIGMA**2)[:, None, None]
     own = by_line @ (seen.own_m2 + guessed * way) @ np.swapaxes(by_line, 1, 2)
     return np.asarray(own + frame.sigma_px**2 * np.eye(2), dtype=np.float64)

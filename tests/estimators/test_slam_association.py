@@ -12,7 +12,7 @@ from slam_sequences import Recipe, Truth, make_sequence
 from estimators.slam.association import Jury
 from estimators.slam.bundle import BundleSlam
 from estimators.slam.contract import SequenceEstimate
-from estimators.slam.expected import joint_covariance
+from estimators.slam.expected import Common
 from estimators.slam.journal import Journal
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
 from estimators.slam.state import Adjustment, Distances, Motions, Prior, Sightings, State
@@ -32,6 +32,14 @@ def thrown(sequence: TrackSequence, seed: int) -> tuple[TrackSequence, list[set[
         wrong.append(set(frame.tracks[off].tolist()))
         older = frame.tracks
     return replace(sequence, frames=tuple(frames)), wrong
+
+
+def misplaced_gauge(sequence: TrackSequence) -> TrackSequence:
+    """See the landmark of known distance far off in the second frame."""
+    gauge = sequence.frames[0].ranges[0].track
+    second = sequence.frames[1]
+    uv = np.where((second.tracks == gauge)[:, None], second.uv_px + np.array([120.0, -70.0]), second.uv_px)
+    return replace(sequence, frames=(sequence.frames[0], replace(second, uv_px=uv), *sequence.frames[2:]))
 
 
 def errors(estimate: SequenceEstimate, truth: Truth) -> np.ndarray:
@@ -85,18 +93,14 @@ def test_gate_refuses_the_wrong_and_few_of_the_right(monkeypatch: pytest.MonkeyP
 def test_wrong_range_landmark_in_the_second_frame_does_not_take_the_scale() -> None:
     """The one landmark of known distance is misplaced once; the scale comes back with it."""
     sequence, truth = make_sequence(np.random.default_rng(8), Recipe(frames=25, landmarks=20))
-    gauge = sequence.frames[0].ranges[0].track
-    second = sequence.frames[1]
-    uv = np.where((second.tracks == gauge)[:, None], second.uv_px + np.array([120.0, -70.0]), second.uv_px)
-    frames = (sequence.frames[0], replace(second, uv_px=uv), *sequence.frames[2:])
-    estimate = FixedLagSmoother.from_options({}).follow(replace(sequence, frames=frames))
+    estimate = FixedLagSmoother.from_options({}).follow(misplaced_gauge(sequence))
     assert estimate.status == "ok", estimate.reason
     clean = FixedLagSmoother.from_options({"associations": "all"}).follow(sequence)
     assert errors(estimate, truth)[2:].max() < 2.0 * errors(clean, truth).max() + 0.3
 
 
-def test_joint_covariance_is_that_of_scipy() -> None:
-    """Three views and four landmarks with a range, a motion and a prior, all as one problem of least squares."""
+def test_covariance_of_what_is_expected_is_that_of_scipy() -> None:
+    """Three views, and four landmarks of which all but one are eliminated: one problem of least squares."""
     rng = np.random.default_rng(4)
     sequence, truth = make_sequence(rng, Recipe(frames=3, landmarks=15))
     tracks = sorted(set.intersection(*(set(frame.tracks.tolist()) for frame in sequence.frames)))[:4]
@@ -133,6 +137,11 @@ def test_joint_covariance_is_that_of_scipy() -> None:
     x = np.concatenate([state.positions_m[1:].ravel(), state.points_m.ravel()])
     jacobian = least_squares(residuals, x, method="trf", max_nfev=1, jac="3-point").jac
     # one evaluation: the derivatives are those where it began
-    found = joint_covariance(problem, state)
-    np.testing.assert_allclose(found[3:, 3:], np.linalg.inv(jacobian.T @ jacobian), rtol=1e-4, atol=1e-6)
-    np.testing.assert_allclose(found[:3], 0.0, atol=1e-9)
+    common = Common.of((problem, state), (0, 1, 2), np.zeros((3, 3)))
+    by_landmark, own = common.by_landmarks(problem, state, (0, 1, 2), np.arange(4))
+    rows = np.concatenate([common.by_view(1), common.by_view(2), *by_landmark])
+    found = rows @ common.covariance @ rows.T
+    for k in range(4):
+        found[6 + 3 * k : 9 + 3 * k, 6 + 3 * k : 9 + 3 * k] += own[k]
+    np.testing.assert_allclose(found, np.linalg.inv(jacobian.T @ jacobian), rtol=1e-4, atol=1e-6)
+    np.testing.assert_array_equal(common.by_view(0), 0.0)
