@@ -25,6 +25,9 @@ from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 
+_MOST_PLACED = 2
+"""Frames in a row that are placed without an adjustment of the window, before it counts as lost."""
+
 
 class BundleSlam:
     """Sequential bundle adjustment over a window of views; positions alone are free, since the attitude is known.
@@ -62,6 +65,7 @@ class _Window:
         self.gauge: Gauge | None = None
         self.jury = Jury(self.journal, options.false_alarm) if options.associations == "consensus" else None
         self.adjusted: Adjusted | None = None
+        self.placed_alone = 0
         self.handovers = 0
         self.shifts = 0
         self.iterations = 0
@@ -97,14 +101,36 @@ class _Window:
         if self.jury is not None:
             self.jury.hear(number, self.adjusted)
         self.journal.place(number, rule)
+        placed_m, guessed = self.journal.positions_m[number], set(self.journal.guessed)
         views = self._window(number)
-        self.adjusted = self._adjusted(views, rule)
-        self._check_rank(self.adjusted.problem, self.adjusted.state)
+        try:
+            self.adjusted = self._adjusted(views, rule)
+            self._check_rank(self.adjusted.problem, self.adjusted.state)
+        except LostError:
+            if not self._robbed(number):
+                raise
+            self.journal.guessed |= guessed
+            return self._placed(number, placed_m)
+        self.placed_alone = 0
         tracks = self.adjusted.tracks.tolist()
         if len(self.journal.distances(views[-1:], tracks).view):
             self.gauge = estimated_anew(self.journal, self._gauge(), self.options.gauge_sigma_m)
         points = np.array([self.journal.points_m[track] for track in tracks])
         return FrameEstimate(self.journal.positions_m[number], None, np.array(tracks, dtype=np.int64), points, 0.0)
+
+    def _robbed(self, number: int) -> bool:
+        """Tell whether a window that cannot be adjusted could be, had no pixel of its newest frame been refused."""
+        jury = self.jury
+        return jury is not None and bool(jury.refused.get(number)) and self.placed_alone < _MOST_PLACED
+
+    def _placed(self, number: int, position_m: FloatArray) -> FrameEstimate:
+        """Leave a view where its predicted motion and the map put it: the next frames may hold the scale again."""
+        self.placed_alone += 1
+        self.adjusted = None
+        self.journal.positions_m[number] = position_m
+        tracks = sorted(set(self.journal.frames[number].tracks.tolist()) & self.journal.points_m.keys())
+        points = self.journal.state((), tracks).points_m
+        return FrameEstimate(position_m, None, np.array(tracks, dtype=np.int64), points, 0.0)
 
     def _adjusted(self, views: list[int], rule: StoppingRule) -> Adjusted:
         """Adjust the window, again as long as what is left of a pixel is too much."""
@@ -136,9 +162,10 @@ class _Window:
     def _window(self, lead: int) -> list[int]:
         """Choose the views of the window for a new leading one, which comes last."""
         before = self.trailing
-        choose = trailing_views(self.journal, before, lead, self.options)
+        tracks = self.journal if self.jury is None else self.jury  # a frame that lost pixels for once must not shift it
+        choose = trailing_views(self.journal, tracks, before, lead, self.options)
         if self.options.strategy == "offset":
-            choose = offset_views(self.journal, lead, self.options)
+            choose = offset_views(tracks, lead, self.options)
         self.trailing = choose
         self.shifts += int(choose[0] != before[0])
         return [*choose, lead]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -11,7 +12,17 @@ from estimators.slam.journal import Journal
 from estimators.slam.options import BundleOptions
 
 
-def trailing_views(journal: Journal, trailing: Sequence[int], lead: int, options: BundleOptions) -> list[int]:
+class Tracks(Protocol):
+    """Counts landmarks that two frames share: those of a journal, or of frames as they came."""
+
+    def shared(self, first: int, second: int) -> int:
+        """Count the landmarks that two views share."""
+        ...
+
+
+def trailing_views(
+    journal: Journal, tracks: Tracks, trailing: Sequence[int], lead: int, options: BundleOptions
+) -> list[int]:
     """Second strategy: the trailing views stay until the leading one shares too few landmarks with the oldest.
 
     Then the oldest is dropped and the leading view of the step before becomes the last of the trailing ones. The paper
@@ -27,43 +38,43 @@ def trailing_views(journal: Journal, trailing: Sequence[int], lead: int, options
     """
     views = list(trailing)
     if len(views) < options.views - 1:
-        return _grown(journal, views, lead, options)
-    if _connected(journal, views[0], views[-1], lead, options):
+        return _grown(tracks, views, lead, options)
+    if _connected(journal, tracks, views[0], views[-1], lead, options):
         return views
-    return _connected_part(journal, [*views[1:], lead - 1] if views[-1] != lead - 1 else views[1:], lead, options)
+    return _connected_part(tracks, [*views[1:], lead - 1] if views[-1] != lead - 1 else views[1:], lead, options)
 
 
-def offset_views(journal: Journal, lead: int, options: BundleOptions) -> list[int]:
+def offset_views(tracks: Tracks, lead: int, options: BundleOptions) -> list[int]:
     """First strategy: a constant offset, counted in frames, between the views; fewer at the beginning."""
     back = [lead - options.offset_frames * step for step in range(1, options.views)]
     views = sorted(view for view in back if view >= 0) or [0]
-    return _connected_part(journal, views, lead, options)
+    return _connected_part(tracks, views, lead, options)
 
 
-def _grown(journal: Journal, views: list[int], lead: int, options: BundleOptions) -> list[int]:
+def _grown(tracks: Tracks, views: list[int], lead: int, options: BundleOptions) -> list[int]:
     """Let the view before the leading one in when the leading one has moved far enough from the last."""
-    held = len(journal.frames[views[-1]].tracks)
+    held = tracks.shared(views[-1], views[-1])
     share = (options.connectivity / held) ** (1.0 / (options.views - 1))
-    near = journal.shared(views[-1], lead) >= share * held
+    near = tracks.shared(views[-1], lead) >= share * held
     candidate = views if near or views[-1] == lead - 1 else [*views, lead - 1]
-    return _connected_part(journal, candidate, lead, options)
+    return _connected_part(tracks, candidate, lead, options)
 
 
-def _connected(journal: Journal, oldest: int, last: int, lead: int, options: BundleOptions) -> bool:
-    shared = journal.shared(oldest, lead) >= options.connectivity
+def _connected(journal: Journal, tracks: Tracks, oldest: int, last: int, lead: int, options: BundleOptions) -> bool:
+    shared = tracks.shared(oldest, lead) >= options.connectivity
     return shared and _angle(journal, last, lead) <= np.radians(options.angle_max_deg)
 
 
-def _connected_part(journal: Journal, views: list[int], lead: int, options: BundleOptions) -> list[int]:
+def _connected_part(tracks: Tracks, views: list[int], lead: int, options: BundleOptions) -> list[int]:
     """Drop the oldest views until the leading one is connected with the first that remains."""
-    while views and journal.shared(views[0], lead) < options.connectivity:
+    while views and tracks.shared(views[0], lead) < options.connectivity:
         views = views[1:]
     if views:
         return views
-    if journal.shared(lead - 1, lead) >= options.connectivity:
+    if tracks.shared(lead - 1, lead) >= options.connectivity:
         return [lead - 1]
     raise LostError(
-        f"tracks are lost: {journal.shared(lead - 1, lead)} landmarks are shared with the frame before,"
+        f"tracks are lost: {tracks.shared(lead - 1, lead)} landmarks are shared with the frame before,"
         f" {options.connectivity} are needed"
     )
 

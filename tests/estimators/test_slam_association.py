@@ -145,3 +145,26 @@ def test_covariance_of_what_is_expected_is_that_of_scipy() -> None:
         found[6 + 3 * k : 9 + 3 * k, 6 + 3 * k : 9 + 3 * k] += own[k]
     np.testing.assert_allclose(found, np.linalg.inv(jacobian.T @ jacobian), rtol=1e-4, atol=1e-6)
     np.testing.assert_array_equal(common.by_view(0), 0.0)
+
+
+def test_refused_pixels_do_not_move_the_window_of_keyframes() -> None:
+    """A landmark that is misplaced in one frame is still in view: the oldest view of the window stays."""
+    for trial in range(3):
+        sequence, _ = make_sequence(np.random.default_rng([6, trial]), Recipe(frames=60, landmarks=12))
+        spoilt, wrong = thrown(sequence, trial)
+        assert sum(map(len, wrong)) > 5
+        clean = BundleSlam.from_options({}).follow(sequence).diagnostics
+        gated = BundleSlam.from_options({"associations": "consensus"}).follow(spoilt).diagnostics
+        assert gated["window_shifts"] == clean["window_shifts"] > 2
+
+
+def test_bundle_waits_a_frame_where_the_gauge_is_refused() -> None:
+    """The one landmark of known distance is misplaced in the second frame: there is no scale until the third."""
+    sequence, truth = make_sequence(np.random.default_rng(8), Recipe(frames=25, landmarks=20))
+    spoilt = misplaced_gauge(sequence)
+    gated = BundleSlam.from_options({"associations": "consensus"}).follow(spoilt)
+    assert gated.status == "ok", gated.reason
+    clean = BundleSlam.from_options({}).follow(sequence)
+    assert errors(gated, truth)[2:].max() < 2.0 * errors(clean, truth).max() + 0.3
+    believing = BundleSlam.from_options({}).follow(spoilt)
+    assert errors(believing, truth)[1] > 5.0 * errors(gated, truth)[1]
