@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from estimators.slam.agreement import Heard, all_fit
 from estimators.slam.expected import Common, Expected, guessed_landmarks, mapped_landmarks
 from estimators.slam.following import lookup
 from estimators.slam.hearing import fitting
 from estimators.slam.journal import Journal
+from estimators.slam.levenberg import StoppingRule
 from estimators.slam.residuals import bearing_residuals
 from estimators.slam.state import Adjustment, State
 from scenarios.tracks import TrackFrame
@@ -28,7 +30,7 @@ MOST_ROUNDS = 5
 """Adjustments of a frame at most, each without what the one before found wrong."""
 
 _MOST_VARIABLES = 1500
-"""Of an adjustment whose joint covariance is worked out; beyond, pixels are judged after it alone."""
+"""Of an adjustment's reduced system whose covariance is worked out; beyond, pixels are judged after it alone."""
 
 _LOOK_BACK = 5
 _MOST_IN_A_ROW = 2
@@ -81,17 +83,31 @@ class Jury:
         self.complete[view] = without_tracks(self.complete[view], tracks)
         self.refused[view] = self.refused.get(view, set()) - tracks
 
-    def hear(self, view: int, before: Adjusted | None) -> None:
+    def place(self, view: int, before: Adjusted | None, rule: StoppingRule, depth_m: float) -> None:
+        """Place a new view, and judge its frame: at once by where that puts it, or else by all that is known.
+
+        ``depth_m`` is how far landmarks are about.
+        """
+        self.journal.place(view, rule)
+        heard = self._heard(view, before, depth_m)
+        if before is not None and all_fit(self.journal, heard, (before.problem, before.state), self.limit):
+            self.in_a_row = {}
+            return
+        self._hear(heard, before)
+        if self.refused.get(view):
+            self.journal.place(view, rule)
+
+    def _hear(self, heard: Heard, before: Adjusted | None) -> None:
         """Judge a new frame by the adjustment before it and the predicted motion.
 
         Where most of it disagrees, or the adjustment has no covariance, nothing is known well enough to judge by, and
         all is believed.
         """
-        frame = self.complete[view]
-        if before is not None and 3 * (len(before.views) + len(before.tracks)) > _MOST_VARIABLES:
+        view, frame = heard.view, self.complete[heard.view]
+        if before is not None and 3 * _kept(before.problem) > _MOST_VARIABLES:
             return
         try:
-            seen = self._expected(view, before)
+            seen = self._expected(heard, before)
             fit = fitting(self.journal.camera, frame, seen, self.false_alarm, self.limit)
         except np.linalg.LinAlgError:
             return
@@ -127,8 +143,8 @@ class Jury:
     def _cut_off(self, adjusted: Adjusted) -> bool:
         """Refuse the newest pixel of landmarks at a distance out of reason: two pixels always meet somewhere."""
         seen, state = adjusted.problem.sightings, adjusted.state
-        distances = np.linalg.norm(state.points_m - state.positions_m[-1], axis=1)
-        middle = float(np.median(distances))
+        distances = np.sqrt(((state.points_m - state.positions_m[-1]) ** 2).sum(axis=1))
+        middle = float(np.sort(distances)[len(distances) // 2])
         odd = np.flatnonzero((distances < middle / _FARTHEST) | (distances > middle * _FARTHEST)).tolist()
         odd = [point for point in odd if not _in_prior(adjusted.problem, point)]
         for point in odd:
@@ -144,9 +160,10 @@ class Jury:
         Not those that the prior knows or that have a range.
         """
         self.in_a_row = {track: [*self.in_a_row.get(track, []), view] for track in refused}
-        ranged = {item.track for frame in self.complete.values() for item in frame.ranges}
-        for track, run in list(self.in_a_row.items()):
-            if len(run) < _MOST_IN_A_ROW or track in settled or track in ranged:
+        due = [(track, run) for track, run in self.in_a_row.items() if len(run) >= _MOST_IN_A_ROW]
+        ranged = {item.track for frame in self.complete.values() for item in frame.ranges} if due else set()
+        for track, run in due:
+            if track in settled or track in ranged:
                 continue
             for other, frame in self.complete.items():
                 if other in run:
@@ -156,25 +173,25 @@ class Jury:
             self.journal.points_m.pop(track, None)
             del self.in_a_row[track]
 
-    def _expected(self, view: int, before: Adjusted | None) -> Expected:
+    def _heard(self, view: int, before: Adjusted | None, depth_m: float) -> Heard:
         """Gather the landmarks of the map that a frame sees, and those seen once before."""
-        frame = self.complete[view]
-        row = np.full(len(frame.tracks), -1, dtype=np.int64)
-        motion = frame.motion_covariance_m2
+        tracks = self.complete[view].tracks
         last = self._last_seen(view)
+        points = np.full(len(tracks), -1) if before is None else lookup(before.tracks.tolist(), tracks)
+        once = [row for row in np.flatnonzero(points < 0).tolist() if int(tracks[row]) in last]
+        sights = [(last[int(tracks[row])], int(tracks[row])) for row in once]
+        return Heard(view, points, (np.array(once, dtype=np.int64), sights), depth_m)
+
+    def _expected(self, heard: Heard, before: Adjusted | None) -> Expected:
+        """Tell where a frame is expected to see them, with the covariance."""
+        view, motion = heard.view, self.complete[heard.view].motion_covariance_m2
         if before is None:
-            common = Common.of(None, (), motion)
-        else:
-            common = Common.of((before.problem, before.state), before.views, motion)
-            row = lookup(before.tracks.tolist(), frame.tracks)
-        once = [r for r in np.flatnonzero(row < 0).tolist() if int(frame.tracks[r]) in last]
-        sights = [(last[int(frame.tracks[r])], int(frame.tracks[r])) for r in once]
-        depth = self.journal.median_depth(view - 1)
-        guessed = guessed_landmarks(common, self.journal, (np.array(once, dtype=np.int64), sights), depth, view)
-        if before is None:
-            return guessed
-        places = (np.flatnonzero(row >= 0), row[row >= 0])
-        at = self.journal.positions_m[view - 1] + frame.motion_m
+            return guessed_landmarks(Common.of(None, (), motion), self.journal, heard.once, heard.depth_m, view)
+        common = Common.of((before.problem, before.state), before.views, motion)
+        guessed = guessed_landmarks(common, self.journal, heard.once, heard.depth_m, view)
+        rows = np.flatnonzero(heard.points >= 0)
+        places = (rows, heard.points[rows])
+        at = self.journal.positions_m[view - 1] + self.complete[view].motion_m
         return mapped_landmarks(common, (before.problem, before.state, before.views), places, view, at).joined(guessed)
 
     def _last_seen(self, view: int) -> dict[int, int]:
@@ -221,6 +238,12 @@ def without_tracks(frame: TrackFrame, tracks: set[int]) -> TrackFrame:
 
 def _in_prior(problem: Adjustment, point: int) -> bool:
     return problem.prior is not None and bool(np.any(problem.prior.points == point))
+
+
+def _kept(problem: Adjustment) -> int:
+    """Count the variables that the reduced system of an adjustment holds."""
+    prior = 0 if problem.prior is None else len(problem.prior.points)
+    return int(np.count_nonzero(problem.free_views)) + prior
 
 
 def _prior_tracks(adjusted: Adjusted | None) -> set[int]:

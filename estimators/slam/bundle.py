@@ -97,10 +97,12 @@ class _Window:
         return foreseen_by_window(self.journal, last, frame, self.adjusted) if last >= 0 else None
 
     def _follow(self, number: int) -> FrameEstimate:
-        rule = StoppingRule(self.options.tolerance * self.journal.median_depth(number - 1), self.options.iterations)
-        if self.jury is not None:
-            self.jury.hear(number, self.adjusted)
-        self.journal.place(number, rule)
+        depth = self.journal.median_depth(number - 1)
+        rule = StoppingRule(self.options.tolerance * depth, self.options.iterations)
+        if self.jury is None:
+            self.journal.place(number, rule)
+        else:
+            self.jury.place(number, self.adjusted, rule, depth)
         placed_m, guessed = self.journal.positions_m[number], set(self.journal.guessed)
         views = self._window(number)
         try:

@@ -12,7 +12,7 @@ from scipy.linalg import cho_factor, cho_solve
 from estimators.slam.journal import Journal
 from estimators.slam.levenberg import reduced_system
 from estimators.slam.residuals import bearing_jacobians, distance_jacobians
-from estimators.slam.state import Adjustment, State
+from estimators.slam.state import Adjustment, Distances, Sightings, State
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -137,15 +137,25 @@ def line_information(problem: Adjustment, state: State, points: IndexArray) -> F
     """(n, V, 3, 3) what each view measured of its line to each of some landmarks, 1/m^2."""
     place = np.full(len(state.points_m), -1, dtype=np.int64)
     place[points] = np.arange(len(points))
+    part = _about(problem, place >= 0)
     told = np.zeros((len(points), len(state.positions_m), 3, 3))
     for measured, by_point in (
-        (problem.sightings, bearing_jacobians(problem, state)),
-        (problem.distances, distance_jacobians(problem, state)),
+        (part.sightings, bearing_jacobians(part, state)),
+        (part.distances, distance_jacobians(part, state)),
     ):
-        wanted = place[measured.point] >= 0
-        square = np.swapaxes(by_point[wanted], 1, 2) @ by_point[wanted]
-        np.add.at(told, (place[measured.point[wanted]], measured.view[wanted]), square)
+        np.add.at(told, (place[measured.point], measured.view), np.swapaxes(by_point, 1, 2) @ by_point)
     return told
+
+
+def _about(problem: Adjustment, wanted: BoolArray) -> Adjustment:
+    """Return a problem with the sightings and distances of some landmarks, (L,), alone."""
+    seen, measured = problem.sightings, problem.distances
+    k, d = wanted[seen.point], wanted[measured.point]
+    return replace(
+        problem,
+        sightings=Sightings(seen.view[k], seen.point[k], seen.uv_px[k], seen.sigma_px[k]),
+        distances=Distances(measured.view[d], measured.point[d], measured.range_m[d], measured.sigma_m[d]),
+    )
 
 
 def kept_covariance(problem: Adjustment, state: State) -> tuple[FloatArray, IndexArray, IndexArray]:
@@ -183,11 +193,28 @@ def mapped_landmarks(
 def guessed_landmarks(
     common: Common, journal: Journal, places: tuple[IndexArray, Sequence[tuple[int, int]]], depth_m: float, view: int
 ) -> Expected:
-    """Landmarks at (rows of the frame, (view, track) that saw them once): as far as their range, or at a guess.
-
-    Its own covariance has the pixel's noise across the first ray, and 30 % of the distance along it.
-    """
+    """Landmarks at (rows of the frame, (view, track) that saw them once): as far as their range, or at a guess."""
     rows, sights = places
+    points, own = guessed_points(journal, sights, depth_m)
+    at = journal.positions_m[view - 1] + journal.frames[view].motion_m
+    by_all = np.array([common.by_view(other) - common.by_camera(view) for other, _ in sights])
+    return Expected(
+        rows,
+        points - at,
+        by_all.reshape(len(sights), 3, len(common.covariance)),
+        common.covariance,
+        own,
+        np.zeros(len(sights), dtype=np.bool_),
+    )
+
+
+def guessed_points(
+    journal: Journal, sights: Sequence[tuple[int, int]], depth_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) landmarks that (view, track) saw once, and (n, 3, 3) covariance against that view, m^2.
+
+    It has the pixel's noise across the ray, and along it 30 % of the distance or the error of the range.
+    """
     n = len(sights)
     depths, sigmas = np.full(n, depth_m), np.full(n, DEPTH_SIGMA * depth_m)
     for k, (other, track) in enumerate(sights):
@@ -199,13 +226,4 @@ def guessed_landmarks(
     along = rays[:, :, None] * rays[:, None, :]
     own = (sigmas**2)[:, None, None] * along + (noise**2)[:, None, None] * (np.eye(3) - along)
     anchors = np.array([journal.positions_m[other] for other, _ in sights]).reshape(n, 3)
-    at = journal.positions_m[view - 1] + journal.frames[view].motion_m
-    by_all = np.array([common.by_view(other) - common.by_camera(view) for other, _ in sights])
-    return Expected(
-        rows,
-        anchors + depths[:, None] * rays - at,
-        by_all.reshape(n, 3, len(common.covariance)),
-        common.covariance,
-        own,
-        np.zeros(n, dtype=np.bool_),
-    )
+    return anchors + depths[:, None] * rays, own

@@ -32,7 +32,7 @@ class FixedLagSmoother:
     """Adjusts the last frames; older ones and lost landmarks are marginalised: nothing measured is forgotten."""
 
     name: ClassVar[str] = "fixed-lag"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
 
     def __init__(self, options: SmootherOptions) -> None:
         self.options = options
@@ -106,11 +106,13 @@ class WindowSmoother:
         self.views.append(number)
         if number == 0:
             return self._begin(frame)
-        rule = StoppingRule(self.options.tolerance * self.journal.median_depth(number - 1), self.options.iterations)
+        depth = self.journal.median_depth(number - 1)
+        rule = StoppingRule(self.options.tolerance * depth, self.options.iterations)
         self._check_connected(number)
-        if self.jury is not None:
-            self.jury.hear(number, self.adjusted)
-        self.journal.place(number, rule)
+        if self.jury is None:
+            self.journal.place(number, rule)
+        else:
+            self.jury.place(number, self.adjusted, rule, depth)
         self.adjusted = self._adjust(rule)
         problem, state, tracks = self.adjusted.problem, self.adjusted.state, self.adjusted.tracks.tolist()
         estimate = self._estimate(problem, state, tracks)
@@ -230,7 +232,9 @@ class WindowSmoother:
         old = np.zeros(0, dtype=np.int64) if self.prior is None else self.prior.points
         self.prior = replace(local, views=np.array(self.views)[local.views], points=number[local.points])
         if self.jury is not None:
-            self.prior = _held(self.prior, ~np.isin(self.prior.points, old), self.journal.median_depth(self.views[-1]))
+            self.prior = _held(
+                self.prior, lookup(old.tolist(), self.prior.points) < 0, self.journal.median_depth(self.views[-1])
+            )
         self.widest_prior = max(self.widest_prior, len(local.origin_m))
         for view, position in zip(self.prior.views.tolist(), state.positions_m[local.views], strict=True):
             self.first_positions_m.setdefault(view, position)
@@ -278,9 +282,11 @@ def _held(prior: Prior, new: BoolArray, depth_m: float) -> Prior:
     if len(prior.views) == 0 or not new.any():
         return prior
     weight = 1.0 / (_LOOSELY * depth_m) ** 2
-    between = np.zeros((len(prior.origin_m), len(prior.origin_m)))
-    points = len(prior.views) + np.flatnonzero(new)
-    between[points, points] = weight
-    between[0, points] = between[points, 0] = -weight
-    between[0, 0] = weight * len(points)
-    return replace(prior, information=prior.information + np.kron(between, np.eye(3)))
+    information, view = prior.information.copy(), np.arange(3)
+    for point in (len(prior.views) + np.flatnonzero(new)).tolist():
+        own = 3 * point + view
+        information[own, own] += weight
+        information[view, view] += weight
+        information[own, view] -= weight
+        information[view, own] -= weight
+    return replace(prior, information=information)

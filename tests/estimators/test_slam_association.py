@@ -9,11 +9,14 @@ import pytest
 from scipy.optimize import least_squares
 from slam_sequences import Recipe, Truth, make_sequence
 
-from estimators.slam.association import Jury
+from estimators.slam.agreement import all_fit
+from estimators.slam.association import Adjusted, Jury
 from estimators.slam.bundle import BundleSlam
 from estimators.slam.contract import SequenceEstimate
 from estimators.slam.expected import Common
+from estimators.slam.hearing import fitting
 from estimators.slam.journal import Journal
+from estimators.slam.levenberg import StoppingRule
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
 from estimators.slam.state import Adjustment, Distances, Motions, Prior, Sightings, State
 from scenarios.tracks import TrackSequence
@@ -88,6 +91,39 @@ def test_gate_refuses_the_wrong_and_few_of_the_right(monkeypatch: pytest.MonkeyP
     assert total > 100
     assert missed <= 0.06 * total  # some fall within the noise, others on a track that ends at once
     assert wrongly < 30
+
+
+def test_cheap_judgement_of_a_frame_is_that_by_the_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a frame that fits at once, all that is known refuses no wrong pixel, and hardly a right one."""
+    judged = {"at once": 0, "frames": 0, "right": 0, "wrong": 0, "pixels": 0}
+    wrong: list[set[int]] = []
+
+    def both(self: Jury, view: int, before: Adjusted | None, rule: StoppingRule, depth_m: float) -> None:
+        place(self, view, before, rule, depth_m)
+        if before is None:
+            return
+        self.journal.place(view, rule)  # as before anything of it was judged
+        heard = self._heard(view, before, depth_m)
+        judged["frames"] += 1
+        if not self.refused.get(view) and all_fit(self.journal, heard, (before.problem, before.state), self.limit):
+            judged["at once"] += 1
+            seen = self._expected(heard, before)
+            fit = fitting(self.journal.camera, self.complete[view], seen, self.false_alarm, self.limit)
+            otherwise = set(self.complete[view].tracks[seen.rows[~fit]].tolist())
+            judged["wrong"] += len(otherwise & wrong[view])
+            judged["right"] += len(otherwise - wrong[view])
+            judged["pixels"] += len(fit)
+
+    place = Jury.place
+    monkeypatch.setattr(Jury, "place", both)
+    for trial in range(8):
+        sequence, _ = make_sequence(np.random.default_rng([5, trial]), Recipe(frames=25, landmarks=18))
+        spoilt, thrown_off = thrown(sequence, trial)
+        for data, wrong in ((sequence, [set[int]()] * 25), (spoilt, thrown_off)):  # noqa: B007
+            assert FixedLagSmoother.from_options({"lag": 6}).follow(data).status == "ok"
+    assert judged["at once"] > 0.4 * judged["frames"]
+    assert judged["wrong"] == 0
+    assert judged["right"] <= 0.002 * judged["pixels"]
 
 
 def test_wrong_range_landmark_in_the_second_frame_does_not_take_the_scale() -> None:
