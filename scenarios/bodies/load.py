@@ -13,6 +13,7 @@ import numpy as np
 from scenarios.bodies.checks import checked_mesh
 from scenarios.bodies.detail import DETAIL_VERSION, add_detail
 from scenarios.bodies.embedded import EMBEDDED, EMBEDDED_VERSION
+from scenarios.bodies.even import EVEN_VERSION, evenly_meshed
 from scenarios.bodies.height_error import HEIGHT_ERROR_VERSION, with_height_error
 from scenarios.bodies.readers import READER_VERSION, read_shape
 from scenarios.cache import Cache, default_cache
@@ -92,6 +93,8 @@ def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
         "detail": None if spec.detail is None else spec.detail.model_dump(mode="json"),
         "versions": [READER_VERSION, EMBEDDED_VERSION, DETAIL_VERSION],
     }
+    if spec.even_facets is not None:
+        content["even"] = [spec.even_facets, EVEN_VERSION]
     if spec.height_error is not None:
         content["height_error"] = [spec.height_error.model_dump(mode="json"), HEIGHT_ERROR_VERSION]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
@@ -118,6 +121,14 @@ def _bytes(path: Path) -> bytes:
 
 
 def _coarse(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:
+    mesh, notes = _given(spec, path)
+    if spec.even_facets is not None:
+        mesh = evenly_meshed(mesh, spec.even_facets, spec.shape if path is None else str(path))
+    return mesh, notes
+
+
+def _given(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:
+    """Return the shape as it is in the file or the package."""
     if path is None:
         return EMBEDDED[spec.shape](), ()
     shape = read_shape(path, spec.format, west_longitudes=spec.longitude == "west")

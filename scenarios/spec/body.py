@@ -9,6 +9,10 @@ from pydantic import Field, model_validator
 from scenarios.spec.base import SpecModel
 
 
+def _is_none(value: object) -> bool:
+    return value is None
+
+
 class SizesSpec(SpecModel):
     """A range of diameters."""
 
@@ -99,5 +103,13 @@ class BodySpec(SpecModel):
         (1.0, 2_000_000.0), description="The body's extent must lie in this range: guards against a wrong unit"
     )
     shading: Literal["flat", "smooth"] = Field("flat", description="Normals of the facets, or interpolated ones")
+    even_facets: int | None = Field(
+        None,
+        ge=20,
+        le=1_000_000,
+        # Left out of digests where it is not given: a body without it is the same as ever.
+        exclude_if=_is_none,
+        description="At least so many even facets are laid over the shape before the detail, which slivers would fold",
+    )
     detail: DetailSpec | None = None
     height_error: HeightErrorSpec | None = Field(None, description="Random error of the heights, after the detail")

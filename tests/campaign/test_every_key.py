@@ -61,6 +61,7 @@ UNIFORM = RENDERED + (
     " attitude: {rotation_vector_deg: {uniform: [[-1, 1], [-1, 1], [-1, 1]]}}}\n"
 )
 ALTIMETER = RENDERED + "sensors: {altimeter: {sigma_m: 5}}\n"
+BALL = RENDERED.replace("body:\n", "body:\n  shape: sphere\n")
 WRONG_HEIGHTS = RENDERED.replace(
     "body:\n", "body:\n  height_error: {rms_m: 4, max_wavelength_m: 200, min_wavelength_m: 50}\n"
 )
@@ -179,6 +180,7 @@ CHANGES: dict[str, tuple[str, str]] = {
     "pose_error.attitude.angle_deg.normal": (ANGLE, "2"),
     "pose_error.attitude.rotation_vector_deg.uniform": (UNIFORM, "[[-1, 1], [-1, 1], [-2, 2]]"),
     "pose_error.attitude.rotation_vector_deg.normal": (GAUSSIAN, "[1, 1, 2]"),
+    "body.even_facets": (BALL, "2000"),
     "body.height_error.rms_m": (WRONG_HEIGHTS, "9"),
     "body.height_error.max_wavelength_m": (WRONG_HEIGHTS, "150"),
     "body.height_error.min_wavelength_m": (WRONG_HEIGHTS, "80"),
