@@ -122,7 +122,7 @@ class Watch:
             "n_wrong": int(wrong.sum()),
             "error_px": _root_mean(error[~wrong]),
             "sigma_px": images.spec.sigma_px,
-            **dict.fromkeys(("repeatability", "n_matches", "n_kept", "right_share", "kept_right_share")),
+            **dict.fromkeys(("repeatability", "n_matches", "n_kept", "right_share", "kept_right_share", "survival")),
         }
         if index == 0:
             return record
@@ -135,6 +135,7 @@ class Watch:
             "n_kept": int(tracked.kept.sum()),
             "right_share": _share(pairs.right),
             "kept_right_share": _share(pairs.right[tracked.kept]),
+            "survival": _share(np.isin(self._tracked[index - 1].tracks, tracked.tracks)),
         }
 
     def _seconds(self) -> dict[str, float]:

@@ -82,6 +82,7 @@ UNITS = {
     "repeatability_share": "%",
     "right_share": "%",
     "kept_right_share": "%",
+    "track_survival_share": "%",
 }
 # Units of numbers that estimators report, by the end of their names.
 _REDUCTIONS = {"position_reduction_m": POSE_COLUMNS[0], "attitude_reduction_deg": POSE_COLUMNS[1]}

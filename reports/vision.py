@@ -14,11 +14,14 @@ from reports.tables import Grid, counts, value_of
 VISION = "vision"
 """Stage of what the vision layer did to the images, whatever estimator used its tracks."""
 
-_SHARES = {"repeatability": "repeatability_share", "right_share": "right_share", "kept_right_share": "kept_right_share"}
-_NUMBERS = {
+_MEASURES = {
     "n_features": "features_per_image",
+    "repeatability": "repeatability_share",
     "n_matches": "matches_per_image",
+    "right_share": "right_share",
     "n_kept": "kept_per_image",
+    "kept_right_share": "kept_right_share",
+    "survival": "track_survival_share",
     "n_tracks": "tracks_per_image",
     "n_wrong": "wrong_per_image",
     "error_px": "track_error_px",
@@ -28,9 +31,10 @@ _LABELS = {
     "features_per_image": "features found in an image",
     "repeatability_share": "features of the frame before, in sight here, found again, %",
     "matches_per_image": "matches of descriptors",
-    "right_share": "right ones among them, %",
+    "right_share": "right ones among the matches, %",
     "kept_per_image": "matches that agree with one motion",
-    "kept_right_share": "right ones among them, %",
+    "kept_right_share": "right ones among those that agree, %",
+    "track_survival_share": "tracks of the frame before that go on, %",
     "tracks_per_image": "tracks seen in a frame",
     "wrong_per_image": "tracks more than 3 px off",
     "track_error_px": "RMS error of a coordinate of the others, px",
@@ -43,15 +47,20 @@ _NOTE = (
 
 
 def vision_records(run: RunData) -> list[Record]:
-    """Measure the vision layer of each scenario and estimator: means over the frames of each trial."""
+    """Measure the vision layer of each scenario and estimator: means over the frames of each trial.
+
+    Runs of before the column ``survival`` tell the others.
+    """
     records: list[Record] = []
     if run.vision.empty:
         return records
     for scenario, estimator in run.pairs():
         frames = select(run.vision, scenario, estimator)
-        for column, name in (_SHARES | _NUMBERS).items():
+        for column, name in _MEASURES.items():
+            if column not in frames:
+                continue
             trials = frames.groupby("trial", as_index=False)[column].mean()
-            values = trials[column].to_numpy(dtype=np.float64) * (100.0 if column in _SHARES else 1.0)
+            values = trials[column].to_numpy(dtype=np.float64) * (100.0 if name.endswith("_share") else 1.0)
             known = np.isfinite(values)
             clusters = clusters_of(run, trials.assign(scenario=scenario))[known]
             for statistic, measured in zip(

@@ -106,6 +106,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("n_kept", pa.int64(), "those of them that agree with one motion of the camera"),
         Column("right_share", pa.float64(), "share of the matches that are right: within 3 px of the true place"),
         Column("kept_right_share", pa.float64(), "the same of those that were kept"),
+        Column("survival", pa.float64(), "share of the tracks of the frame before that go on"),
         Column("n_tracks", pa.int64(), "tracks seen in the frame"),
         Column("n_wrong", pa.int64(), "tracks more than 3 px from the true place of their landmark"),
         Column("error_px", pa.float64(), "RMS over the others of the error of a coordinate"),

@@ -1,0 +1,65 @@
+"""The vision layer told from stored frames, by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import ESTIMATOR, SCENARIO
+
+from reports.run_data import read_run
+from reports.vision import vision_grid, vision_records
+
+FRAMES = {  # by trial: features, share of tracks that go on, tracks, wrong ones; the first frame goes on from none
+    0: [(100, None, 30, 0), (200, 0.5, 30, 3), (300, 0.9, 30, 0)],
+    1: [(400, None, 20, 2), (400, 1.0, 20, 2), (400, 0.6, 20, 2)],
+}
+
+
+def told(builder, *left_out):
+    for trial, frames in FRAMES.items():
+        for name in (ESTIMATOR, "other"):
+            error = (np.ones(3), 0.1)
+            builder.trial(trial, error, error, estimator=name)
+            for frame, (features, survival, tracks, wrong) in enumerate(frames):
+                numbers = {
+                    "n_features": features, "repeatability": 0.9, "n_matches": 50, "right_share": 0.8, "n_kept": 40,
+                    "kept_right_share": 1.0, "survival": survival, "n_tracks": tracks, "n_wrong": wrong,
+                    "error_px": 0.4, "sigma_px": 0.5,
+                }  # fmt: skip
+                kept = {column: value for column, value in numbers.items() if column not in left_out}
+                builder.add("vision", trial=trial, scenario=SCENARIO, estimator=name, frame=frame, **kept)
+    return vision_records(read_run(builder.write()))
+
+
+def test_means_are_over_the_frames_of_a_trial_and_then_over_trials(builder):
+    records = told(builder)
+    means = {r.measure: r.value for r in records if r.statistic == "mean" and r.estimator == ESTIMATOR}
+    assert means["features_per_image"] == pytest.approx((200 + 400) / 2)
+    assert means["track_survival_share"] == pytest.approx((70 + 80) / 2)
+    assert means["tracks_per_image"] == pytest.approx(25)
+    assert means["wrong_per_image"] == pytest.approx((1 + 2) / 2)
+
+
+def test_estimators_of_the_same_tracks_share_a_line_and_lines_go_with_the_work(builder):
+    rows = vision_grid(told(builder)).rows
+    assert {row[1] for row in rows} == {f"{ESTIMATOR}, other"}
+    first = [row[2].split()[0] for row in rows]
+    assert first == [
+        "features",
+        "features",
+        "matches",
+        "right",
+        "matches",
+        "right",
+        "tracks",
+        "tracks",
+        "tracks",
+        "RMS",
+        "what",
+    ]
+
+
+def test_a_run_of_before_survival_was_stored_tells_the_rest(builder):
+    names = {r.measure for r in told(builder, "survival")}
+    assert "track_survival_share" not in names
+    assert "tracks_per_image" in names
