@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import RunBuilder, pose_error
 from scipy.stats import chi2, kstest
+from stored_runs import RunBuilder, pose_error
 
 from reports.consistency import (
     BAND,

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import RunBuilder, pose_error
+from stored_runs import RunBuilder, pose_error
 
 from reports.build import write_report
 from reports.content import read_content

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import ESTIMATOR, SCENARIO
+from stored_runs import ESTIMATOR, SCENARIO
 
 from reports.run_data import read_run
 from reports.vision import vision_grid, vision_records
