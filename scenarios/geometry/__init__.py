@@ -12,6 +12,7 @@ Conventions, stated once:
 
 from scenarios.geometry.camera import Camera, pixel_from_opencv, pixel_to_opencv
 from scenarios.geometry.distortion import RadialDistortion
+from scenarios.geometry.ellipse import Ellipses, project_circles
 from scenarios.geometry.mesh import TriangleMesh
 from scenarios.geometry.pose import FrameMismatchError, Pose, look_at
 from scenarios.geometry.surface import SurfaceHits
@@ -19,6 +20,7 @@ from scenarios.geometry.view import View
 
 __all__ = [
     "Camera",
+    "Ellipses",
     "FrameMismatchError",
     "Pose",
     "RadialDistortion",
@@ -28,4 +30,5 @@ __all__ = [
     "look_at",
     "pixel_from_opencv",
     "pixel_to_opencv",
+    "project_circles",
 ]

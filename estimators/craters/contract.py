@@ -1,0 +1,116 @@
+"""What the stages of crater navigation hand to each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.geometry import Camera, Ellipses
+from scenarios.observation import Frame
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CraterDetections:
+    """Rims that were found in an image, the most confident first.
+
+    Parameters
+    ----------
+    ellipses
+        n rims at their crests.
+    confidence
+        (n,) descending; its scale is the detector's own.
+    """
+
+    ellipses: Ellipses
+    confidence: FloatArray
+
+
+class CraterDetector(Protocol):
+    """Finds craters in an image.
+
+    ``version`` is part of every result's key: raise it when results change.
+    """
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        ...
+
+    def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
+        """Find rims by the image and the Sun in camera axes; an image without a crater gives none.
+
+        Raises
+        ------
+        BoresightError
+            If nothing can be seen in the image: black, saturated, not finite.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CraterImage:
+    """An image after detection: all that matching sees.
+
+    Parameters
+    ----------
+    number
+        Of the image in its campaign, unique.
+    """
+
+    number: int
+    frame: Frame
+    camera: Camera
+    detections: CraterDetections
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CraterMatches:
+    """Detections of two images that are taken for the same craters.
+
+    Parameters
+    ----------
+    pairs
+        (k, 2) rows of the first and the second image's detections; no row twice.
+    score
+        (k,) how well they agree; the scale is the matcher's own.
+    reason
+        Why the pair of images was rejected; empty where it was not.
+    """
+
+    pairs: IndexArray
+    score: FloatArray
+    reason: str = ""
+
+
+class Ground(Protocol):
+    """The a priori shape, as lines of sight meet it."""
+
+    def intersect(self, origin_body_m: FloatArray, directions_body: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return (n, 3) points and (n, 3) outward normals where (n, 3) rays meet the body; NaN where they miss it."""
+        ...
+
+
+class CraterMatcher(Protocol):
+    """Finds the craters that two images have in common."""
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        ...
+
+    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
+        """Match two images by their detections, their pixels and their prior poses."""
+        ...
