@@ -95,7 +95,8 @@ class Ellipses:
             rows = np.linalg.det(conics[:, :2, :2]) > 0.0
             if not rows.all():
                 raise BoresightError(f"conic {int(np.argmin(rows))} is not an ellipse")
-            centre = -np.linalg.solve(conics[:, :2, :2], conics[:, :2, 2:])[:, :, 0]
+            solved = np.linalg.solve(conics[:, :2, :2], conics[:, :2, 2:])
+            centre = np.asarray(-solved[:, :, 0], dtype=np.float64)
         scale = np.einsum("ni,ni->n", conics[:, 2, :2], centre) + conics[:, 2, 2]
         if np.any(scale >= 0.0):
             raise BoresightError(f"conic {int(np.argmax(scale >= 0.0))} has no real point")
