@@ -4,7 +4,9 @@ Entries are folders ``ROOT/KIND/KEY`` with a manifest of their files' digests. A
 aside, then renamed) or not at all; one that is damaged is dropped and built again. Where nothing can be
 written the entry is built in a temporary folder of this process, and a warning is logged.
 
-Kinds in ``BULK`` are large for the time that they save: they make room for the others.
+Kinds in ``BULK`` are large for the time that they save: they make room for the others. Those in ``FOREIGN`` are
+written by other programs, which check them themselves: their folders ``ROOT/KIND/KEY`` have no manifest, but they are
+listed, counted and removed like the others.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ from scenarios.errors import BoresightError
 _log = logging.getLogger(__name__)
 
 BULK = frozenset({"images"})
+FOREIGN = frozenset({"kernels"})
 
 _MANIFEST = "manifest.json"
 _STALE_S = 24 * 3600.0
@@ -129,14 +132,15 @@ class Cache:
 
     def entries(self) -> tuple[CacheEntry, ...]:
         """List the entries, least recently used first."""
+        marks = [(manifest.parent, manifest) for manifest in self.root.glob(f"*/*/{_MANIFEST}")]
+        marks += [(path, path) for kind in sorted(FOREIGN) for path in self.root.glob(f"{kind}/*")]
         found = []
-        for manifest in self.root.glob(f"*/*/{_MANIFEST}"):
-            path = manifest.parent
-            if path.parent.name.startswith("."):
+        for path, mark in marks:
+            if any(name.startswith(".") for name in (path.name, path.parent.name)):
                 continue
             with contextlib.suppress(OSError):
                 size = sum(file.stat().st_size for file in _files(path))
-                found.append(CacheEntry(path.parent.name, path.name, path, size, manifest.stat().st_mtime))
+                found.append(CacheEntry(path.parent.name, path.name, path, size, mark.stat().st_mtime))
         return tuple(sorted(found, key=lambda entry: (entry.used_s, entry.path)))
 
     def size_bytes(self, kind: str | None = None) -> int:

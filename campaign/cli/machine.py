@@ -25,7 +25,7 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the commands to the parser."""
     doctor = commands.add_parser("doctor", help="say what this machine offers and what to do about what is missing")
     doctor.set_defaults(handler=_doctor)
-    store = commands.add_parser("cache", help="show the cache of bodies, data bases and images, or clear it")
+    store = commands.add_parser("cache", help="show the cache (bodies, data bases, images, machine code), or clear it")
     store.add_argument(
         "--clear", metavar="KIND", nargs="?", const=_EVERYTHING, help="delete everything in it, or one kind of things"
     )

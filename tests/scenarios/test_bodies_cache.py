@@ -90,6 +90,23 @@ def test_clear_removes_entries_and_left_overs(cache):
     assert list((cache.root / ".building").iterdir()) == []
 
 
+def test_machine_code_of_kernels_is_listed_and_cleared(cache, monkeypatch):
+    """Compiled by numba in a process of its own, as a run does it; a body beside it is another kind."""
+    monkeypatch.setenv("BORESIGHT_CACHE", str(cache.root))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    code = "import numpy as np; from estimators.slam.compiled.envelope import make_envelope as m; m(np.array([2, 1]))"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    cache.folder("bodies", "key", writer())
+    machine_code = list(cache.root.glob("kernels/*/*/*.nbc"))
+    assert machine_code
+    listed = [entry for entry in cache.entries() if entry.kind == "kernels"]
+    assert [entry.path for entry in listed] == [machine_code[0].parents[1]]
+    assert listed[0].size_bytes >= sum(file.stat().st_size for file in machine_code)
+    assert cache.clear("kernels") == 1
+    assert not any((cache.root / "kernels").iterdir())
+    assert [entry.kind for entry in cache.entries()] == ["bodies"]
+
+
 @pytest.mark.parametrize("place", ["a file", "a full disk"])
 def test_without_a_writable_folder_it_works_with_a_warning(tmp_path, caplog, place):
     root = tmp_path / "root"
