@@ -10,7 +10,29 @@ from estimators.slam.gating import Gate
 from scenarios.spec.base import SpecModel
 
 
-class SolverOptions(SpecModel):
+class LossOptions(SpecModel):
+    """Of every estimator but the control: when it gives up a sequence."""
+
+    connectivity: int = Field(3, ge=1, le=100, description="Landmarks that two frames must share")
+    uncertainty_max: float = Field(
+        0.25,
+        gt=0,
+        description="The scale counts as lost when the position is uncertain by this part of the distance",
+    )
+
+
+class InnovationOptions(SpecModel):
+    """Of every estimator that holds a new frame against what was known before it."""
+
+    innovation_frames: int = Field(10, ge=1, le=1000, description="Frames over which innovations are averaged")
+    innovation_max: float = Field(
+        5.0,
+        gt=1,
+        description="Mean squared normalised innovation at which the estimator counts as diverging; 1 is expected",
+    )
+
+
+class SolverOptions(LossOptions):
     """Of every estimator that minimises."""
 
     tolerance: float = Field(
@@ -18,11 +40,6 @@ class SolverOptions(SpecModel):
     )
     iterations: int = Field(50, ge=1, le=1000, description="Steps of a minimisation at most")
     connectivity: int = Field(3, ge=2, le=100, description="Landmarks that two views must share")
-    uncertainty_max: float = Field(
-        0.25,
-        gt=0,
-        description="The scale counts as lost when the position is uncertain by this part of the distance",
-    )
 
 
 class AssociationOptions(SolverOptions):
@@ -69,24 +86,17 @@ class BundleOptions(AssociationOptions):
     )
 
 
-class FilterOptions(SpecModel):
+class FilterOptions(InnovationOptions, LossOptions):
     """Options of ``ekf-slam``."""
 
     depth_sigma: float = Field(
         0.3, gt=0, le=2, description="Standard deviation of a new landmark's inverse distance, relative to its guess"
     )
-    innovation_frames: int = Field(10, ge=1, le=1000, description="Frames over which innovations are averaged")
     innovation_max: float = Field(
         25.0,
         gt=1,
         description="Mean squared normalised innovation at which the filter counts as diverging; 1 is expected, and an"
         " overconfident filter that still follows its path comes to 5 or 10",
-    )
-    connectivity: int = Field(3, ge=1, le=100, description="Landmarks that two frames must share")
-    uncertainty_max: float = Field(
-        0.25,
-        gt=0,
-        description="The scale counts as lost when the position is uncertain by this part of the distance",
     )
     gate: Gate = Field(
         "none",
@@ -142,18 +152,12 @@ class BatchOptions(AssociationOptions):
     motion: bool = Field(True, description="Count predicted motions as measurements")
 
 
-class DynamicOptions(SolverOptions):
+class DynamicOptions(InnovationOptions, SolverOptions):
     """Options of ``dynamic-smoother``."""
 
     lag: int = Field(10, ge=2, le=1000, description="Frames of the window")
     first_estimates: bool = Field(
         True, description="Take derivatives by variables of the prior where they were when they entered it"
-    )
-    innovation_frames: int = Field(10, ge=1, le=1000, description="Frames over which innovations are averaged")
-    innovation_max: float = Field(
-        5.0,
-        gt=1,
-        description="Mean squared normalised innovation at which the smoother counts as diverging; 1 is expected",
     )
 
 
