@@ -1,0 +1,1 @@
+"""An orbit about a small body, as navigation by craters sees it: gravity, light, rotation, motion and measurements."""

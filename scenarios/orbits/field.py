@@ -1,0 +1,203 @@
+"""What accelerates a spacecraft about a small body, with derivatives: harmonics of a turning body, and sunlight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.orbits.harmonics import Harmonics, normalisation
+from scenarios.orbits.jit import kernel
+from scenarios.orbits.rotation import UniformRotation
+from scenarios.orbits.solid import Table, derivative, index, outer_harmonics, terms
+
+FloatArray = NDArray[np.float64]
+
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2))
+"""Second derivatives; the sixth follows from Laplace's equation."""
+
+
+class FlatField(NamedTuple):
+    """A field as the kernels take it; tables of V and W come as (2, ..., terms).
+
+    ``pull`` (2, 3, t1) and ``tide`` (2, 5, t2) are first and second derivatives of the potential, ``parts``
+    (2, K, 3, t3) the pull of each coefficient that derivatives are taken by; all in units of ``unit`` = GM / R^2.
+    """
+
+    unit: float
+    radius_m: float
+    pull: FloatArray
+    tide: FloatArray
+    parts: FloatArray
+    R_body_inertial: FloatArray
+    rate_rad_s: float
+    light_m_s2: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """Acceleration about the body's centre of mass, inertial axes.
+
+    Parameters
+    ----------
+    harmonics
+        Of the body, about its centre of mass.
+    rotation
+        Of the body.
+    light_m_s2
+        (3,) acceleration by sunlight, constant.
+    by_degree
+        Derivatives are taken by the coefficients of degree 2 up to this one; 0 for none.
+    """
+
+    harmonics: Harmonics
+    rotation: UniformRotation
+    light_m_s2: FloatArray
+    by_degree: int = 0
+
+    @cached_property
+    def coefficients(self) -> tuple[tuple[str, int, int], ...]:
+        """What derivatives are taken by: ("c" or "s", degree, order)."""
+        return tuple(
+            (name, n, m)
+            for n in range(2, self.by_degree + 1)
+            for name in ("c", "s")
+            for m in range(0 if name == "c" else 1, n + 1)
+        )
+
+    @property
+    def parameters(self) -> int:
+        """Count the parameters: ratio of GM, factor on sunlight, coefficients."""
+        return 2 + len(self.coefficients)
+
+    def changed(self, gm_ratio: float, light_factor: float, coefficients: FloatArray) -> Field:
+        """Return the field with another GM, another size of sunlight, and normalised coefficients with additions."""
+        size = max(self.by_degree, self.harmonics.degree) + 1
+        c, s = np.zeros((2, size, size))
+        kept = self.harmonics.degree + 1
+        c[:kept, :kept], s[:kept, :kept] = self.harmonics.c, self.harmonics.s
+        for (name, n, m), added in zip(self.coefficients, coefficients, strict=True):
+            (c if name == "c" else s)[n, m] += added
+        harmonics = Harmonics(self.harmonics.gm_m3_s2 * gm_ratio, self.harmonics.radius_m, c, s)
+        return replace(self, harmonics=harmonics, light_m_s2=self.light_m_s2 * light_factor)
+
+    @cached_property
+    def flat(self) -> FlatField:
+        """The field as the kernels take it."""
+        potential = self.harmonics.flat
+        pull = [derivative(potential, axis) for axis in range(3)]
+        return FlatField(
+            self.harmonics.gm_m3_s2 / self.harmonics.radius_m**2,
+            self.harmonics.radius_m,
+            _stacked(pull),
+            _stacked([derivative(pull[i], j) for i, j in _PAIRS]),
+            self._parts(),
+            np.ascontiguousarray(self.rotation.R_body_inertial, dtype=np.float64),
+            float(self.rotation.rate_rad_s),
+            np.array(self.light_m_s2, dtype=np.float64),
+        )
+
+    def _parts(self) -> FloatArray:
+        if not self.by_degree:
+            return np.zeros((2, 0, 3, 1))
+        scale = normalisation(self.by_degree)
+        found = []
+        for name, n, m in self.coefficients:
+            table: Table = (np.zeros(terms(self.by_degree)), np.zeros(terms(self.by_degree)))
+            table["cs".index(name)][index(n, m)] = 1.0 / scale[index(n, m)]
+            found.append(_stacked([derivative(table, axis) for axis in range(3)]))
+        return np.ascontiguousarray(np.stack(found, axis=1))
+
+    def acceleration(self, time_s: float, position_m: FloatArray) -> FloatArray:
+        """(3,) m/s2 at a position (3,) in inertial axes."""
+        work = np.empty((2, self.flat.pull.shape[2]))
+        out = np.empty(3)
+        accelerate(self.flat, time_s, np.ascontiguousarray(position_m, dtype=np.float64), work, out)
+        return out
+
+
+def _stacked(tables: list[Table]) -> FloatArray:
+    return np.ascontiguousarray(np.stack([np.stack(part) for part in zip(*tables, strict=True)]))
+
+
+@kernel
+def turned(field: FlatField, time: float) -> FloatArray:
+    """R_body_inertial at a time."""
+    angle = field.rate_rad_s * time
+    c, s = np.cos(angle), np.sin(angle)
+    R, out = field.R_body_inertial, np.empty((3, 3))
+    for j in range(3):
+        out[0, j] = c * R[0, j] + s * R[1, j]
+        out[1, j] = c * R[1, j] - s * R[0, j]
+        out[2, j] = R[2, j]
+    return out
+
+
+@kernel
+def accelerate(field: FlatField, time: float, position: FloatArray, work: FloatArray, out: FloatArray) -> None:
+    """Fill ``out`` (3,) with the acceleration; ``work`` is (2, terms) of the pull's degree."""
+    R = turned(field, time)
+    x = R[0, 0] * position[0] + R[0, 1] * position[1] + R[0, 2] * position[2]
+    y = R[1, 0] * position[0] + R[1, 1] * position[1] + R[1, 2] * position[2]
+    z = R[2, 0] * position[0] + R[2, 1] * position[1] + R[2, 2] * position[2]
+    outer_harmonics(x, y, z, field.radius_m, work[0], work[1])
+    in_body = np.zeros(3)
+    for axis in range(3):
+        in_body[axis] = field.unit * _sum(field.pull[0, axis], field.pull[1, axis], work)
+    for j in range(3):
+        out[j] = R[0, j] * in_body[0] + R[1, j] * in_body[1] + R[2, j] * in_body[2] + field.light_m_s2[j]
+
+
+@kernel
+def differentiate(
+    field: FlatField, time: float, position: FloatArray, work: FloatArray, tide: FloatArray, by_parameters: FloatArray
+) -> None:
+    """Fill ``tide`` (3, 3) and ``by_parameters`` (3, 2 + K) with derivatives of the acceleration.
+
+    By the position, by the ratio of GM, the factor on sunlight and the coefficients. ``work`` is (2, terms) of the
+    tide's degree.
+    """
+    R = turned(field, time)
+    x = R[0, 0] * position[0] + R[0, 1] * position[1] + R[0, 2] * position[2]
+    y = R[1, 0] * position[0] + R[1, 1] * position[1] + R[1, 2] * position[2]
+    z = R[2, 0] * position[0] + R[2, 1] * position[1] + R[2, 2] * position[2]
+    outer_harmonics(x, y, z, field.radius_m, work[0], work[1])
+    second = np.empty(5)
+    for k in range(5):
+        second[k] = field.unit / field.radius_m * _sum(field.tide[0, k], field.tide[1, k], work)
+    body = np.empty((3, 3))
+    body[0, 0], body[0, 1], body[0, 2] = second[0], second[1], second[2]
+    body[1, 0], body[1, 1], body[1, 2] = second[1], second[3], second[4]
+    body[2, 0], body[2, 1], body[2, 2] = second[2], second[4], -second[0] - second[3]
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for a in range(3):
+                for b in range(3):
+                    total += R[a, i] * body[a, b] * R[b, j]
+            tide[i, j] = total
+    count = field.parts.shape[1]
+    in_body = np.empty(3)
+    for k in range(-1, count):
+        for axis in range(3):
+            if k < 0:
+                in_body[axis] = field.unit * _sum(field.pull[0, axis], field.pull[1, axis], work)
+            else:
+                in_body[axis] = field.unit * _sum(field.parts[0, k, axis], field.parts[1, k, axis], work)
+        column = 0 if k < 0 else 2 + k
+        for j in range(3):
+            by_parameters[j, column] = R[0, j] * in_body[0] + R[1, j] * in_body[1] + R[2, j] * in_body[2]
+    for j in range(3):
+        by_parameters[j, 1] = field.light_m_s2[j]
+
+
+@kernel
+def _sum(c: FloatArray, s: FloatArray, work: FloatArray) -> float:
+    """Sum a table over V and W."""
+    total = 0.0
+    for k in range(len(c)):
+        total += c[k] * work[0, k] + s[k] * work[1, k]
+    return total

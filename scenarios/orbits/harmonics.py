@@ -1,0 +1,125 @@
+"""Gravity as spherical harmonics: coefficients, and what they are of a body of one density."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import factorial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.errors import BoresightError
+from scenarios.geometry import TriangleMesh
+from scenarios.orbits.solid import index, solid_harmonics, terms
+
+FloatArray = NDArray[np.float64]
+
+_PLACES_AT_ONCE = 1 << 19
+
+
+@dataclass(frozen=True, eq=False)
+class Harmonics:
+    """The potential ``U = GM / r sum_nm (R / r)^n P_nm(sin phi) (C_nm cos m lambda + S_nm sin m lambda)``, body axes.
+
+    Parameters
+    ----------
+    gm_m3_s2
+        Gravity parameter.
+    radius_m
+        The reference radius R.
+    c, s
+        (N + 1, N + 1) fully normalised coefficients (geodesy's: mean square 1 on the sphere) by degree and order; zero
+        above the diagonal. C_00 is 1.
+    """
+
+    gm_m3_s2: float
+    radius_m: float
+    c: FloatArray
+    s: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.c.shape != self.s.shape or self.c.ndim != 2 or self.c.shape[0] != self.c.shape[1]:
+            raise BoresightError(
+                f"harmonics need two square tables of coefficients, not {self.c.shape} and {self.s.shape}"
+            )
+        if not (np.isfinite(self.c).all() and np.isfinite(self.s).all() and self.gm_m3_s2 > 0.0 < self.radius_m):
+            raise BoresightError("harmonics need finite coefficients, a positive gm_m3_s2 and a positive radius_m")
+
+    @classmethod
+    def point(cls, gm_m3_s2: float, radius_m: float = 1.0) -> Harmonics:
+        """All mass in the origin."""
+        return cls(gm_m3_s2, radius_m, np.ones((1, 1)), np.zeros((1, 1)))
+
+    @property
+    def degree(self) -> int:
+        """The highest degree N."""
+        return len(self.c) - 1
+
+    def truncated(self, degree: int) -> Harmonics:
+        """Leave out all above a degree."""
+        n = min(degree, self.degree) + 1
+        return Harmonics(self.gm_m3_s2, self.radius_m, self.c[:n, :n], self.s[:n, :n])
+
+    @cached_property
+    def flat(self) -> tuple[FloatArray, FloatArray]:
+        """Return (terms,) coefficients of the unnormalised functions, cosines and sines, in the order of `index`."""
+        scale = normalisation(self.degree)
+        rows, columns = np.tril_indices(self.degree + 1)
+        return self.c[rows, columns] / scale, self.s[rows, columns] / scale
+
+
+def normalisation(degree: int) -> FloatArray:
+    """(terms,) factors ``N``, in the order of `index`: a normalised coefficient is ``N`` times the plain one.
+
+    ``1 / N^2 = (2 - delta_0m) (2 n + 1) (n - m)! / (n + m)!``.
+    """
+    return np.array(
+        [
+            np.sqrt(factorial(n + m) / ((1 if m == 0 else 2) * (2 * n + 1) * factorial(n - m)))
+            for n in range(degree + 1)
+            for m in range(n + 1)
+        ]
+    )
+
+
+def homogeneous(mesh: TriangleMesh, gm_m3_s2: float, degree: int, radius_m: float) -> Harmonics:
+    """Return the harmonics of a closed mesh of one density about the origin of its axes, exact but for rounding.
+
+    A solid harmonic is a homogeneous polynomial of its degree. Over the tetrahedron between the origin and a facet it
+    integrates to ``3 V / (n + 3)`` times its mean over the facet, which a Gauss rule of enough places gives exactly.
+    """
+    corners = mesh.corners_m / radius_m
+    volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+    weights, barycentric = _triangle_rule(degree)
+    total = np.zeros((2, terms(degree)))
+    share = max(1, _PLACES_AT_ONCE // len(weights))
+    for start in range(0, len(volumes), share):
+        some = slice(start, start + share)
+        places = np.einsum("ka,fai->fki", barycentric, corners[some]).reshape(-1, 3)
+        heavy = (volumes[some, None] * weights).ravel()
+        total += np.stack([part @ heavy for part in solid_harmonics(places, degree)])
+    scale, c, s = normalisation(degree), *np.zeros((2, degree + 1, degree + 1))
+    for n in range(degree + 1):
+        for m in range(n + 1):
+            # C_nm = (2 - delta_0m) (n - m)! / (n + m)! of the mean of r^n P_nm cos(m lambda) over the mass.
+            k = index(n, m)
+            factor = 3.0 / (n + 3) / (volumes.sum() * scale[k] * (2 * n + 1))
+            c[n, m], s[n, m] = factor * total[0, k], factor * total[1, k]
+    return Harmonics(gm_m3_s2, radius_m, c, s)
+
+
+def _triangle_rule(degree: int) -> tuple[FloatArray, FloatArray]:
+    """Weights (K,) of sum 1 and barycentric places (K, 3): a Gauss rule in the square, collapsed to the triangle."""
+    # The square (u, v) is taken to the triangle (u, v (1 - u)), whose area element has 1 - u: one degree more.
+    u, w_u = _unit_rule(degree // 2 + 2)
+    v, w_v = _unit_rule(degree // 2 + 1)
+    first, second = np.repeat(u, len(v)), np.outer(1.0 - u, v).ravel()
+    weights = 2.0 * np.outer(w_u * (1.0 - u), w_v).ravel()
+    return weights, np.column_stack([1.0 - first - second, first, second])
+
+
+def _unit_rule(places: int) -> tuple[FloatArray, FloatArray]:
+    """Places and weights of Gauss's rule on [0, 1]."""
+    nodes, weights = np.polynomial.legendre.leggauss(places)
+    return 0.5 * (nodes + 1.0), 0.5 * weights
