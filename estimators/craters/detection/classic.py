@@ -1,0 +1,121 @@
+"""The detector of Cheng et al. (2003), stage by stage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from estimators.craters.contract import CraterDetections
+from estimators.craters.detection.candidates import Candidates, candidates_of
+from estimators.craters.detection.confidence import confidence, suppress
+from estimators.craters.detection.edges import Edges, canny
+from estimators.craters.detection.grouping import Arc, arcs_of, pair_arcs, sunward
+from estimators.craters.detection.options import ClassicOptions
+from estimators.craters.detection.picture import Picture, prepare
+from estimators.craters.detection.refinement import Scales, refine, scales_of
+from estimators.options import parse_options
+from scenarios.geometry import Camera, Ellipses
+from scenarios.observation import Frame
+
+SCALES_PX = ((5, 14.0), (9, 40.0), (17, np.inf))  # kernel, and the radius up to which it is used
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stages:
+    """What each stage found, as the paper's figure 2 draws it.
+
+    Parameters
+    ----------
+    edges
+        Of the small and the large kernel: figure 2b.
+    shaded, lit
+        Convex rim edges: figure 2c.
+    fitted, refined
+        Ellipses before and after refinement, of all groups.
+    detections
+        Figure 2d.
+    """
+
+    picture: Picture
+    edges: tuple[Edges, Edges]
+    shaded: tuple[Arc, ...]
+    lit: tuple[Arc, ...]
+    fitted: Ellipses
+    refined: Ellipses
+    detections: CraterDetections
+
+
+@dataclass(frozen=True, slots=True)
+class CraterClassic:
+    """Two Canny passes, rims from pairs of lit and shaded edges, ellipse fit, refinement in the image, confidence."""
+
+    name: ClassVar[str] = "crater-classic"
+    version: ClassVar[int] = 1
+
+    options: ClassicOptions
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        return cls(parse_options(ClassicOptions, options, cls.name))
+
+    def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
+        """Find rims, the most confident first.
+
+        Raises
+        ------
+        BoresightError
+            As ``prepare``.
+        """
+        return self.stages(frame, camera).detections
+
+    def stages(self, frame: Frame, camera: Camera) -> Stages:
+        """Run and keep what each stage found.
+
+        Raises
+        ------
+        BoresightError
+            As ``prepare``.
+        """
+        o = self.options
+        picture = prepare(frame, camera, o.window_px)
+        small = canny(picture, o.small_kernel_px, o.strong_share, o.weak_ratio)
+        large = canny(picture, o.large_kernel_px, o.strong_share, o.weak_ratio)
+        shaded, lit = list[Arc](), list[Arc]()
+        groups = []
+        for edges in (small, large):
+            one, other, found = self._grouped(edges, picture)
+            shaded += one
+            lit += other
+            groups.append(found)
+        fitted = Candidates.joined(groups).ellipses
+        scales = scales_of(picture, [s[0] for s in SCALES_PX], [s[1] for s in SCALES_PX], o.softness)
+        refined, detections = self._settled(fitted, scales, picture)
+        return Stages(picture, (small, large), tuple(shaded), tuple(lit), fitted, refined, detections)
+
+    def _grouped(self, edges: Edges, picture: Picture) -> tuple[list[Arc], list[Arc], Candidates]:
+        o = self.options
+        rising = sunward(edges, picture, np.radians(o.sunward_deg))
+        arcs = arcs_of(rising, picture, np.radians(o.turn_deg), np.radians(o.bend_deg), o.arc_points)
+        shaded = [arc for arc in arcs if not arc.lit]
+        lit = [arc for arc in arcs if arc.lit]
+        radius = (o.radius_min_px, o.radius_max_px)
+        pairs = pair_arcs(shaded, lit, picture, radius)
+        return shaded, lit, candidates_of(pairs, shaded, lit, rising, picture, radius, o.axis_ratio_min)
+
+    def _settled(self, fitted: Ellipses, scales: Scales, picture: Picture) -> tuple[Ellipses, CraterDetections]:
+        """Refine, weigh, drop duplicates, and take the place of the steepest gradient out to the crest."""
+        o = self.options
+        gap = float(np.sin(np.radians(o.transition_deg)))
+        first = confidence(fitted, scales, picture.sun_px, gap)
+        fitted = fitted[suppress(fitted, first, 0.15, 1.15)][:120]
+        refined = refine(fitted, scales, picture.sun_px, gap, o.rounds)
+        value = confidence(refined, scales, picture.sun_px, gap)
+        rows = suppress(refined, value, 0.6, 1.6)
+        rows = rows[value[rows] >= o.confidence_min]
+        kept = refined[rows]
+        crest = Ellipses(kept.centre_px, kept.semi_axes_px * o.crest_scale, kept.angle_rad)
+        return refined, CraterDetections(crest, value[rows])

@@ -1,0 +1,179 @@
+"""Grouping of convex rim edges into lit and shaded pairs.
+
+On a rim the brightness rises towards the Sun on both sides: from the ground outside into the lit wall, and from the
+shaded wall out to the ground. An edge whose gradient points towards the Sun is therefore a curve over the line across
+the Sun's direction, and its gradient turns one way along a shaded rim, the other way along a lit one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from estimators.craters.detection.edges import Edges
+from estimators.craters.detection.picture import Picture
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+_LINK_PX = 1.9  # neighbours on the grid of pixels, a diagonal and what subpixel places add
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arc:
+    """A convex edge of one side of a rim.
+
+    Parameters
+    ----------
+    uv_px
+        (n, 2) ordered across the Sun's direction.
+    outward
+        (n, 2) unit normals, out of the crater that it would belong to.
+    lit
+        Whether it is a lit wall's: the far side from the Sun.
+    turn_rad
+        By how much its normal turns.
+    """
+
+    uv_px: FloatArray
+    outward: FloatArray
+    lit: bool
+    turn_rad: float
+
+
+def sunward(edges: Edges, picture: Picture, within_rad: float) -> Edges:
+    """Keep the edge pixels whose brightness rises towards the Sun."""
+    along = edges.gradient @ picture.sun_px
+    keep = along > np.cos(within_rad) * np.linalg.norm(edges.gradient, axis=1)
+    return Edges(edges.uv_px[keep], edges.gradient[keep], edges.mask)
+
+
+def chains_of(edges: Edges, bend_rad: float) -> list[IndexArray]:
+    """Link neighbouring pixels whose gradients differ by less than ``bend_rad``; return the rows of each chain."""
+    n = len(edges.uv_px)
+    if n == 0:
+        return []
+    unit = edges.gradient / np.linalg.norm(edges.gradient, axis=1, keepdims=True)
+    pairs = cKDTree(edges.uv_px).query_pairs(_LINK_PX, output_type="ndarray")
+    pairs = pairs[np.einsum("ij,ij->i", unit[pairs[:, 0]], unit[pairs[:, 1]]) > np.cos(bend_rad)]
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    _, label = connected_components(graph, directed=False)
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+
+
+def turning_points(angle: FloatArray, least: float) -> list[int]:
+    """Split a sequence into rises and falls of at least ``least``: the indices where one ends and the next begins."""
+    knots, low, high, way = [0], 0, 0, 0
+    for i in range(1, len(angle)):
+        low = i if angle[i] < angle[low] else low
+        high = i if angle[i] > angle[high] else high
+        if way >= 0 and angle[high] - angle[i] >= least:
+            if way > 0 or high > knots[-1]:
+                knots.append(high)
+            way, low = -1, i
+            high = i
+        elif way <= 0 and angle[i] - angle[low] >= least:
+            if way < 0 or low > knots[-1]:
+                knots.append(low)
+            way, high = 1, i
+            low = i
+    knots.append(len(angle) - 1)
+    return knots
+
+
+def arcs_of(edges: Edges, picture: Picture, least_turn_rad: float, bend_rad: float, least_points: int) -> list[Arc]:
+    """Cut the chains of sunward edges into convex arcs and tell lit from shaded ones.
+
+    Parameters
+    ----------
+    least_turn_rad
+        By how much the normal of an arc must turn.
+    bend_rad
+        Between neighbours of one arc.
+    least_points
+        Of an arc.
+    """
+    sun = picture.sun_px
+    across = np.array([-sun[1], sun[0]])
+    arcs: list[Arc] = []
+    for rows in chains_of(edges, bend_rad):
+        if len(rows) < least_points:
+            continue
+        rows = rows[np.argsort(edges.uv_px[rows] @ across, kind="stable")]
+        unit = _smoothed(edges.gradient[rows])
+        angle = np.arctan2(unit @ across, unit @ sun)
+        knots = turning_points(angle, least_turn_rad)
+        for start, stop in pairwise(knots):
+            turn = float(angle[stop] - angle[start])
+            if abs(turn) < least_turn_rad or stop - start + 1 < least_points:
+                continue
+            part = rows[start : stop + 1]
+            lit = turn < 0.0
+            arcs.append(Arc(edges.uv_px[part], (-1.0 if lit else 1.0) * unit[start : stop + 1], lit, abs(turn)))
+    return arcs
+
+
+def _smoothed(gradient: FloatArray) -> FloatArray:
+    """Return unit gradients, each summed with its neighbours along the chain."""
+    padded = np.concatenate([gradient[:1], gradient[:1], gradient, gradient[-1:], gradient[-1:]])
+    summed = padded[:-4] + 2 * padded[1:-3] + 3 * padded[2:-2] + 2 * padded[3:-1] + padded[4:]
+    return np.asarray(summed / np.linalg.norm(summed, axis=1, keepdims=True), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArcTable:
+    """What pairing needs to know of n arcs: ends across the Sun, place along it, radius by normals."""
+
+    low: FloatArray
+    high: FloatArray
+    along: FloatArray
+    across: FloatArray
+    radius: FloatArray
+
+    @classmethod
+    def of(cls, arcs: list[Arc], picture: Picture) -> ArcTable:
+        """Measure arcs."""
+        sun = picture.sun_px
+        side = np.array([-sun[1], sun[0]])
+        t = [arc.uv_px @ side for arc in arcs]
+        p = [float(np.median(arc.uv_px @ sun)) for arc in arcs]
+        low, high = np.array([x.min() for x in t]), np.array([x.max() for x in t])
+        return cls(low, high, np.array(p), 0.5 * (low + high), np.array([arc_radius(arc) for arc in arcs]))
+
+
+def arc_radius(arc: Arc) -> float:
+    """Fit x = c + R n to the places and outward normals of an arc by least squares in c and R."""
+    dx = arc.uv_px - arc.uv_px.mean(axis=0)
+    dn = arc.outward - arc.outward.mean(axis=0)
+    return float(max(np.sum(dx * dn) / max(np.sum(dn * dn), 1e-12), 1.0))
+
+
+def pair_arcs(shaded: list[Arc], lit: list[Arc], picture: Picture, radius_px: tuple[float, float]) -> IndexArray:
+    """Pair shaded arcs with lit ones that can be two sides of one rim: (k, 2) rows of both lists.
+
+    The lit one lies away from the Sun, at no more than the diameter that the arcs' bends tell; their extents across the
+    Sun overlap; their bends are alike.
+    """
+    if not shaded or not lit:
+        return np.empty((0, 2), dtype=np.int64)
+    a, b = ArcTable.of(shaded, picture), ArcTable.of(lit, picture)
+    gap = a.along[:, None] - b.along[None]
+    common = np.minimum(a.high[:, None], b.high[None]) - np.maximum(a.low[:, None], b.low[None])
+    width = np.minimum((a.high - a.low)[:, None], (b.high - b.low)[None])
+    ratio = np.log(a.radius[:, None] / b.radius[None])
+    mean = np.sqrt(a.radius[:, None] * b.radius[None])
+    possible = (
+        (gap > 0.8 * radius_px[0])
+        & (gap < np.minimum(2.0 * radius_px[1], 2.6 * mean))
+        & (gap > 0.25 * mean)
+        & (common > 0.3 * width)
+        & (np.abs(ratio) < np.log(3.0))
+        & (np.abs(a.across[:, None] - b.across[None]) < 0.7 * mean)
+    )
+    return np.argwhere(possible)
