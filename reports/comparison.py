@@ -15,9 +15,9 @@ Verdict = Literal["reproduced", "better", "differs", "undecided", "context", "no
 
 VERDICT_RULE = (
     "reproduced: our value lies within the tolerance; better or differs: the whole 95 % interval lies outside it, on "
-    "the better or the worse side; undecided: the interval reaches into the tolerance from outside, or is wider than "
-    "four tolerances, so that more trials are needed; context: no tolerance was set, because the conditions differ. "
-    "Where the paper says 'more than', or names an order, the intervals must keep it."
+    "the better or the worse side; undecided: the interval reaches into the tolerance from outside, is wider than "
+    "four tolerances or is none, so that more trials, or sets of images, are needed; context: no tolerance was set, "
+    "because the conditions differ. Where the paper says 'more than', or names an order, the intervals must keep it."
 )
 
 

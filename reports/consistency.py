@@ -15,7 +15,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from reports.measures import Record, clusters_of, find
+from reports.clusters import clusters_of
+from reports.measures import Record, find
 from reports.paired import share_of
 from reports.run_data import RunData, select
 from reports.statistics import MEAN, MEDIAN, FloatArray, Measured, measure

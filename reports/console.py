@@ -9,9 +9,11 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from reports.clusters import pools
 from reports.content import Content, read_content
 from reports.designs import design_grids
 from reports.measures import CONTROL
+from reports.sequences import sequence_grid
 from reports.tables import Grid, pose_grids, verdict_grid
 
 
@@ -25,7 +27,9 @@ def console_table(run: Path | Content) -> Group:
     """
     content = read_content(run) if isinstance(run, Path) else run
     if content.run.manifest.grid is not None:
-        found = design_grids(content.run)
+        own = [pool.name for pool in pools(content.run)]
+        pooled = sequence_grid([record for record in content.records if record.scenario in own])
+        found = [*([] if pooled is None else [pooled]), *design_grids(content.run)]
         return Group(*(rich_table(grid.keep(*(c for c in grid.columns if c != "change"))) for grid in found))
     several = len({r.estimator for r in content.records if r.estimator and r.stage != CONTROL}) > 1
     columns = (*(["estimator"] if several else []), "stage", "ok", "position m", "x", "y", "z", "attitude deg")

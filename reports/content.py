@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from reports.clusters import image_set
 from reports.comparison import ComparedClaim, ComparedValue, compare, compare_claims
 from reports.consistency import consistency_grid, consistency_records
 from reports.contrasts import ratio_records, reduction_records
@@ -36,7 +37,7 @@ from reports.paired import paired_records
 from reports.published import Comparison, load_published
 from reports.run_data import RunData, read_run, select
 from reports.sensitivity import mesh_variants, sensitivity_grid
-from reports.sequences import sequence_figures, sequence_grids
+from reports.sequences import pooled_alone, sequence_figures, sequence_grids
 from reports.statistics import LARGE, MEDIAN, FloatArray
 from reports.tables import (
     Grid,
@@ -144,9 +145,16 @@ def read_content(folder: Path) -> Content:
     reductions = tuple(reduction_records(run, comparison)) if comparison else ()
     beside = (*paired_records(run), *ratio_records(run), *consistency_records(run))
     records = (*measure_run(run), *vision_records(run), *derived, *reductions, *outlier_records(run), *beside)
-    compared = compare(records, comparison) if comparison else ()
-    claims = compare_claims(records, comparison) if comparison else ()
+    compared, claims = beside_published(run, records, comparison) if comparison else ((), ())
     return Content(run, records, comparison, compared, claims, tuple(_notes(run, comparison)))
+
+
+def beside_published(
+    run: RunData, records: Sequence[Record], comparison: Comparison
+) -> tuple[tuple[ComparedValue, ...], tuple[ComparedClaim, ...]]:
+    """Set published values and orders beside ours; of sets of images that are pooled, beside the pool alone."""
+    judged = pooled_alone(run, records)
+    return compare(judged, comparison), compare_claims(judged, comparison)
 
 
 def _notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
@@ -159,6 +167,7 @@ def _notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
         " or, for real images, of whole images, because the noise realisations of one image are not independent;"
         f" from {LARGE:,} independent trials on, between order statistics or from the standard error of a mean)."
     )
+    yield from _set_lines(run)
     yield (
         "Position error is the difference of camera positions in the body frame, its components turned into the true"
         " camera's axes. Failed trials have no error: statistics after a stage are over the trials that reached it,"
@@ -175,6 +184,20 @@ def _notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
     if absent:
         yield f"Not stored in this run, so left out: {', '.join(absent)}."
     yield from run.manifest.notes
+
+
+def _set_lines(run: RunData) -> Iterator[str]:
+    """Say on how many sets of images the sequences of a run begin, where they see images."""
+    scenarios = [name for name in dict.fromkeys(run.rows["scenario"]) if image_set(run.manifest.scenarios[name])]
+    if scenarios:
+        seen = run.rows[run.rows["scenario"].isin(scenarios)]
+        starts = len(seen[["scenario", "trial"]].drop_duplicates())
+        sets = len({image_set(run.manifest.scenarios[name]) for name in scenarios})
+        yield (
+            f"{sets} {'set' if sets == 1 else 'sets'} of images (one for each body and texture), {starts} starts."
+            " The starts on one set share the errors of its features: intervals and sign tests take the set for what"
+            " is independent, and one set by itself has no interval."
+        )
 
 
 def _scenario_lines(run: RunData) -> Iterator[str]:

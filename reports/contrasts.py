@@ -1,21 +1,25 @@
 """Mean errors of sequences against each other: ratios between estimators, and the reductions that a paper prints.
 
-Trials are resampled whole, both errors of a trial together, so that what two estimators have in common cancels.
+Trials are resampled whole, both errors of a trial together, so that what two estimators have in common cancels; where
+sequences see images, whole sets of images are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from reports.clusters import clusters_of, groups, pooled_scenarios
 from reports.measures import REDUCTION, Record, unit_of
+from reports.paired import BETTER, SIGN_TEST, sign_test
 from reports.published import Comparison, PublishedValue
 from reports.run_data import RunData, select
-from reports.statistics import LEVEL, MEAN, RESAMPLES, Measured, content_rng
+from reports.statistics import MEAN, Measured, cluster_interval
 
 FloatArray = NDArray[np.float64]
 Pair = tuple[str, str]
@@ -26,17 +30,74 @@ RATIO = "ratio"
 _ERRORS = {"error_after_1_ratio": "error_after_1_m", "error_after_2_ratio": "error_after_2_m"}
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Both:
+    """Two errors of the same trials.
+
+    Parameters
+    ----------
+    errors
+        (n, 2) of the trials of which both are known.
+    clusters
+        (n,) what of them is independent.
+    n
+        Trials that both have, with and without an error.
+    """
+
+    errors: FloatArray
+    clusters: NDArray[np.generic]
+    n: int
+
+    @classmethod
+    def of(cls, run: RunData, one: pd.DataFrame, other: pd.DataFrame, error: str, key: list[str]) -> _Both:
+        """Join two tables of rows; ``key`` tells which trials are the same."""
+        both = one.merge(other[[*key, error]], on=key, suffixes=("", "_other"))
+        known = both[[error, f"{error}_other"]].notna().all(axis=1)
+        errors = both.loc[known, [error, f"{error}_other"]].to_numpy(dtype=np.float64)
+        return cls(errors, clusters_of(run, both[known]), len(both))
+
+    def measured(self, of_means: Callable[[FloatArray], FloatArray]) -> Measured:
+        """Evaluate ``of_means`` of the two mean errors (..., 2)."""
+        if len(self.errors) < 2:
+            return Measured(None)
+        numbers = np.column_stack([self.errors, np.ones(len(self.errors))])
+        interval = cluster_interval(numbers, self.clusters, lambda sums: of_means(sums[:, :2] / sums[:, 2:]))
+        return Measured(float(of_means(self.errors.mean(axis=0))), *interval)
+
+
 def ratio_records(run: RunData) -> Iterator[Record]:
-    """Set the mean error of every estimator of sequences over that of every other one, on the same trials."""
+    """Set the mean error of every estimator of sequences over that of every other one, on the same trials.
+
+    Sign tests stand beside it, in which what is independent counts once, by the sign of its median difference.
+    Scenarios that are pooled have none by themselves: the starts on one set of images say nothing of another.
+    """
     if run.epochs.empty:
         return
-    for scenario in dict.fromkeys(scenario for scenario, _ in run.pairs()):
-        labels = [name for where, name in run.pairs() if where == scenario]
-        for one, other in permutations(labels, 2):
-            for name, error in _ERRORS.items():
-                record = _contrast(run, ((scenario, one), (scenario, other)), error, (RATIO, other, name), _ratio)
-                if record.n_ok:
-                    yield record
+    pooled = pooled_scenarios(run)
+    for name, members in groups(run):
+        own = run.rows[run.rows["scenario"].isin(members)]
+        for one, other in permutations(dict.fromkeys(own["estimator"]), 2) if name not in pooled else ():
+            tables = own[own["estimator"] == one], own[own["estimator"] == other]
+            for ratio, error in _ERRORS.items():
+                both = _Both.of(run, *tables, error, ["scenario", "trial"])
+                if len(both.errors):
+                    yield from _ratio_records(both, (name, one, other, ratio))
+
+
+def _ratio_records(both: _Both, said: tuple[str, str, str, str]) -> Iterator[Record]:
+    """Yield ratio and sign test; ``said``: group, estimator, the other one and the measure."""
+    group, estimator, other, name = said
+
+    def record(statistic: str, measured: Measured, n_ok: int) -> Record:
+        return Record(
+            group, estimator, RATIO, other, name, unit_of(name), statistic, measured.value, measured.low,
+            measured.high, n_ok, both.n,
+        )  # fmt: skip
+
+    yield record(MEAN.name, both.measured(_ratio), len(both.errors))
+    share, chance, decided = sign_test(both.errors[:, 0] - both.errors[:, 1], both.clusters)
+    yield record(BETTER, share, decided)
+    yield record(SIGN_TEST, chance, decided)
 
 
 def reduction_records(run: RunData, comparison: Comparison) -> Iterator[Record]:
@@ -48,8 +109,7 @@ def reduction_records(run: RunData, comparison: Comparison) -> Iterator[Record]:
     for published in comparison.values:  # noqa: PD011  a tuple of published values, not a table
         if published.stage == REDUCTION:
             for one, other in _contrasted(run, published):
-                error = f"{published.measure.removesuffix('_reduction')}_m"
-                yield _contrast(run, (one, other), error, (REDUCTION, published.against, published.measure), _reduction)
+                yield _reduction_record(run, one, other, published)
 
 
 def _contrasted(run: RunData, published: PublishedValue) -> Iterator[tuple[Pair, Pair]]:
@@ -62,25 +122,14 @@ def _contrasted(run: RunData, published: PublishedValue) -> Iterator[tuple[Pair,
                 yield (scenario, estimator), other
 
 
-def _contrast(
-    run: RunData, pairs: tuple[Pair, Pair], error: str, said: tuple[str, str, str], of_means: Callable[..., FloatArray]
-) -> Record:
-    """Evaluate ``of_means`` over the trials of which both have an error; ``said``: stage, reference and measure."""
-    both = pd.concat([select(run.rows, *pair).set_index("trial")[error] for pair in pairs], axis=1, join="inner")
-    errors = both.dropna().to_numpy(dtype=np.float64)
-    measured = _measured(errors, of_means) if len(errors) > 1 else Measured(None)
-    (scenario, estimator), (stage, reference, name) = pairs[0], said
+def _reduction_record(run: RunData, one: Pair, other: Pair, published: PublishedValue) -> Record:
+    error = f"{published.measure.removesuffix('_reduction')}_m"
+    both = _Both.of(run, select(run.rows, *one), select(run.rows, *other), error, ["trial"])
+    measured = both.measured(_reduction)
     return Record(
-        scenario, estimator, stage, reference, name, unit_of(name), MEAN.name, measured.value, measured.low,
-        measured.high, len(errors), len(both),
+        *one, REDUCTION, published.against, published.measure, unit_of(published.measure), MEAN.name,
+        measured.value, measured.low, measured.high, len(both.errors), both.n,
     )  # fmt: skip
-
-
-def _measured(errors: FloatArray, of_means: Callable[..., FloatArray]) -> Measured:
-    rng = content_rng(errors)
-    drawn = of_means(errors[rng.integers(0, len(errors), size=(RESAMPLES, len(errors)))].mean(axis=1))
-    low, high = np.percentile(drawn, [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)])
-    return Measured(float(of_means(errors.mean(axis=0))), float(low), float(high))
 
 
 def _ratio(means: FloatArray) -> FloatArray:

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
+from reports.clusters import clusters_of, image_set
 from reports.main_effects import main_effects
 from reports.measures import CONTROL, SEQUENCE, SEQUENCE_COLUMNS, errors_by_stage, final_stage, unit_of
 from reports.run_data import Design, RunData, select
@@ -141,7 +143,7 @@ class DesignData:
     def median(self, scenario: str, outcome: Outcome) -> Measured:
         """Return the median error with its interval."""
         errors = self.errors(scenario, outcome)
-        return measure(errors.to_numpy(), errors.index.to_numpy(), (MEDIAN,))[0]
+        return measure(errors.to_numpy(), self._clusters(scenario, errors), (MEDIAN,))[0]
 
     def ok(self, scenarios: Sequence[str], outcome: Outcome) -> str:
         """Print n_ok/n over scenarios."""
@@ -151,17 +153,22 @@ class DesignData:
     def change(self, scenario: str, against: str, outcome: Outcome) -> Measured:
         """Return the ratio of geometric means between two scenarios, over the trials known to both."""
         errors = (self.errors(name, outcome).clip(lower=1e-12) for name in (scenario, against))
-        logs = pd.concat([np.log(series) for series in errors], axis=1, join="inner").to_numpy()
-        difference = logs[:, 0] - logs[:, 1]
-        found = measure(difference, np.arange(len(difference)), (MEAN,))[0]
+        logs = pd.concat([np.log(series) for series in errors], axis=1, join="inner")
+        difference = logs.iloc[:, 0] - logs.iloc[:, 1]
+        found = measure(difference.to_numpy(), self._clusters(scenario, difference), (MEAN,))[0]
         return Measured(*(None if x is None else float(np.exp(x)) for x in (found.value, found.low, found.high)))
 
+    def _clusters(self, scenario: str, by_trial: pd.Series) -> NDArray[np.generic]:
+        return clusters_of(self.run, pd.DataFrame({"scenario": scenario, "trial": by_trial.index}))
+
     def effects(self, names: Sequence[str], outcome: Outcome) -> list[Measured]:
-        """Return the main effect of each axis between its first and last level."""
+        """Return the main effect of each axis between its first and last level; of sets of images without intervals."""
         levels = {name: self.levels(name).values() for name in names}
         firsts = [axis.levels[0] for axis in self.design.axes]
         high = {name: [a != b for a, b in zip(own, firsts, strict=True)] for name, own in levels.items()}
-        return main_effects({name: self.errors(name, outcome) for name in names}, high)
+        found = main_effects({name: self.errors(name, outcome) for name in names}, high)
+        seen = any(image_set(self.run.manifest.scenarios[name]) for name in names)
+        return [Measured(one.value) for one in found] if seen else found
 
 
 def printed(measured: Measured) -> str:

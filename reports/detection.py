@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import rankdata
 
-from reports.measures import CONTROL, Record, clusters_of
+from reports.clusters import clusters_of
+from reports.measures import CONTROL, Record
 from reports.run_data import RunData, select
 from reports.statistics import LARGE, LEVEL, RESAMPLES, Measured, content_rng, draw_counts
 

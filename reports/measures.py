@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from reports.clusters import clusters_of, groups, rows_by_group
 from reports.run_data import POSE_COLUMNS, RunData, select
 from reports.statistics import (
     DEVIATION,
@@ -198,13 +199,6 @@ def find(records: Sequence[Record], **wanted: str) -> Record | None:
     return next((r for r in records if all(getattr(r, name) == value for name, value in wanted.items())), None)
 
 
-def clusters_of(run: RunData, table: pd.DataFrame) -> NDArray[np.generic]:
-    """Label the rows of a detail table by their real image, or by their trial where images were rendered."""
-    images = run.rows.drop_duplicates(["scenario", "trial"]).set_index(["scenario", "trial"])["image"]
-    image = images.reindex(pd.MultiIndex.from_frame(table[["scenario", "trial"]])).fillna("").to_numpy(dtype=str)
-    return np.where(image == "", table["trial"].to_numpy().astype(str), image)
-
-
 def final_stage(run: RunData, scenario: str, estimator: str) -> str:
     """Name the last stage that the estimator reports; its errors are those of the rows."""
     names = select(run.stages, scenario, estimator)["stage"].unique()
@@ -337,10 +331,12 @@ def database_measures(run: RunData) -> list[Record]:
 def diagnostic_measures(run: RunData) -> list[Record]:
     """Measure each number that an estimator reports of its trials, under the stage ``diagnostics``."""
     records = []
-    for (scenario, estimator, name), table in run.diagnostics.groupby(["scenario", "estimator", "name"], sort=False):
-        n = len(select(run.rows, str(scenario), str(estimator)))
-        subject = _Subject(str(scenario), str(estimator), DIAGNOSTICS, n)
-        records += subject.records(str(name), table["value"], clusters_of(run, table), (MEDIAN, MEAN, RMS, P95))
+    for group, members in groups(run):
+        own = run.diagnostics[run.diagnostics["scenario"].isin(members)]
+        for (estimator, name), table in own.groupby(["estimator", "name"], sort=False):
+            n = int((run.rows["scenario"].isin(members) & (run.rows["estimator"] == estimator)).sum())
+            subject = _Subject(group, str(estimator), DIAGNOSTICS, n)
+            records += subject.records(str(name), table["value"], clusters_of(run, table), (MEDIAN, MEAN, RMS, P95))
     return records
 
 
@@ -349,23 +345,24 @@ def sequence_measures(run: RunData) -> list[Record]:
     records: list[Record] = []
     if run.epochs.empty:
         return records
-    for scenario, estimator in run.pairs():
-        rows = select(run.rows, scenario, estimator)
-        subject = _Subject(scenario, estimator, SEQUENCE, len(rows))
+    for group, estimator, rows in rows_by_group(run):
+        subject, clusters = _Subject(group, estimator, SEQUENCE, len(rows)), clusters_of(run, rows)
         for name in SEQUENCE_COLUMNS:
-            known = rows[name].dropna().to_numpy(dtype=np.float64)
-            if len(known):
-                records += subject.records(name, rows[name], clusters_of(run, rows), (MEDIAN, MEAN, RMS, P95))
-                records.append(subject.record(name, DEVIATION, measure_deviation(known), len(known)))
+            known = rows[name].notna().to_numpy()
+            if known.any():
+                records += subject.records(name, rows[name], clusters, (MEDIAN, MEAN, RMS, P95))
+                values = rows[name].to_numpy(dtype=np.float64)[known]
+                records.append(subject.record(name, DEVIATION, measure_deviation(values, clusters[known]), len(values)))
     return records
 
 
 def timing_measures(run: RunData) -> list[Record]:
     """Measure the wall time of each stage of a trial."""
     records = []
-    keys = ["scenario", "estimator", "stage"]
-    for (scenario, estimator, stage), times in run.timings.groupby(keys, sort=False):
-        total = times.groupby(["scenario", "trial"], sort=False)[["seconds"]].sum().reset_index()
-        subject = _Subject(str(scenario), str(estimator), str(stage), len(total))
-        records += subject.records("seconds", total["seconds"], clusters_of(run, total), (MEDIAN, MEAN, P95))
+    for group, members in groups(run):
+        own = run.timings[run.timings["scenario"].isin(members)]
+        for (estimator, stage), times in own.groupby(["estimator", "stage"], sort=False):
+            total = times.groupby(["scenario", "trial"], sort=False)[["seconds"]].sum().reset_index()
+            subject = _Subject(group, str(estimator), str(stage), len(total))
+            records += subject.records("seconds", total["seconds"], clusters_of(run, total), (MEDIAN, MEAN, P95))
     return records

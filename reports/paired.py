@@ -15,7 +15,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from reports.measures import CONTROL, Record, clusters_of, unit_of
+from reports.clusters import clusters_of
+from reports.measures import CONTROL, Record, unit_of
 from reports.run_data import RunData, select
 from reports.statistics import MEDIAN, Measured, measure
 
@@ -76,13 +77,27 @@ def _difference_records(
     """Yield the median of the differences (negative is better), the share of negative ones and the test's p."""
     n = len(difference)
     yield pair.record(name, MEDIAN.name, measure(difference, clusters, (MEDIAN,))[0], n)
-    signs = pd.Series(difference).groupby(np.asarray(clusters)).median().to_numpy() if n else difference
-    better, decided = int((signs < 0.0).sum()), int((signs != 0.0).sum())
-    test = binomtest(better, decided) if decided else None
-    ends = (None, None) if test is None else tuple(float(x) for x in test.proportion_ci(method="wilson"))
-    share = Measured(None if test is None else better / decided, *ends)
+    share, chance, decided = sign_test(difference, clusters)
     yield pair.record(name, BETTER, share, decided)
-    yield pair.record(name, SIGN_TEST, Measured(None if test is None else float(test.pvalue)), decided)
+    yield pair.record(name, SIGN_TEST, chance, decided)
+
+
+def sign_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) -> tuple[Measured, Measured, int]:
+    """Ask whether differences (n,) are as often above zero as below; a cluster counts once, by its median.
+
+    Returns
+    -------
+    share, chance, decided
+        Share of clusters with a negative median, with Wilson's interval; p of the exact two-sided test; the number of
+        clusters that are not zero.
+    """
+    signs = pd.Series(difference).groupby(np.asarray(clusters)).median().to_numpy() if len(difference) else difference
+    better, decided = int((signs < 0.0).sum()), int((signs != 0.0).sum())
+    if not decided:
+        return Measured(None), Measured(None), 0
+    test = binomtest(better, decided)
+    low, high = test.proportion_ci(method="wilson")
+    return Measured(better / decided, float(low), float(high)), Measured(float(test.pvalue)), decided
 
 
 def failures(rows: pd.DataFrame) -> NDArray[np.bool_]:

@@ -13,7 +13,7 @@ import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
 from reports.comparison import VERDICT_RULE, ComparedClaim, ComparedValue, Verdict
-from reports.content import Content, NamedFigure
+from reports.content import Content, NamedFigure, beside_published
 from reports.figures import save_figure
 from reports.measures import Record
 from reports.published import Comparison
@@ -77,8 +77,11 @@ def paper_lines(
         claims = (ComparedClaim("", claim, (), "not measured") for claim in comparison.claims)
         yield from (_claim_line(campaign, item) for item in claims)
         return
-    yield from (_value_line(campaign, item) for item in content.compared if item.estimator in labels)
-    yield from (_claim_line(campaign, item) for item in content.claims)
+    # A run that was made before its campaign named published values is held against them all the same.
+    made = content.compared, content.claims
+    compared, stated = made if content.comparison else beside_published(content.run, content.records, comparison)
+    yield from (_value_line(campaign, item) for item in compared if item.estimator in labels)
+    yield from (_claim_line(campaign, item) for item in stated)
 
 
 def _value_line(campaign: str, item: ComparedValue) -> PaperLine:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+import pandas as pd
 from matplotlib.figure import Figure
 
+from reports.clusters import clusters_of, pooled_scenarios, pools
 from reports.comparison import ComparedValue
 from reports.contrasts import RATIO
 from reports.designs import design_grids
@@ -14,6 +16,7 @@ from reports.figures.revolutions import draw_revolutions
 from reports.figures.starts import draw_starts
 from reports.figures.traces import LANDMARKS, POSITION, draw_traces
 from reports.measures import SEQUENCE, Record, find
+from reports.paired import BETTER, SIGN_TEST
 from reports.run_data import RunData, select
 from reports.statistics import DEVIATION, MEAN, MEDIAN, P95, RMS
 from reports.tables import (
@@ -33,6 +36,10 @@ Drawn = tuple[str, Figure, str, str]
 """Stem of the file, the figure, its caption and its description."""
 _NUMBERED = re.compile(r"(?P<stem>.+)-(?P<number>\d+)")
 
+_SIGN_NOTE = (
+    "A set of images counts once, by the sign of the median difference of the errors from its starts; p of the exact"
+    " two-sided sign test."
+)
 _RATIO_NOTE = (
     "Mean error of the line's estimator over that of the column's, over the trials of which both have one, with its"
     " 95 % bootstrap interval; both follow the same tracks. Below 1 the line's estimator is the better."
@@ -49,21 +56,29 @@ def sequence_grids(records: Sequence[Record], compared: Sequence[ComparedValue],
     design = run.manifest.grid
     if design is not None and design.design == "one-at-a-time":
         return design_grids(run)
+    shown = pooled_alone(run, records)
     found = (
         comparison_grid(compared),
-        *ratio_grids(records),
-        sequence_grid(records),
-        vision_grid(records),
+        *ratio_grids(shown),
+        *sign_grids(shown, run),
+        sequence_grid(shown),
+        vision_grid(shown),
         *design_grids(run),
-        diagnostic_grid(records),
-        timing_grid(records),
+        diagnostic_grid(shown),
+        timing_grid(shown),
     )
     return [grid for grid in found if grid is not None]
 
 
+def pooled_alone(run: RunData, records: Sequence[Record]) -> list[Record]:
+    """Leave out the scenarios that a pool stands for."""
+    pooled = pooled_scenarios(run)
+    return [record for record in records if record.scenario not in pooled]
+
+
 def ratio_grids(records: Sequence[Record]) -> Iterator[Grid]:
     """Tabulate the mean error of each estimator over that of each other one, a grid for each scenario and error."""
-    ratios = [r for r in records if r.stage == RATIO]
+    ratios = [r for r in records if r.stage == RATIO and r.statistic == MEAN.name]
     for scenario, name in dict.fromkeys((r.scenario, r.measure) for r in ratios):
         own = [r for r in ratios if (r.scenario, r.measure) == (scenario, name)]
         labels = list(dict.fromkeys(label for r in own for label in (r.estimator, r.reference)))
@@ -73,6 +88,22 @@ def ratio_grids(records: Sequence[Record]) -> Iterator[Grid]:
         )
         title = f"{measure_label(name).capitalize()}, {scenario}"
         yield Grid(title, ("mean error of / over", *labels), rows, frozenset({0}), _RATIO_NOTE)
+
+
+def sign_grids(records: Sequence[Record], run: RunData) -> Iterator[Grid]:
+    """Tabulate in how many sets of images each estimator is better than each other one, a grid for each pool."""
+    pooled = {pool.name for pool in pools(run)}
+    tests = [r for r in records if r.stage == RATIO and r.statistic == BETTER and r.scenario in pooled and r.n_ok]
+    for scenario in dict.fromkeys(r.scenario for r in tests):
+        rows = []
+        for test in (r for r in tests if r.scenario == scenario):
+            key = {"scenario": scenario, "estimator": test.estimator, "reference": test.reference}
+            chance = find(records, **key, stage=RATIO, measure=test.measure, statistic=SIGN_TEST)
+            better = f"{round((test.value or 0.0) * test.n_ok)}/{test.n_ok}"
+            quantity = measure_label(test.measure.replace("_ratio", "_m"))
+            rows.append((quantity, test.estimator, test.reference, better, value_of(chance)))
+        heads = ("quantity", "estimator", "against", "sets in which better", "p")
+        yield Grid(f"Sign tests, {scenario}", heads, tuple(rows), frozenset({0, 1, 2}), _SIGN_NOTE)
 
 
 def sequence_grid(records: Sequence[Record]) -> Grid | None:
@@ -168,12 +199,17 @@ def _lines(found: Iterable[tuple[str, str, tuple[str, str]]]) -> dict[str, dict[
     return {line: levels for line, levels in lines.items() if len(levels) > 1}
 
 
+def _clustered(run: RunData, rows: pd.DataFrame) -> pd.DataFrame:
+    return rows.assign(cluster=clusters_of(run, rows))
+
+
 def revolution_figure(
     run: RunData, series: Mapping[str, Mapping[str, tuple[str, str]]], abscissa: str = ""
 ) -> tuple[Figure, str, str]:
     """Draw mean and deviation of the errors after each revolution over a series (figures 4.1 and 4.2)."""
     errors = {
-        line: {level: select(run.rows, *pair) for level, pair in levels.items()} for line, levels in series.items()
+        line: {level: _clustered(run, select(run.rows, *pair)) for level, pair in levels.items()}
+        for line, levels in series.items()
     }
     axes = run.manifest.grid.axes if run.manifest.grid is not None else ()
     abscissa = abscissa or ", ".join(axis.label for axis in axes) or "views"

@@ -1,8 +1,9 @@
 """Statistics of errors, with bootstrap intervals that respect shared images.
 
 The interval is the percentile bootstrap: a median is not smooth, so the jackknife that BCa needs is of no
-help. Whole clusters are resampled (a trial, or every noise realisation of one real image), because the
-realisations of one image share its difficulty and are not independent.
+help. Whole clusters are resampled (a trial, every noise realisation of one real image, or every start on one set of
+images), because what they share makes their trials depend on each other. A percentile bootstrap of few clusters is
+narrow: of ten it holds about 90 % where it says 95 %.
 
 From 10,000 independent numbers on, resampling brings nothing and costs minutes: the interval of a quantile then
 lies between two order statistics, that of a mean is its standard error's.
@@ -11,7 +12,7 @@ lies between two order statistics, that of a mean is its standard error's.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,14 +105,47 @@ def measure(values: FloatArray, clusters: NDArray[np.generic], statistics: Seque
     return [Measured(p, float(low), float(high)) for p, low, high in zip(points, *bounds, strict=True)]
 
 
-def measure_deviation(values: FloatArray) -> Measured:
-    """Return the standard deviation (with n - 1) of ``values`` (n,), each a trial of its own, and its interval."""
+def measure_deviation(values: FloatArray, clusters: NDArray[np.generic]) -> Measured:
+    """Return the standard deviation (with n - 1) of ``values`` (n,) with its interval, as `measure` does."""
     if len(values) < 2:
         return Measured(None)
-    rng = content_rng(values)
-    drawn = values[rng.integers(0, len(values), size=(RESAMPLES, len(values)))]
-    low, high = np.percentile(drawn.std(axis=1, ddof=1), [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)])
-    return Measured(float(values.std(ddof=1)), float(low), float(high))
+    deviation = float(values.std(ddof=1))
+    centred = values - values.mean()
+    interval = cluster_interval(
+        np.stack([np.ones_like(centred), centred, centred**2], axis=1),
+        clusters,
+        lambda sums: np.sqrt(np.maximum(sums[:, 2] - sums[:, 1] ** 2 / sums[:, 0], 0.0) / (sums[:, 0] - 1.0)),
+    )
+    return Measured(deviation, *interval)
+
+
+def cluster_interval(
+    numbers: FloatArray, clusters: NDArray[np.generic], of_sums: Callable[[FloatArray], FloatArray]
+) -> tuple[float, float] | tuple[None, None]:
+    """Bound a function of sums at the 95 % level by the percentile bootstrap of whole clusters.
+
+    Parameters
+    ----------
+    numbers
+        (n, k) finite numbers.
+    clusters
+        (n,) label of the unit that is resampled as a whole.
+    of_sums
+        Takes the sums (B, k) of resamples to (B,).
+
+    Returns
+    -------
+    low, high
+        None below two clusters.
+    """
+    codes = np.unique(clusters, return_inverse=True)[1]
+    if not len(codes) or codes.max() == 0:
+        return None, None
+    sums = np.zeros((int(codes.max()) + 1, numbers.shape[1]))
+    np.add.at(sums, codes, numbers)
+    counts = draw_counts(len(sums), RESAMPLES, content_rng(numbers, codes))
+    low, high = np.percentile(of_sums(counts @ sums), [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)])
+    return float(low), float(high)
 
 
 def large_sample_interval(values: FloatArray, statistic: Statistic) -> tuple[float, float]:

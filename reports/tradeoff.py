@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from reports.measures import CONTROL, clusters_of
+from reports.clusters import clusters_of
+from reports.measures import CONTROL
 from reports.paired import failures, share_of
 from reports.run_data import RunData, select
 from reports.statistics import MEDIAN, Measured, measure

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
 
-from reports.measures import Record, clusters_of, unit_of
-from reports.run_data import RunData, select
+from reports.clusters import clusters_of, groups
+from reports.measures import Record, unit_of
+from reports.run_data import RunData
 from reports.statistics import MEAN, MEDIAN, measure
 from reports.tables import Grid, counts, value_of
 
@@ -41,8 +44,8 @@ _LABELS = {
     "track_sigma_px": "what estimators are told of it, px",
 }
 _NOTE = (
-    "Mean over the frames of a trial, then over trials. The starts of one set of images are not independent of each"
-    " other: the interval tells how trials differ, not how another body would."
+    "Mean over the frames of a trial, then over trials. The starts on one set of images are not independent of each"
+    " other: intervals are over sets, and one set by itself has none."
 )
 
 
@@ -54,25 +57,28 @@ def vision_records(run: RunData) -> list[Record]:
     records: list[Record] = []
     if run.vision.empty:
         return records
-    for scenario, estimator in run.pairs():
-        frames = select(run.vision, scenario, estimator)
-        for column, name in _MEASURES.items():
-            if column not in frames:
-                continue
-            trials = frames.groupby("trial", as_index=False)[column].mean()
-            values = trials[column].to_numpy(dtype=np.float64) * (100.0 if name.endswith("_share") else 1.0)
-            known = np.isfinite(values)
-            clusters = clusters_of(run, trials.assign(scenario=scenario))[known]
-            for statistic, measured in zip(
-                (MEAN, MEDIAN), measure(values[known], clusters, (MEAN, MEDIAN)), strict=True
-            ):
-                records.append(
-                    Record(
-                        scenario, estimator, VISION, "", name, unit_of(name), statistic.name, measured.value,
-                        measured.low, measured.high, int(known.sum()), len(trials),
-                    )
-                )  # fmt: skip
+    for group, members in groups(run):
+        shown = run.vision[run.vision["scenario"].isin(members)]
+        for estimator in dict.fromkeys(shown["estimator"]):
+            frames = shown[shown["estimator"] == estimator]
+            trials = frames.groupby(["scenario", "trial"], as_index=False)[
+                [column for column in _MEASURES if column in frames]
+            ].mean()
+            records += _records(group, str(estimator), trials, clusters_of(run, trials))
     return records
+
+
+def _records(group: str, estimator: str, trials: pd.DataFrame, clusters: NDArray[np.generic]) -> Iterator[Record]:
+    """Yield mean and median of every measure over ``trials``, a row for each."""
+    for column, name in ((column, name) for column, name in _MEASURES.items() if column in trials):
+        values = trials[column].to_numpy(dtype=np.float64) * (100.0 if name.endswith("_share") else 1.0)
+        known = np.isfinite(values)
+        statistics = (MEAN, MEDIAN)
+        for statistic, found in zip(statistics, measure(values[known], clusters[known], statistics), strict=True):
+            yield Record(
+                group, estimator, VISION, "", name, unit_of(name), statistic.name, found.value, found.low,
+                found.high, int(known.sum()), len(trials),
+            )  # fmt: skip
 
 
 def vision_grid(records: Sequence[Record]) -> Grid | None:

@@ -13,10 +13,12 @@ from reports.designs import design_grids
 from reports.figures.sightings import draw_sightings
 from reports.figures.traces import LANDMARKS, POSITION
 from reports.sequences import (
+    pooled_alone,
     ratio_grids,
     revolution_figure,
     revolution_series,
     sequence_grid,
+    sign_grids,
     start_figure,
     trace_figure,
 )
@@ -92,13 +94,16 @@ def _image(features: int) -> Draw:
 def _grids(run: FinishedRun) -> list[Grid]:
     """Return what a run tells beside the published numbers: all statistics, and the ratios between its methods."""
     content = run.content
-    found = [*ratio_grids(content.records)]
+    records = pooled_alone(content.run, content.records)
+    found = [*ratio_grids(records), *sign_grids(records, content.run)]
     found += design_grids(content.run) if run.manifest["name"] == _SENSITIVITY else []
-    tables = (sequence_grid(content.records), vision_grid(content.records))
+    tables = (sequence_grid(records), vision_grid(records))
     return [replace(grid, title=f"{run.manifest['name']}: {grid.title}") for grid in (*tables, *found) if grid]
 
 
-_ORDER = ("ba-trace", "ba-landmarks", "ba-views", "ekf-trace", "comparison", "images", "sensitivity")
+_ORDER = (
+    "ba-trace", "ba-landmarks", "ba-views", "ekf-trace", "comparison", "images", "images-textures", "sensitivity",
+)  # fmt: skip
 PAPER = Paper(
     title="Delpech et al. (2015): every figure and every number",
     campaigns=(*(f"delpech2015-{name}" for name in _ORDER), "trade-slam"),

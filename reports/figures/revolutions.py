@@ -23,20 +23,23 @@ def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa:
     Parameters
     ----------
     errors
-        Label of each line to level to the rows of its trials; a panel of which no row has a value is left out.
+        Label of each line to level to the rows of its trials, with a column ``cluster`` that tells what of them is
+        independent; a panel of which no row has a value is left out.
     abscissa
         What the levels are.
     title
         Printed above the panels.
     """
-    tables = [table for levels in errors.values() for table in levels.values()]
-    shown = [name for name in _PANELS if any(table[name].notna().any() for table in tables)]
+    every = [table for levels in errors.values() for table in levels.values()]
+    shown = [name for name in _PANELS if any(table[name].notna().any() for table in every)]
     figure, panels = new_figure(len(shown), width_in=4.0 * len(shown))
     levels = list(dict.fromkeys(level for line in errors.values() for level in line))
     for axes, name in zip(panels, shown, strict=True):
         for i, (label, line) in enumerate(errors.items()):
             shift = _WIDTH * ((i + 0.5) / len(errors) - 0.5)
-            _draw(axes, {levels.index(level) + shift: table[name] for level, table in line.items()}, label, i)
+            _draw(
+                axes, {levels.index(level) + shift: table[[name, "cluster"]] for level, table in line.items()}, label, i
+            )
         axes.set_xticks(range(len(levels)), levels)
         axes.set(xlabel=abscissa, ylabel=f"position error {_PANELS[name]}, m")
         axes.set_ylim(bottom=0.0)
@@ -46,13 +49,15 @@ def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa:
     return figure
 
 
-def _draw(axes: Axes, errors: Mapping[float, pd.Series], label: str, index: int) -> None:
+def _draw(axes: Axes, errors: Mapping[float, pd.DataFrame], label: str, index: int) -> None:
     colour = SERIES_COLOURS[index % len(SERIES_COLOURS)]
-    known = {x: values.dropna().to_numpy(dtype=np.float64) for x, values in errors.items() if values.notna().any()}
-    means = [float(values.mean()) for values in known.values()]
-    for (x, values), mean in zip(known.items(), means, strict=True):
+    known = {x: table.dropna() for x, table in errors.items() if table.iloc[:, 0].notna().any()}
+    means = []
+    for x, table in known.items():
+        values = table.iloc[:, 0].to_numpy(dtype=np.float64)
         spread = float(values.std(ddof=1)) if len(values) > 1 else 0.0
-        found = measure(values, np.arange(len(values)), (MEAN,))[0]
+        found = measure(values, table["cluster"].to_numpy(), (MEAN,))[0]
+        means.append(mean := float(values.mean()))
         axes.vlines(x, max(mean - spread, 0.0), mean + spread, color=colour, linewidth=0.8)
         if found.low is not None and found.high is not None:
             axes.vlines(x, found.low, found.high, color=colour, linewidth=3.0)

@@ -5,8 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import binomtest
 
 from reports.contrasts import ratio_records, reduction_records
+from reports.paired import BETTER, SIGN_TEST
 from reports.published import Comparison, PublishedValue
 
 RNG = np.random.default_rng(5)
@@ -20,13 +22,18 @@ def run_of(errors):
             {"scenario": s, "estimator": e, "trial": np.arange(len(v)), "error_after_1_m": v, "error_after_2_m": np.nan}
         )
         for (s, e), v in errors.items()
-    )
-    return SimpleNamespace(rows=rows, epochs=rows, pairs=lambda: list(errors))
+    ).assign(image="")
+    manifest = SimpleNamespace(scenarios={s: {"name": s} for s, _ in errors}, grid=None)
+    return SimpleNamespace(rows=rows, epochs=rows, pairs=lambda: list(errors), manifest=manifest)
+
+
+def means(run):
+    return [r for r in ratio_records(run) if r.statistic == "mean"]
 
 
 def test_the_ratio_of_two_estimators_is_paired():
     run = run_of({("a", "one"): 2.0 * COMMON, ("a", "two"): COMMON})
-    records = {(r.estimator, r.reference): r for r in ratio_records(run)}
+    records = {(r.estimator, r.reference): r for r in means(run)}
     assert set(records) == {("one", "two"), ("two", "one")}  # no second revolution, no record of it
     record = records["one", "two"]
     assert (record.value, record.low, record.high) == pytest.approx((2.0, 2.0, 2.0))  # what is common cancels
@@ -36,7 +43,7 @@ def test_the_ratio_of_two_estimators_is_paired():
 def test_trials_without_an_error_are_counted_out():
     holes = COMMON.copy()
     holes[:30] = np.nan
-    record = next(iter(ratio_records(run_of({("a", "one"): holes, ("a", "two"): COMMON}))))
+    record = means(run_of({("a", "one"): holes, ("a", "two"): COMMON}))[0]
     assert (record.n_ok, record.n) == (170, 200)
     assert record.value == pytest.approx(1.0)
 
@@ -56,3 +63,12 @@ def test_a_reduction_is_from_a_scenario_or_from_an_estimator(against):
     sigma = 100 * 0.4 * np.sqrt(2.0 / len(COMMON)) * COMMON.std() / COMMON.mean()
     assert (record.high - record.low) / (2 * 1.96 * sigma) == pytest.approx(1.0, abs=0.15)
     assert record.unit == "%"
+
+
+def test_the_sign_test_is_over_trials():
+    two = COMMON + np.where(np.arange(200) < 130, 1.0, -1.0)
+    found = {(r.estimator, r.statistic): r for r in ratio_records(run_of({("a", "one"): COMMON, ("a", "two"): two}))}
+    share, chance = found["one", BETTER], found["one", SIGN_TEST]
+    assert (share.value, share.n_ok) == (130 / 200, 200)
+    assert chance.value == pytest.approx(binomtest(130, 200).pvalue)
+    assert found["two", BETTER].value == 70 / 200

@@ -1,0 +1,199 @@
+"""Sequences on sets of images: what is independent is the set, by closed forms and scipy."""
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest, bootstrap
+
+from reports.build import write_report
+from reports.clusters import image_set, pools
+from reports.console import console_table
+from reports.contrasts import RATIO, ratio_records
+from reports.designs import DesignData, Outcome
+from reports.measures import SEQUENCE, SEQUENCE_COLUMNS, find, measure_run
+from reports.paired import BETTER, SIGN_TEST
+from reports.run_data import read_run
+from reports.sequences import revolution_figure, revolution_series
+from reports.vision import vision_records
+
+STARTS = 6
+POOL = "sphere, {} sets of images"
+
+
+def spec(seed, **keys):
+    """A scenario as a manifest holds it, as far as a report reads it."""
+    return {
+        "name": f"sphere-{seed}",
+        "body": {"shape": "sphere", "detail": {"seed": seed}},
+        "sequence": {"images": {"starts": STARTS}, "orbit": {"revolutions": 2.0}},
+    } | keys
+
+
+def written(builder, errors, **manifest):
+    """Write a run; ``errors``: by estimator, (sets, starts) errors after one revolution."""
+    sets = len(next(iter(errors.values())))
+    for estimator, table in errors.items():
+        for seed, row in enumerate(table):
+            for trial, error in enumerate(row):
+                key = {"trial": trial, "scenario": f"sphere-{seed}", "estimator": estimator}
+                ends = dict.fromkeys(SEQUENCE_COLUMNS) | {"error_after_1_m": error, "error_after_2_m": 2.0 * error}
+                pose = {
+                    f"{prefix}{name}": np.nan
+                    for prefix in ("", "prior_")
+                    for name in (
+                        "position_error_m", "attitude_error_deg", *(f"position_error_{axis}_m" for axis in "xyz")
+                    )
+                }  # fmt: skip
+                builder.add("rows", **key, status="ok", reason="", image="", **pose, **ends)
+                builder.add("timings", **key, stage="estimation", seconds=0.1)
+                for frame in range(3):
+                    place = {"frame": frame, "anomaly_deg": 180.0 * frame, "position_error_m": 0.5 * frame * error}
+                    marks = {"landmark_rmse_m": 1.0, "settled_landmark_rmse_m": 1.0}
+                    builder.add("epochs", **key, **place, **marks)
+    cells = [{"name": f"sphere-{i}", "base": "sphere", "levels": {"texture": str(i)}} for i in range(sets)]
+    axis = {"name": "texture", "label": "texture", "levels": [str(i) for i in range(sets)]}
+    own = {
+        "scenarios": {f"sphere-{i}": spec(i) for i in range(sets)},
+        "grid": {"design": "full", "axes": [axis], "scenarios": cells},
+        "estimators": list(errors),
+    }
+    return read_run(builder.write(**(own | manifest)))
+
+
+def pooled(run, statistic, name="error_after_1_m"):
+    (pool,) = pools(run)
+    return find(measure_run(run), scenario=pool.name, stage=SEQUENCE, measure=name, statistic=statistic)
+
+
+def test_two_sets_of_equal_starts_are_two_numbers(builder):
+    """Resamples of two numbers have the means a, (a + b) / 2 and b with 1/4, 1/2 and 1/4: the interval is [a, b]."""
+    run = written(builder, {"one": np.repeat([[3.0], [5.0]], STARTS, axis=1)})
+    for statistic in ("mean", "median", "RMS", "95th percentile"):
+        record = pooled(run, statistic)
+        assert (record.low, record.high) == pytest.approx((3.0, 5.0))
+        assert (record.n_ok, record.n) == (12, 12)
+    assert pooled(run, "mean").value == 4.0
+
+
+def test_equal_starts_give_the_interval_of_the_sets(builder):
+    values = np.random.default_rng(2).gamma(3.0, 2.0, 10)
+    record = pooled(written(builder, {"one": np.repeat(values[:, None], STARTS, axis=1)}), "mean")
+    theirs = bootstrap((values,), np.mean, n_resamples=20_000, method="percentile", rng=3).confidence_interval
+    width = theirs.high - theirs.low
+    assert record.value == pytest.approx(values.mean())
+    assert (record.low, record.high) == pytest.approx((theirs.low, theirs.high), abs=0.04 * width)
+
+
+def test_the_deviation_is_resampled_by_sets(builder):
+    """Two sets of {0, 2} and {0, 4}: a resample of one of them has the deviation of that set's twelve."""
+    low, high = np.tile([0.0, 2.0], 3), np.tile([0.0, 4.0], 3)
+    record = pooled(written(builder, {"one": np.array([low, high])}), "deviation")
+    assert record.value == pytest.approx(np.std([*low, *high], ddof=1))
+    ends = (np.std([*low, *low], ddof=1), np.std([*high, *high], ddof=1))
+    assert (record.low, record.high) == pytest.approx(ends)
+
+
+def test_one_set_has_a_value_and_no_interval(builder):
+    run = written(builder, {"one": [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]], "two": [[2.0] * 6]})
+    assert pools(run) == ()
+    record = find(measure_run(run), scenario="sphere-0", estimator="one", measure="error_after_1_m", statistic="mean")
+    assert (record.value, record.low, record.high, record.n_ok) == (3.5, None, None, 6)
+    ratio = next(iter(ratio_records(run)))
+    assert (ratio.value, ratio.low) == (1.75, None)
+    share = find(ratio_records_of(run), estimator="one", reference="two", statistic=BETTER)
+    assert share.n_ok == 1
+
+
+def ratio_records_of(run):
+    return [r for r in ratio_records(run) if r.measure == "error_after_1_ratio"]
+
+
+def test_ratio_and_sign_test_take_the_set_as_one(builder):
+    rng = np.random.default_rng(4)
+    two = rng.uniform(5.0, 9.0, (7, STARTS))
+    one = two - 1.0
+    one[5:, 2:] += 2.0  # worse from most starts of two sets
+    run = written(builder, {"one": one, "two": two})
+    records = ratio_records_of(run)
+    assert {r.scenario for r in records} == {POOL.format(7)}
+    ratio, share, chance = (
+        find(records, estimator="one", reference="two", stage=RATIO, statistic=name)
+        for name in ("mean", BETTER, SIGN_TEST)
+    )
+    assert (ratio.value, ratio.n_ok) == (pytest.approx(one.mean() / two.mean()), 42)
+    assert (share.value, share.n_ok) == (5 / 7, 7)
+    assert chance.value == pytest.approx(binomtest(5, 7).pvalue)
+
+    def ratio_of(a, b):
+        return a.mean() / b.mean()
+
+    sets = one.mean(axis=1), two.mean(axis=1)
+    theirs = bootstrap(sets, ratio_of, paired=True, vectorized=False, n_resamples=5000, method="percentile", rng=1)
+    low, high = theirs.confidence_interval
+    assert (ratio.low, ratio.high) == pytest.approx((low, high), abs=0.06 * (high - low))
+
+
+def test_scenarios_that_differ_in_more_than_the_body_are_no_pool(builder):
+    errors = {"one": np.ones((3, STARTS))}
+    wide = spec(2, camera={"fov_deg": 40.0})
+    simulated = spec(1, sequence={"images": None})
+    assert image_set(simulated) == ""
+    scenarios = {"sphere-0": spec(0), "sphere-1": spec(1), "sphere-2": wide}
+    (pool,) = pools(written(builder, errors, scenarios=scenarios))
+    assert (pool.scenarios, pool.sets) == (("sphere-0", "sphere-1"), 2)
+    assert pools(written(builder, errors, scenarios={**scenarios, "sphere-1": simulated})) == ()
+
+
+def test_other_conditions_on_the_same_images_are_the_same_set(builder):
+    scenarios = {f"sphere-{i}": spec(0, camera={"fov_deg": 30.0 + i}) for i in range(3)}
+    run = written(builder, {"one": np.ones((3, STARTS)) + np.arange(STARTS)}, scenarios=scenarios)
+    assert pools(run) == ()
+    data = DesignData(run, run.manifest.grid)
+    change = data.change("sphere-1", "sphere-0", Outcome("one", SEQUENCE, "error_after_1_m"))
+    assert (change.value, change.low) == (pytest.approx(1.0), None)
+
+
+def test_the_report_states_sets_and_starts(builder):
+    rng = np.random.default_rng(6)
+    errors = {name: rng.uniform(2.0, 9.0, (4, STARTS)) for name in ("one", "two")}
+    run = written(builder, errors)
+    files = write_report(run.folder)
+    text = files.markdown.read_text()
+    assert "4 sets of images (one for each body and texture), 24 starts." in text
+    assert f"| {POOL.format(4)} | one | position error after 1 revolution |" in text
+    assert f"## Sign tests, {POOL.format(4)}" in text
+    assert "mean error of / over" in text
+    assert "Position error after 1 revolution, sphere-0" not in text
+    assert console_table(files.content).renderables
+
+
+def test_bars_of_one_set_are_not_drawn(builder):
+    run = written(builder, {"one": np.ones((2, STARTS)) + np.arange(STARTS)})
+    figure, _, _ = revolution_figure(run, revolution_series(run))
+    widths = {float(w) for c in figure.axes[0].collections for w in np.atleast_1d(c.get_linewidth())}
+    assert widths == {0.8}
+
+
+def test_vision_is_told_of_pools(builder):
+    errors = {"one": np.ones((2, STARTS))}
+    for seed, features in ((0, 1500), (1, 2500)):
+        for trial in range(STARTS):
+            numbers = dict.fromkeys(
+                (
+                    "n_matches",
+                    "right_share",
+                    "n_kept",
+                    "kept_right_share",
+                    "n_tracks",
+                    "n_wrong",
+                    "error_px",
+                    "sigma_px",
+                ),
+                1.0,
+            )
+            key = {"trial": trial, "scenario": f"sphere-{seed}", "estimator": "one", "frame": 0}
+            builder.add("vision", **key, n_features=features, repeatability=0.9, **numbers)
+    records = vision_records(written(builder, errors))
+    pool = find(records, scenario=POOL.format(2), measure="features_per_image", statistic="mean")
+    assert (pool.value, pool.low, pool.high, pool.n_ok) == (2000.0, 1500.0, 2500.0, 12)
+    alone = find(records, scenario="sphere-1", measure="features_per_image", statistic="mean")
+    assert (alone.value, alone.low) == (2500.0, None)
