@@ -13,8 +13,8 @@ import pytest
 from slam_sequences import Recipe, make_sequence
 
 from estimators.slam.bundle import BundleSlam
-from estimators.slam.compiled import descent, equations
 from estimators.slam.compiled import envelope as packed
+from estimators.slam.compiled import equations, reduction, sight
 from estimators.slam.compiled import layout as layouts
 from estimators.slam.compiled.flat import flat
 from estimators.slam.journal import Journal
@@ -87,10 +87,11 @@ def reference(monkeypatch: pytest.MonkeyPatch):
 def test_equations_are_those_of_numpy(seed: int) -> None:
     problem, state = window(seed)
     at = state.positions_m, state.points_m
-    assert equations.cost(flat(problem), *at) == pytest.approx(cost(problem, state), rel=1e-12)
+    sights = np.empty((sight.SIGHT_ROWS, len(problem.sightings.view)))
+    assert sight.look(flat(problem), *at, sights) == pytest.approx(cost(problem, state), rel=1e-12)
     layout = layouts.make_layout(flat(problem))
-    system = equations.linearise(flat(problem), layout, *at)
-    done, matrix, right, inverse = descent.reduced(system, layout, 0.3)
+    system = equations.linearise(flat(problem), layout, *at, sights)
+    done, matrix, right, inverse = reduction.reduced(system, layout, 0.3)
     assert done
     expected, expected_right, expected_inverse = normal_equations(problem, state, Layout.of(problem)).reduced(0.3)
     for found, wanted in [
@@ -115,6 +116,16 @@ def test_minimum_is_that_of_numpy(seed: int, reference) -> None:
     if problem.free_views[4]:
         covariance = reference(view_covariance, problem, at, 4)
         np.testing.assert_allclose(view_covariance(problem, at, 4), covariance, rtol=1e-9, atol=1e-12)
+
+
+def test_landmark_behind_its_camera_costs_infinity_as_with_numpy(reference) -> None:
+    problem, state = window(0)
+    points = state.points_m.copy()
+    points[0] += 2.0 * (state.positions_m[0] - points[0])
+    behind = replace(state, points_m=points)
+    found, expected = minimise(problem, behind, RULE), reference(minimise, problem, behind, RULE)
+    assert (found.cost, found.iterations, found.converged) == (np.inf, 0, False)
+    assert (expected.cost, expected.iterations, expected.converged) == (np.inf, 0, False)
 
 
 @pytest.mark.parametrize("fixed", [0, 1])

@@ -1,0 +1,140 @@
+"""Where views see landmarks at a state, and what that costs: the same sums as `residuals`, measurement by measurement.
+
+Numbers of the same kind of all sightings lie side by side, (rows, k), so that several are divided at a time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.slam.compiled.flat import FlatProblem
+from estimators.slam.compiled.jit import kernel
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+SIGHT_ROWS = 6
+"""Of every sighting: x, y, z of the landmark in the axes of the camera, m; residual u, v, px; its square in sigma."""
+
+
+@kernel
+def look(problem: FlatProblem, positions: FloatArray, points: FloatArray, sights: FloatArray) -> float:
+    """Half the sum of squares, equation (2), with the prior's quadratic; inf with a landmark behind its camera.
+
+    Writes ``sights`` (6, k) down.
+    """
+    turned(problem.attitudes, problem.seen_view, problem.seen_point, positions, points, sights)
+    _pixels(problem.pinhole, problem.seen_px, problem.seen_sigma_px, sights)
+    if not _all_positive(sights[2]):
+        return np.inf
+    total = 0.0
+    squares = sights[5]
+    for k in range(len(squares)):
+        total += squares[k]
+    for k in range(len(problem.ranged_view)):
+        x, y, z = line(positions, problem.ranged_view[k], points, problem.ranged_point[k])
+        total += ((np.sqrt(x * x + y * y + z * z) - problem.range_m[k]) / problem.range_sigma_m[k]) ** 2
+    for k in range(len(problem.motion_start)):
+        for i in range(3):
+            for j in range(3):
+                information = problem.motion_information[k, i, j]
+                total += drift(problem, k, i, positions) * information * drift(problem, k, j, positions)
+    half = 0.5 * total
+    if len(problem.prior_gradient) > 0:
+        half += _prior_cost(problem, positions, points)
+    return half if np.isfinite(half) else np.inf
+
+
+@kernel
+def turned(
+    attitudes: FloatArray,
+    view: IndexArray,
+    point: IndexArray,
+    positions: FloatArray,
+    points: FloatArray,
+    in_camera: FloatArray,
+) -> None:
+    """Turn the lines from views to landmarks into the axes of the cameras, the first three rows of ``in_camera``."""
+    for k in range(len(view)):
+        i = view[k]
+        a, b, c = line(positions, i, points, point[k])
+        in_camera[0, k] = attitudes[i, 0, 0] * a + attitudes[i, 0, 1] * b + attitudes[i, 0, 2] * c
+        in_camera[1, k] = attitudes[i, 1, 0] * a + attitudes[i, 1, 1] * b + attitudes[i, 1, 2] * c
+        in_camera[2, k] = attitudes[i, 2, 0] * a + attitudes[i, 2, 1] * b + attitudes[i, 2, 2] * c
+
+
+@kernel
+def _all_positive(values: FloatArray) -> bool:
+    """Tell whether no value is 0, negative or NaN."""
+    wrong = 0
+    for k in range(len(values)):
+        wrong += int(not values[k] > 0.0)
+    return wrong == 0
+
+
+@kernel
+def _pixels(pinhole: FloatArray, seen_px: FloatArray, sigma_px: FloatArray, sights: FloatArray) -> None:
+    """Write the last three of the rows of the sightings, given the first three."""
+    fx, fy, cx, cy = pinhole
+    for k in range(len(sigma_px)):
+        x, y, z = sights[0, k], sights[1, k], sights[2, k]
+        u = fx * x / z + cx - seen_px[k, 0]
+        v = fy * y / z + cy - seen_px[k, 1]
+        sights[3, k], sights[4, k] = u, v
+        sights[5, k] = (u * u + v * v) / sigma_px[k] ** 2
+
+
+@kernel
+def _prior_cost(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> float:
+    """Quadratic of the prior at a state."""
+    offset = prior_offset(problem, positions, points)
+    zero = np.zeros(len(offset))
+    pull = prior_pull(problem.prior_information, offset, zero)
+    total = 0.0
+    for i in range(len(offset)):
+        total += offset[i] * (0.5 * pull[i] + problem.prior_gradient[i])
+    return total
+
+
+@kernel
+def prior_pull(information: FloatArray, offset: FloatArray, begin: FloatArray) -> FloatArray:
+    """Return ``begin + information offset`` (3 n,), three rows at a time."""
+    pull = np.empty_like(begin)
+    for i in range(len(begin) // 3):
+        a, b, c = begin[3 * i], begin[3 * i + 1], begin[3 * i + 2]
+        first, second, third = information[3 * i], information[3 * i + 1], information[3 * i + 2]
+        for k in range(len(offset)):
+            a += first[k] * offset[k]
+            b += second[k] * offset[k]
+            c += third[k] * offset[k]
+        pull[3 * i], pull[3 * i + 1], pull[3 * i + 2] = a, b, c
+    return pull
+
+
+@kernel
+def prior_offset(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> FloatArray:
+    """(3 (a + b),) how far a state is from where the prior was made, m."""
+    views = len(problem.prior_views)
+    offset = np.empty(3 * len(problem.prior_origin_m))
+    for k in range(len(problem.prior_origin_m)):
+        for axis in range(3):
+            here = (
+                positions[problem.prior_views[k], axis] if k < views else points[problem.prior_points[k - views], axis]
+            )
+            offset[3 * k + axis] = here - problem.prior_origin_m[k, axis]
+    return offset
+
+
+@kernel
+def line(positions: FloatArray, i: int, points: FloatArray, j: int) -> tuple[float, float, float]:
+    """From a view to a landmark, m."""
+    return points[j, 0] - positions[i, 0], points[j, 1] - positions[i, 1], points[j, 2] - positions[i, 2]
+
+
+@kernel
+def drift(problem: FlatProblem, k: int, axis: int, positions: FloatArray) -> float:
+    """One coordinate of a displacement less the predicted one, m."""
+    step: float = positions[problem.motion_end[k], axis] - positions[problem.motion_start[k], axis]
+    drift: float = step - problem.motion_m[k, axis]
+    return drift
