@@ -14,12 +14,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from reports.cells import interval
 from reports.clusters import clusters_of, image_set
 from reports.main_effects import main_effects
 from reports.measures import CONTROL, SEQUENCE, SEQUENCE_COLUMNS, errors_by_stage, final_stage, unit_of
 from reports.run_data import Design, RunData, select
 from reports.statistics import MEAN, MEDIAN, Measured, measure
-from reports.tables import NO_VALUE, Grid, measure_label, number, stage_label
+from reports.tables import NO_VALUE, Grid, measure_label, stage_label
 
 POSITION, ATTITUDE, CENTROID = "position_error_m", "attitude_error_deg", "centroid_offset_px"
 REVOLUTION_ERRORS = tuple(name for name in SEQUENCE_COLUMNS if name.startswith("error_after_"))
@@ -171,13 +172,6 @@ class DesignData:
         return [Measured(one.value) for one in found] if seen else found
 
 
-def printed(measured: Measured) -> str:
-    """Print a value with its interval."""
-    if measured.value is None or measured.low is None or measured.high is None:
-        return number(measured.value)
-    return f"{number(measured.value)} [{number(measured.low)}, {number(measured.high)}]"
-
-
 _CHANGE_NOTE = (
     "Change: the ratio of geometric means of the error over the same trials, with its 95 % bootstrap interval; above 1"
     " it got worse. ok: trials behind the median, of all."
@@ -220,11 +214,11 @@ def _cell_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]
             levels = data.levels(name)
             cells = list(levels.values())
             for outcome in group:
-                cells.append(printed(data.median(name, outcome)))
+                cells.append(interval(data.median(name, outcome)))
                 if square:
                     reference = [n for n in data.scenarios(**(matching(design, levels) or {})) if n in names]
                     cells.append(
-                        NO_VALUE if reference in ([], [name]) else printed(data.change(name, reference[0], outcome))
+                        NO_VALUE if reference in ([], [name]) else interval(data.change(name, reference[0], outcome))
                     )
             rows.append((*cells, data.ok([name], group[-1])))
         what = " against ".join(axis.name for axis in design.axes)
@@ -251,8 +245,8 @@ def _axis_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]
 def _axis_cells(data: DesignData, name: str, reference: str, group: list[Outcome]) -> tuple[str, ...]:
     cells = []
     for outcome in group:
-        change = printed(data.change(name, reference, outcome)) if reference else NO_VALUE
-        cells += [printed(data.median(name, outcome)), change]
+        change = interval(data.change(name, reference, outcome)) if reference else NO_VALUE
+        cells += [interval(data.median(name, outcome)), change]
     return (*cells, data.ok([name], group[-1]))
 
 
@@ -270,7 +264,7 @@ def _effect_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Gri
         for k, axis in enumerate(data.design.axes):
             ends = (axis.levels[0], axis.levels[-1])
             sides = [[n for n in names if data.levels(n)[axis.name] == level] for level in ends]
-            cells = [printed(found[k]) for found in effects]
+            cells = [interval(found[k]) for found in effects]
             rows.append((axis.label, *ends, *cells, *(data.ok(side, group[-1]) for side in sides)))
         yield Grid(f"Main effects, {base}, {estimator}", heads, tuple(rows), frozenset({0}), note)
 

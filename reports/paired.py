@@ -18,7 +18,7 @@ from scipy.stats import binomtest
 from reports.clusters import clusters_of
 from reports.measures import CONTROL, Record, unit_of
 from reports.run_data import RunData, select
-from reports.statistics import MEDIAN, Measured, measure
+from reports.statistics import MEAN, MEDIAN, Measured, measure
 
 PAIRED = "paired"
 """Stage of the records that set an estimator beside another, which their ``reference`` names."""
@@ -106,26 +106,40 @@ def failures(rows: pd.DataFrame) -> NDArray[np.bool_]:
     return np.asarray((rows["status"] != "ok").to_numpy() | worse)
 
 
-def share_of(marked: NDArray[np.bool_]) -> Measured:
-    """Share of marked trials with Wilson's interval."""
+def share_of(marked: NDArray[np.bool_], clusters: NDArray[np.generic] | None = None) -> Measured:
+    """Share of marked trials with Wilson's interval, or, where trials form clusters, with that of the bootstrap."""
     if not len(marked):
         return Measured(None)
+    if clusters is not None and len(np.unique(clusters)) < len(marked):
+        return measure(marked.astype(np.float64), clusters, (MEAN,))[0]
     low, high = binomtest(int(marked.sum()), len(marked)).proportion_ci(method="wilson")
     return Measured(float(marked.mean()), float(low), float(high))
 
 
-def _failure_records(pair: _Pair) -> Iterator[Record]:
-    """Yield both failure rates and their difference, negative where there are fewer.
+def rate_difference(
+    mine: NDArray[np.bool_], theirs: NDArray[np.bool_], clusters: NDArray[np.generic] | None = None
+) -> Measured:
+    """Difference of two rates over the same trials, negative where the first is smaller.
 
-    The rates have Wilson's interval. With b and c trials of n that one and the other alone failed, the variance of the
-    difference is (b + c - (b - c)^2 / n) / n^2 (McNemar).
+    With b and c trials of n that one and the other alone have marked, the variance of the difference is
+    (b + c - (b - c)^2 / n) / n^2 (McNemar), here of half a trial more in each of the four cells, which holds its level
+    where b and c are few (A. Agresti and Y. Min, Statistics in Medicine 24, 2005). Where trials form clusters the
+    interval is that of the bootstrap.
     """
-    mine, theirs = failures(pair.rows), failures(pair.base)
     n, alone, other = len(mine), int((mine & ~theirs).sum()), int((~mine & theirs).sum())
-    if n == 0:
+    if clusters is not None and len(np.unique(clusters)) < n:
+        return measure(mine.astype(np.float64) - theirs.astype(np.float64), clusters, (MEAN,))[0]
+    more = n + 2.0
+    centre = (alone - other) / more
+    half = float(_NORMAL_95 * np.sqrt(alone + other + 1.0 - (alone - other) ** 2 / more) / more)
+    return Measured((alone - other) / n, max(centre - half, -1.0), min(centre + half, 1.0))
+
+
+def _failure_records(pair: _Pair) -> Iterator[Record]:
+    """Yield both failure rates with Wilson's interval, and their difference, negative where there are fewer."""
+    mine, theirs = failures(pair.rows), failures(pair.base)
+    if not len(mine):
         return
     for name, failed in ((OWN, mine), (THEIRS, theirs)):
-        yield pair.record(FAILURE_RATE, name, share_of(failed), n)
-    rate = (alone - other) / n
-    half = float(_NORMAL_95 * np.sqrt(alone + other - (alone - other) ** 2 / n) / n)
-    yield pair.record(FAILURE_RATE, DIFFERENCE, Measured(rate, rate - half, rate + half), n)
+        yield pair.record(FAILURE_RATE, name, share_of(failed), len(mine))
+    yield pair.record(FAILURE_RATE, DIFFERENCE, rate_difference(mine, theirs), len(mine))

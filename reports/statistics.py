@@ -58,6 +58,7 @@ RMS = Statistic("RMS", None, power=2)
 ROOT_MEDIAN_SQUARE = Statistic("root-median-square", 0.5, power=2)
 P75 = Statistic("75th percentile", 0.75)
 P95 = Statistic("95th percentile", 0.95)
+P99 = Statistic("99th percentile", 0.99)
 DEVIATION = "deviation"
 """Name of the standard deviation of a sample, which is no power mean."""
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from reports.cells import interval
 from reports.clusters import clusters_of
 from reports.measures import CONTROL
 from reports.paired import failures, share_of
@@ -127,17 +128,8 @@ def _total(counts: list[int | None]) -> int | None:
 def _cells(cost: Cost) -> Iterator[str]:
     size = cost.size_bytes
     yield from (cost.scenario, cost.estimator, f"{cost.n_ok}/{cost.n}")
-    yield from (_interval(cost.position_m), _interval(cost.attitude_deg), _interval(cost.failed, 100.0))
+    yield from (interval(cost.position_m), interval(cost.attitude_deg), interval(cost.failed, 100.0))
     yield number(None if cost.seconds.value is None else 1e3 * cost.seconds.value)
     yield NO_VALUE if cost.landmarks is None else str(cost.landmarks)
     yield number(None if size is None else size / _KILO)
     yield number(None if size is None or not cost.landmarks else size / cost.landmarks)
-
-
-def _interval(measured: Measured, scale: float = 1.0) -> str:
-    if measured.value is None:
-        return NO_VALUE
-    value = number(scale * measured.value)
-    if measured.low is None or measured.high is None:
-        return value
-    return f"{value} [{number(scale * measured.low)}, {number(scale * measured.high)}]"

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import NoReturn
 
-from campaign.cli import bench, catalog, fetch, figures, machine, runs
+from campaign.cli import bench, catalog, compare, fetch, figures, machine, runs
 from campaign.store.atomic import explain
 from scenarios.errors import BoresightError
 
@@ -59,6 +59,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     catalog.add_commands(commands)
     runs.add_commands(commands)
+    compare.add_commands(commands)
     figures.add_commands(commands)
     bench.add_commands(commands)
     fetch.add_commands(commands)

@@ -1,0 +1,79 @@
+"""Write a comparison: tables as CSV and Markdown, figures as PNG and PDF."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from reports.compare.figures import comparison_figures
+from reports.compare.grids import contrast_grid, contrast_table, subject_grid, subject_table
+from reports.compare.subjects import RunComparison
+from reports.content import NamedFigure
+from reports.figures.style import save_figure
+from reports.tables import Grid
+from scenarios.errors import BoresightError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComparisonFiles:
+    """Where a comparison lies, and its tables for the terminal."""
+
+    folder: Path
+    markdown: Path
+    tables: tuple[Path, ...]
+    figures: tuple[Path, ...]
+    grids: tuple[Grid, ...]
+
+
+def write_comparison(found: RunComparison, folder: Path, command: str = "") -> ComparisonFiles:
+    """Write ``compare.md``, ``subjects.csv``, ``differences.csv`` and the figures of a comparison.
+
+    Raises
+    ------
+    BoresightError
+        If the folder cannot be written.
+    """
+    grids = tuple(comparison_grids(found))
+    tables = {"subjects.csv": subject_table(found), "differences.csv": contrast_table(found)}
+    figures = list(comparison_figures(found))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, table in tables.items():
+            table.to_csv(folder / name, index=False, lineterminator="\n")
+        pictures = [path for one in figures for path in save_figure(one.figure, folder / one.stem)]
+        markdown = folder / "compare.md"
+        markdown.write_text(_markdown(found, grids, figures, command), encoding="utf-8")
+    except OSError as error:
+        raise BoresightError(
+            f"{folder}: the comparison cannot be written: {error.strerror}; choose another --out"
+        ) from error
+    return ComparisonFiles(folder, markdown, tuple(folder / name for name in tables), tuple(pictures), grids)
+
+
+def comparison_grids(found: RunComparison) -> Iterator[Grid]:
+    """Yield the tables of a comparison."""
+    yield subject_grid(found)
+    differences = contrast_grid(found)
+    if differences is not None:
+        yield differences
+
+
+def notes(found: RunComparison) -> Iterator[str]:
+    """Say what was compared, and what a reader must know."""
+    for run in found.runs:
+        done, total = run.progress()
+        made = f"{run.manifest.name}, seed {run.manifest.seed}, {done} of {total} trials"
+        yield f"{run.folder}: {made}" + (", not finished" if done < total else "")
+    named = [one for one in found.subjects if one.estimator != "prior"]
+    if len(named) > 1 and not found.contrasts:
+        yield "No two subjects share views, priors or tracks, so no differences are given: --unpaired gives them."
+    yield from (line for run in found.runs for line in run.manifest.credits)
+
+
+def _markdown(found: RunComparison, grids: Sequence[Grid], figures: Sequence[NamedFigure], command: str) -> str:
+    parts = [f"# {found.metric.label.capitalize()} compared", "\n".join(f"- {note}" for note in notes(found))]
+    parts += [grid.markdown() for grid in grids]
+    parts += [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in figures]
+    parts += [f"To make this again: `{command}`"] if command else []
+    return "\n\n".join(parts) + "\n"

@@ -1,0 +1,129 @@
+"""The tables of a comparison."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import pandas as pd
+
+from reports.cells import chance, interval
+from reports.compare.pairs import Contrast
+from reports.compare.subjects import STATISTICS, RunComparison, Subject
+from reports.measures import CONTROL, FAILURES_AT_PRIOR
+from reports.statistics import Measured
+from reports.tables import NO_VALUE, Grid
+
+FAILURES_WORST = "failures-worst"
+"""Stage in which a trial without an error counts as worse than any that has one."""
+SOLVED = "solved"
+_WORDS = {SOLVED: "solved", FAILURES_AT_PRIOR: "failures at prior", FAILURES_WORST: "failures worst"}
+_HEADS = ("median", "RMS", "75th", "95th", "99th")
+
+
+def lines_of(subject: Subject) -> list[tuple[str, tuple[Measured, ...], int]]:
+    """List the lines of a subject: how failures count, the statistics and the trials behind them."""
+    lines = [(SOLVED, subject.solved, subject.n_ok)]
+    if subject.n_ok < subject.n:
+        lines.append((FAILURES_AT_PRIOR if subject.at_prior else FAILURES_WORST, subject.counted, subject.n))
+    return lines
+
+
+def subject_grid(found: RunComparison) -> Grid:
+    """Tabulate each subject: over the trials that it solved and, where it failed in some, over all."""
+    unit = f" {found.metric.unit}" if found.metric.unit else ""
+    heads = (*found.varied, "trials", "ok", "success % [95 %]", *(f"{name}{unit} [95 %]" for name in _HEADS))
+    rows = []
+    for subject in found.subjects:
+        for how, values, n in lines_of(subject):
+            success = interval(subject.success, 100.0) if how == SOLVED and not _is_control(subject) else NO_VALUE
+            rows.append(
+                (*found.levels(subject.names), _WORDS[how], f"{n}/{subject.n}", success, *map(interval, values))
+            )
+    note = (
+        f"{found.metric.label.capitalize()}, with 95 % bootstrap intervals of whole trials (real images: of whole"
+        " images). Success: an estimate, with a position error that is not above the prior's where there is a prior."
+        " Solved: the trials with an error. Failures at prior: every trial, one without an error with that of its"
+        " prior. Failures worst: every trial, one without an error worse than any (∞ where the quantile is such)."
+    )
+    text = frozenset(range(len(found.varied) + 1))
+    title = f"{found.metric.label.capitalize()}{f', {found.shared}' if found.shared else ''}"
+    return Grid(title, heads, tuple(rows), text, note)
+
+
+def _is_control(subject: Subject) -> bool:
+    return subject.estimator == CONTROL
+
+
+def contrast_grid(found: RunComparison) -> Grid | None:
+    """Tabulate the differences; None where there are none."""
+    if not found.contrasts:
+        return None
+    unit = f" {found.metric.unit}" if found.metric.unit else ""
+    heads = (
+        *found.varied, "against", "both ok", f"median difference{unit} [95 %]", f"mean difference{unit} [95 %]",
+        "better %", "p", "p (Holm)", "failures % [95 %]", "better % of all", "p of all", "p of all (Holm)",
+    )  # fmt: skip
+    rows = tuple(_cells(found, one) for one in found.contrasts)
+    note = (
+        "Differences trial by trial of the same views, priors or tracks, over the trials that both solved: negative is"
+        " better. Better: share of the trials in which the subject is the better of the two, and p of the sign test."
+        " Failures: difference of the failure rates, negative where there are fewer. Of all: a failure loses against"
+        " what did not fail. Holm: p corrected for all tests of this table."
+    )
+    if any(not one.paired for one in found.contrasts):
+        note += (
+            " Lines marked 'unpaired' compare independent samples: differences of medians and means, the chance that a"
+            " trial of the one is better than one of the other, and p of the test of Mann and Whitney."
+        )
+    return Grid("Differences", heads, rows, frozenset(range(len(found.varied) + 1)), note)
+
+
+def changed(one: Contrast) -> str:
+    """Name what a subject is held against by the one level that differs."""
+    return next(b for a, b in zip(one.first, one.second, strict=True) if a != b)
+
+
+def _cells(found: RunComparison, one: Contrast) -> tuple[str, ...]:
+    counts = f"{one.n_both}/{one.n}" if one.paired else f"{one.n_both} and {one.n}, unpaired"
+    return (
+        *found.levels(one.first),
+        changed(one),
+        counts,
+        interval(one.median),
+        interval(one.mean),
+        interval(Measured(one.better.value), 100.0),
+        chance(one.p),
+        chance(one.p_holm),
+        interval(one.failures, 100.0),
+        interval(Measured(one.better_of_all.value), 100.0),
+        chance(one.p_of_all),
+        chance(one.p_of_all_holm),
+    )
+
+
+def subject_table(found: RunComparison) -> pd.DataFrame:
+    """Tabulate the numbers of the subjects, a row for each statistic."""
+    rows = []
+    for subject in found.subjects:
+        key = dict(zip(found.factors, subject.names, strict=True)) | {"metric": found.metric.name}
+        success = {"trials": "all", "statistic": "success rate", "unit": "", **asdict(subject.success)}
+        rows.append(key | success | {"n_ok": subject.n_ok, "n": subject.n})
+        for how, values, n_ok in lines_of(subject):
+            for statistic, measured in zip(STATISTICS, values, strict=True):
+                about = {"trials": how, "statistic": statistic.name, "unit": found.metric.unit, **asdict(measured)}
+                rows.append(key | about | {"n_ok": n_ok, "n": subject.n})
+    return pd.DataFrame(rows)
+
+
+def contrast_table(found: RunComparison) -> pd.DataFrame:
+    """Tabulate the numbers of the differences, a row for each."""
+    rows = []
+    for one in found.contrasts:
+        row: dict[str, object] = {"subject": ", ".join(one.first), "against": ", ".join(one.second)}
+        for name, value in asdict(one).items():
+            if isinstance(value, dict):
+                row |= {name: value["value"], f"{name}_low": value["low"], f"{name}_high": value["high"]}
+            elif name not in ("first", "second"):
+                row[name] = value
+        rows.append(row)
+    return pd.DataFrame(rows)

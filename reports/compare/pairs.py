@@ -1,0 +1,159 @@
+"""Differences between subjects: trial by trial where trials are the same, between samples where they are not.
+
+Tests of many pairs find something by chance alone; Holm's correction (S. Holm, A simple sequentially rejective multiple
+test procedure, Scandinavian Journal of Statistics 6, 1979) holds the chance of a single false finding in the whole
+table at the level of one test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import mannwhitneyu
+
+from reports.compare.trials import KEY
+from reports.paired import rate_difference, sign_test
+from reports.statistics import LEVEL, MEAN, MEDIAN, FloatArray, Measured, bootstrap, content_rng, measure
+
+
+@dataclass(frozen=True, slots=True)
+class Contrast:
+    """One subject against another.
+
+    Parameters
+    ----------
+    first, second
+        The subjects by their factors.
+    paired
+        Whether it is trial by trial.
+    n_both, n
+        Trials that both solved, of those that both have; of independent samples those of the first and of the second.
+    median, mean
+        Of the differences, first minus second, over the trials that both solved; of independent samples the difference
+        of medians and of means.
+    better, p
+        Share of the trials in which the first is better, and p of the test that either is as often the better.
+    better_of_all, p_of_all
+        The same over all trials: who fails loses against who does not, and two failures decide nothing.
+    failures
+        Difference of the failure rates.
+    p_holm, p_of_all_holm
+        The tests' p after Holm's correction over the table.
+    """
+
+    first: tuple[str, ...]
+    second: tuple[str, ...]
+    paired: bool
+    n_both: int
+    n: int
+    median: Measured
+    mean: Measured
+    better: Measured
+    p: float | None
+    better_of_all: Measured
+    p_of_all: float | None
+    failures: Measured
+    p_holm: float | None = None
+    p_of_all_holm: float | None = None
+
+
+def holm(chances: Sequence[float]) -> list[float]:
+    """Correct p values of m tests: the k-th smallest times m - k + 1, never below a smaller one's, at most 1."""
+    order = np.argsort(chances, kind="stable")
+    factors = np.arange(len(chances), 0, -1)
+    ascending = np.minimum(np.maximum.accumulate(np.asarray(chances)[order] * factors), 1.0)
+    corrected = np.empty(len(chances))
+    corrected[order] = ascending
+    return [float(p) for p in corrected]
+
+
+def corrected(contrasts: Sequence[Contrast]) -> list[Contrast]:
+    """Correct the p of all tests of a table, those over the trials that both solved and those over all trials."""
+    tests = [(i, name) for i, one in enumerate(contrasts) for name in ("p", "p_of_all")]
+    known = [(i, name) for i, name in tests if getattr(contrasts[i], name) is not None]
+    chances = holm([getattr(contrasts[i], name) for i, name in known])
+    found: dict[int, dict[str, float]] = {}
+    for (i, name), chance in zip(known, chances, strict=True):
+        found.setdefault(i, {})[f"{name}_holm"] = chance
+    return [replace(one, **found.get(i, {})) for i, one in enumerate(contrasts)]  # type: ignore[arg-type]
+
+
+def contrast(names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, other: pd.DataFrame) -> Contrast | None:
+    """Compare two subjects trial by trial; None where they share no trial."""
+    both = one.merge(other, on=KEY, suffixes=("", "_other"))
+    if both.empty:
+        return None
+    difference = (both["value"] - both["value_other"]).to_numpy(dtype=np.float64)
+    clusters = both["cluster"].to_numpy()
+    solved = np.isfinite(difference)
+    median, mean = measure(difference[solved], clusters[solved], (MEDIAN, MEAN))
+    better, chance, _ = sign_test(difference[solved], clusters[solved])
+    mine, theirs = both["failed"].to_numpy(dtype=bool), both["failed_other"].to_numpy(dtype=bool)
+    better_of_all, chance_of_all, _ = sign_test(_with_failures(difference, mine, theirs), clusters)
+    return Contrast(
+        *names, True, int(solved.sum()), len(both), median, mean, better, chance.value, better_of_all,
+        chance_of_all.value, rate_difference(mine, theirs, clusters),
+    )  # fmt: skip
+
+
+def _with_failures(difference: FloatArray, mine: NDArray[np.bool_], theirs: NDArray[np.bool_]) -> FloatArray:
+    """Let a failure lose against what did not fail, and two failures decide nothing."""
+    alone = mine.astype(float) - theirs.astype(float)
+    return np.where(mine | theirs, alone, np.nan_to_num(difference))
+
+
+def independent_contrast(
+    names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, other: pd.DataFrame
+) -> Contrast:
+    """Compare two subjects as independent samples, by the test of Mann and Whitney."""
+    samples = [_solved(table) for table in (one, other)]
+    median, mean = _differences(samples)
+    better, p = _superiority(*(_by_cluster(*sample) for sample in samples))
+    worst = float(max((values.max() for values, _ in samples if len(values)), default=0.0)) + 1.0
+    whole = [
+        _by_cluster(table["value"].where(~table["failed"], worst).to_numpy(float), table["cluster"].to_numpy())
+        for table in (one, other)
+    ]
+    better_of_all, p_of_all = _superiority(*whole)
+    rates = [(table["failed"].to_numpy(dtype=np.float64), table["cluster"].to_numpy()) for table in (one, other)]
+    return Contrast(
+        *names, False, len(samples[0][0]), len(samples[1][0]), median, mean, better, p, better_of_all, p_of_all,
+        _differences(rates)[1],
+    )  # fmt: skip
+
+
+def _solved(table: pd.DataFrame) -> tuple[FloatArray, NDArray[np.generic]]:
+    known = table["value"].notna()
+    return table.loc[known, "value"].to_numpy(dtype=np.float64), table.loc[known, "cluster"].to_numpy()
+
+
+def _by_cluster(values: FloatArray, clusters: NDArray[np.generic]) -> FloatArray:
+    """Median of each cluster: what is independent counts once."""
+    return np.asarray(pd.Series(values).groupby(clusters).median(), dtype=np.float64)
+
+
+def _superiority(one: FloatArray, other: FloatArray) -> tuple[Measured, float | None]:
+    """Chance that a trial of the first is better than one of the second (ties count half), and the test's p."""
+    if not len(one) or not len(other):
+        return Measured(None), None
+    found = mannwhitneyu(one, other)
+    return Measured(1.0 - float(found.statistic) / (len(one) * len(other))), float(found.pvalue)
+
+
+def _differences(samples: Sequence[tuple[FloatArray, NDArray[np.generic]]]) -> list[Measured]:
+    """Difference of medians and of means of two independent samples."""
+    statistics = (MEDIAN, MEAN)
+    if any(not len(values) for values, _ in samples):
+        return [Measured(None)] * len(statistics)
+    drawn = []
+    for values, clusters in samples:
+        codes = np.unique(clusters, return_inverse=True)[1]
+        drawn.append(bootstrap(values, codes, statistics, content_rng(values, codes)))
+    tails = [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)]
+    ends = np.percentile(drawn[0] - drawn[1], tails, axis=1).T
+    points = [statistic.of(samples[0][0]) - statistic.of(samples[1][0]) for statistic in statistics]
+    return [Measured(p, float(low), float(high)) for p, (low, high) in zip(points, ends, strict=True)]

@@ -1,0 +1,195 @@
+"""Comparisons of stored runs: hand-made failures, scipy's tests and bootstrap, and what may not be compared."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest, bootstrap, mannwhitneyu
+from stored_runs import SCENARIO, RunBuilder, pose_error
+
+from reports.compare import compare_runs, write_comparison
+from reports.compare.pairs import holm
+from reports.statistics import MEDIAN, P75, P99, RMS
+from scenarios.errors import BoresightError
+
+PRIOR = ((40.0, 0.0, 0.0), 1.0)
+
+
+def posed(vector, attitude_deg=0.5):
+    return (tuple(float(x) for x in np.broadcast_to(vector, 3) * (1.0, 0.0, 0.0)), attitude_deg)
+
+
+def store(folder, errors, **manifest):
+    """Store a run of estimators by the lengths of their position errors, None for a failure."""
+    builder = RunBuilder(folder)
+    for label, lengths in errors.items():
+        for trial, length in enumerate(lengths):
+            builder.trial(trial, PRIOR, None if length is None else posed(length), estimator=label)
+    builder.add("diagnostics", scenario=SCENARIO, estimator=label, trial=0, name="chi2", value=1.0)
+    return builder.write(**{"estimators": list(errors)} | manifest)
+
+
+def only(found, name):
+    return next(subject for subject in found.subjects if subject.estimator == name)
+
+
+def statistic(subject, which, counted=False):
+    statistics = (MEDIAN, RMS, P75)
+    return (subject.counted if counted else subject.solved)[statistics.index(which)]
+
+
+def test_failures_count_with_the_error_of_their_prior(tmp_path):
+    found = compare_runs([store(tmp_path / "run", {"one": [10, 20, None, 30], "other": [5, 5, 5, 50]})])
+    one = only(found, "one")
+    assert (one.n_ok, one.n, one.at_prior) == (3, 4, True)
+    assert statistic(one, MEDIAN).value == 20.0
+    assert statistic(one, MEDIAN, counted=True).value == 25.0  # of 10, 20, 30 and the prior's 40
+    assert statistic(one, RMS, counted=True).value == pytest.approx(np.sqrt(np.mean(np.square([10, 20, 30, 40]))))
+    assert one.success.value == 0.75
+    assert only(found, "other").success.value == 0.75, "an error above the prior's is no success"
+
+
+def test_intervals_are_those_of_scipy_s_bootstrap(tmp_path):
+    lengths = np.random.default_rng(5).gamma(2.0, 6.0, 300)
+    subject = only(compare_runs([store(tmp_path / "run", {"one": lengths})]), "one")
+    theirs = bootstrap((lengths,), lambda x, axis: np.sqrt(np.mean(x**2, axis=axis)), method="percentile", rng=1)
+    ours = statistic(subject, RMS)
+    assert ours.value == pytest.approx(np.sqrt(np.mean(lengths**2)))
+    assert (ours.low, ours.high) == pytest.approx(tuple(theirs.confidence_interval), rel=0.02)
+    assert subject.solved[-1].value == pytest.approx(np.quantile(lengths, 0.99)), P99.name
+
+
+def test_differences_are_paired_and_a_failure_loses(tmp_path):
+    one, other = [10, 20, 30, 12, None, 18], [11, 25, None, 10, None, 30]
+    (contrast,) = compare_runs([store(tmp_path / "run", {"other": other, "one": one})]).contrasts
+    assert (contrast.first[0], contrast.second[0]) == ("one", "other")
+    assert (contrast.n_both, contrast.n) == (4, 6)
+    assert contrast.median.value == -3.0  # of -1, -5, 2 and -12
+    assert contrast.better.value == 0.75
+    assert contrast.p == pytest.approx(binomtest(3, 4).pvalue)
+    assert contrast.better_of_all.value == 0.8, "the other's failure alone is won, the common one decides nothing"
+    assert contrast.failures.value == pytest.approx(-1 / 6)
+    assert contrast.failures.low < 0.0 < contrast.failures.high
+
+
+def test_holm_s_correction_is_that_of_his_procedure():
+    """By hand: 0.005 x 4, 0.01 x 3, 0.03 x 2, and 0.04 x 1, which is below the one before."""
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.9, 0.8]) == [1.0, 1.0]
+
+
+def test_under_the_null_holm_finds_something_in_at_most_five_per_cent():
+    chances = np.random.default_rng(8).random((4000, 10))
+    found = np.mean([min(holm(row)) < 0.05 for row in chances])
+    assert found == pytest.approx(0.05, abs=0.012)
+    assert np.mean(chances.min(axis=1) < 0.05) > 0.35, "uncorrected"
+
+
+def spec(**changes):
+    whole = {"name": SCENARIO, "viewpoint": {"range_m": 2000}, "brdf": {"kind": "lambert"}, "lighting": {}}
+    return whole | changes
+
+
+def test_runs_of_other_reflectances_are_pairs_by_it(tmp_path):
+    runs = [
+        store(tmp_path / kind, {"one": lengths}, scenarios={SCENARIO: spec(brdf={"kind": kind, "w": 1})})
+        for kind, lengths in {"lambert": [10, 20, 30], "hapke": [12, 24, 36]}.items()
+    ]
+    found = compare_runs(runs, factors=["brdf"])
+    assert [subject.names for subject in found.subjects] == [("lambert",), ("hapke",)]
+    (contrast,) = found.contrasts
+    assert (contrast.first, contrast.paired, contrast.median.value) == (("hapke",), True, 4.0)
+    assert compare_runs(runs).factors[0] == "run", "the same estimator and scenario twice"
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"seed": 8}, "their seeds are 7 and 8"),
+        ({"scenarios": {SCENARIO: spec(viewpoint={"range_m": 3000})}}, "viewpoint.range_m is 2000 and 3000"),
+    ],
+)
+def test_trials_that_are_not_the_same_are_no_pairs(tmp_path, changes, why):
+    rng = np.random.default_rng(6)
+    samples = rng.gamma(2, 9, 60), rng.gamma(2, 5, 60)
+    one = store(tmp_path / "one", {"one": samples[0]}, scenarios={SCENARIO: spec()})
+    other = store(tmp_path / "other", {"other": samples[1]}, **{"scenarios": {SCENARIO: spec()}} | changes)
+    with pytest.raises(BoresightError, match=why):
+        compare_runs([one, other])
+    (contrast,) = compare_runs([one, other], unpaired=True).contrasts
+    assert not contrast.paired
+    assert contrast.p == pytest.approx(mannwhitneyu(samples[1], samples[0]).pvalue)
+    assert contrast.median.value == pytest.approx(np.median(samples[1]) - np.median(samples[0]))
+    assert contrast.median.low < contrast.median.value < contrast.median.high
+
+
+def test_an_unknown_metric_or_factor_is_told_with_what_there_is(tmp_path):
+    run = store(tmp_path / "run", {"one": [1, 2]}, scenarios={SCENARIO: spec()})
+    with pytest.raises(BoresightError, match=r"--metric velocity: .* choose one of position_error_m.*chi2"):
+        compare_runs([run], metric="velocity")
+    with pytest.raises(BoresightError, match=r"--by brdf\.w: .* no such key: .*viewpoint, brdf, lighting"):
+        compare_runs([run], factors=["brdf.w"])
+
+
+def test_components_are_across_and_along_the_boresight(tmp_path):
+    builder = RunBuilder(tmp_path / "run")
+    builder.trial(0, ((3.0, 4.0, 12.0), 1.0), ((-3.0, 4.0, -2.0), 0.1), estimator="one")
+    run = builder.write(estimators=["one"])
+    for metric, value in (("lateral_error_m", 5.0), ("boresight_error_m", 2.0)):
+        assert statistic(only(compare_runs([run], metric), "one"), MEDIAN).value == pytest.approx(value)
+
+
+def store_orbits(folder, ends):
+    """Store sequences of two revolutions by their position errors at 0, 360 and 720 degrees; shorter ones failed."""
+    builder = RunBuilder(folder)
+    nothing = {f"{prefix}{name}": np.nan for prefix in ("", "prior_") for name in pose_error(np.zeros(3), 0)}
+    for label, trials in ends.items():
+        for trial, errors in enumerate(trials):
+            key = {"trial": trial, "scenario": SCENARIO, "estimator": label}
+            status = "ok" if len(errors) == 3 else "failed"
+            builder.add("rows", **key, **nothing, status=status, reason="", image="", n_landmarks=9)
+            for k, error in enumerate(errors):
+                builder.add(
+                    "epochs", **key, frame=k, anomaly_deg=360.0 * k, position_error_m=float(error),
+                    landmark_rmse_m=1.0, settled_landmark_rmse_m=1.0,
+                )  # fmt: skip
+    return builder.write(estimators=list(ends), scenarios={SCENARIO: {"sequence": {"seed": 1}}})
+
+
+def test_sequences_are_compared_after_whole_revolutions(tmp_path):
+    ends = {"ekf": [(0, 3, 9), (0, 5, 7), (0, 4)], "ba": [(0, 2, 4), (0, 2, 5), (0, 2, 6)]}
+    run = store_orbits(tmp_path / "run", ends)
+    found = compare_runs([run])
+    assert found.metric.name == "error_after_2_m"
+    ekf = only(found, "ekf")
+    assert (ekf.n_ok, ekf.n, ekf.at_prior) == (2, 3, False)
+    assert statistic(ekf, MEDIAN).value == 8.0
+    assert statistic(ekf, MEDIAN, counted=True).value == 9.0, "the third of three, one of which is worse than any"
+    assert statistic(ekf, P75, counted=True).value == np.inf
+    assert statistic(ekf, RMS, counted=True).value is None
+    after_one = compare_runs([run], "error_after_1_m")
+    assert statistic(only(after_one, "ekf"), MEDIAN).value == 4.0
+
+
+def test_the_files_hold_every_number(tmp_path):
+    run = store(tmp_path / "run", {"one": [10, 20, None, 30], "other": [5, 6, 7, 8]})
+    files = write_comparison(compare_runs([run]), tmp_path / "out", "boresight compare run")
+    text = files.markdown.read_text()
+    assert "failures at prior" in text
+    assert "boresight compare run" in text
+    subjects = (tmp_path / "out" / "subjects.csv").read_text().splitlines()
+    assert len(subjects) == 1 + (1 + 5 + 5) + (1 + 5)
+    for path in files.figures:
+        assert path.stat().st_size > 1000
+    first = [path.read_bytes() for path in (*files.figures, *files.tables, files.markdown)]
+    again = write_comparison(compare_runs([run]), tmp_path / "again", "boresight compare run")
+    assert [path.read_bytes() for path in (*again.figures, *again.tables, again.markdown)] == first
+
+
+def test_a_run_of_an_older_version_is_told(tmp_path):
+    run = store(tmp_path / "run", {"one": [1, 2]})
+    manifest = json.loads((run / "manifest.json").read_text())
+    del manifest["credits"]
+    (run / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(BoresightError, match="credits"):
+        compare_runs([run])
