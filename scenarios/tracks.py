@@ -32,8 +32,8 @@ class Forces:
     ----------
     gm_m3_s2, gm_sigma_m3_s2
         Gravity parameter of the body, and the standard deviation of its error.
-    radiation_m_s2, radiation_sigma
-        (3,) acceleration by solar radiation pressure, and the relative standard deviation of its size.
+    radiation_m_s2, radiation_sigma_m_s2
+        (3,) acceleration by solar radiation pressure, and the standard deviation of the error of its size.
     noise_m_s2
         Standard deviation of each coordinate of what is not modelled, constant between two frames and independent from
         one interval to the next.
@@ -44,7 +44,7 @@ class Forces:
     gm_m3_s2: float
     gm_sigma_m3_s2: float
     radiation_m_s2: FloatArray
-    radiation_sigma: float
+    radiation_sigma_m_s2: float
     noise_m_s2: float
     velocity_m_s: FloatArray
     velocity_covariance_m2_s2: FloatArray

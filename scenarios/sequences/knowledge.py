@@ -179,7 +179,7 @@ def known_forces(path: Path, spec: SequenceSpec, rng: np.random.Generator) -> Fo
         gm_m3_s2=float(gm),
         gm_sigma_m3_s2=float(knowledge.gm_sigma * orbit.gm_m3_s2),
         radiation_m_s2=radiation,
-        radiation_sigma=knowledge.radiation_sigma,
+        radiation_sigma_m_s2=float(knowledge.radiation_sigma * np.linalg.norm(path.radiation_m_s2)),
         noise_m_s2=orbit.forces.noise_m_s2 if knowledge.noise_m_s2 is None else knowledge.noise_m_s2,
         velocity_m_s=velocity,
         velocity_covariance_m2_s2=np.eye(3) * knowledge.velocity_sigma_m_s**2,

@@ -385,7 +385,9 @@ def sequence_fingerprint(scenario: LoadedScenario) -> str:
         arrays = [truth.points_m, sequence.position_m, sequence.position_covariance_m2]
         known = sequence.forces
         if known is not None:
-            parts += [repr((known.gm_m3_s2, known.gm_sigma_m3_s2, known.radiation_sigma, known.noise_m_s2)).encode()]
+            parts += [
+                repr((known.gm_m3_s2, known.gm_sigma_m3_s2, known.radiation_sigma_m_s2, known.noise_m_s2)).encode()
+            ]
             arrays += [known.radiation_m_s2, known.velocity_m_s, known.velocity_covariance_m2_s2]
         for frame in sequence.frames:
             arrays += [frame.again, frame.R_body_inertial, np.float64(frame.attitude_sigma_rad)]

@@ -129,7 +129,8 @@ def all_residuals(problem: DynamicAdjustment, state: DynamicState, sequence: Tra
         rows.append(np.linalg.cholesky(problem.arcs.information[k]).T @ residual)
     sigma = np.sqrt(forces.velocity_covariance_m2_s2[0, 0])
     rows.append((velocities[0] - forces.velocity_m_s) / sigma)
-    rows.append([(ratio - 1.0) * forces.gm_m3_s2 / forces.gm_sigma_m3_s2, (factor - 1.0) / forces.radiation_sigma])
+    light = np.linalg.norm(forces.radiation_m_s2) / forces.radiation_sigma_m_s2
+    rows.append([(ratio - 1.0) * forces.gm_m3_s2 / forces.gm_sigma_m3_s2, (factor - 1.0) * light])
     return np.concatenate(rows)
 
 
@@ -214,7 +215,8 @@ def test_noise_free_sequence_returns_the_truth_and_the_parameters() -> None:
 
 def test_errors_are_what_the_covariance_says() -> None:
     """Squared normalised errors of 10 trials: chi-square; the bounds are left by chance once in 10000."""
-    position, parameter = 0.0, 0.0
+    position, parameters = 0.0, np.zeros(2)
+    true = np.array([GM, np.linalg.norm(LIGHT)])
     trials = 10
     for trial in range(trials):
         sequence, truth = make_orbit_sequence(np.random.default_rng([3, trial]), Recipe(frames=25))
@@ -224,10 +226,23 @@ def test_errors_are_what_the_covariance_says() -> None:
         assert last.covariance_m2 is not None
         position += error @ np.linalg.solve(last.covariance_m2, error)
         found = estimate.diagnostics
-        parameter += ((found["gm_m3_s2"] - GM) / found["gm_sigma_m3_s2"]) ** 2
-    for total, freedom in ((position, 3 * trials), (parameter, trials)):
+        told = np.array([found["gm_m3_s2"], found["radiation_m_s2"]])
+        parameters += ((told - true) / [found["gm_sigma_m3_s2"], found["radiation_sigma_m_s2"]]) ** 2
+    for total, freedom in ((position, 3 * trials), *((square, trials) for square in parameters)):
         low, high = chi2.ppf([5e-5, 1.0 - 5e-5], freedom)
         assert low < total < high
+
+
+def test_what_two_frames_tell_of_the_light_is_what_was_known() -> None:
+    """The error of the known value does not change its standard deviation, so that 400 squared errors average one."""
+    squares = []
+    for trial in range(400):
+        drive = Drive(radiation_sigma=0.3)
+        sequence, _ = make_orbit_sequence(np.random.default_rng([8, trial]), Recipe(frames=2, landmarks=8.0), drive)
+        found = DynamicSmoother.from_options({}).follow(sequence).diagnostics
+        squares.append(((found["radiation_m_s2"] - np.linalg.norm(LIGHT)) / found["radiation_sigma_m_s2"]) ** 2)
+    low, high = chi2.ppf([5e-5, 1.0 - 5e-5], 400)
+    assert low < sum(squares) < high
 
 
 def test_long_lag_is_the_batch_and_a_short_one_near_it() -> None:
@@ -242,13 +257,17 @@ def test_long_lag_is_the_batch_and_a_short_one_near_it() -> None:
 
 
 def test_error_of_the_first_position_is_found_out() -> None:
-    """Gravity tells where the centre of mass is: within half a revolution an error of 20 m becomes a tenth."""
+    """Gravity tells where the centre of mass is: half a revolution leaves a tenth of the uncertainty, which is true."""
     sequence, truth = make_orbit_sequence(np.random.default_rng(9), Recipe(frames=91), Drive(noise_m_s2=1e-9))
     shift = np.array([12.0, -16.0, 0.0])
     unsure = replace(sequence, position_m=sequence.position_m + shift, position_covariance_m2=400.0 * np.eye(3))
-    found = errors(DynamicSmoother.from_options({}).follow(unsure), truth)
-    assert found[0] == pytest.approx(20.0)
-    assert found[-1] < 2.0
+    estimate = DynamicSmoother.from_options({}).follow(unsure)
+    assert errors(estimate, truth)[0] == pytest.approx(20.0)
+    last = estimate.frames[-1]
+    assert last.covariance_m2 is not None
+    assert np.trace(last.covariance_m2) < 0.01 * np.trace(unsure.position_covariance_m2)
+    error = last.position_m - truth.positions_m[-1]
+    assert error @ np.linalg.solve(last.covariance_m2, error) < chi2.ppf(1.0 - 1e-4, 3)
 
 
 def test_innovation_is_one_and_wrong_forces_are_declared() -> None:

@@ -51,7 +51,6 @@ class OrbitTruth(Truth):
 
     states: FloatArray
     gm: float
-    light_factor: float
 
 
 def make_orbit_sequence(
@@ -71,11 +70,11 @@ def make_orbit_sequence(
     forces = Forces(
         gm_m3_s2=GM * (1.0 + gm_error),
         gm_sigma_m3_s2=GM * drive.gm_sigma,
-        radiation_m_s2=LIGHT / (1.0 + light_error),
-        radiation_sigma=drive.radiation_sigma,
+        radiation_m_s2=LIGHT * (1.0 + light_error),
+        radiation_sigma_m_s2=float(np.linalg.norm(LIGHT)) * drive.radiation_sigma,
         noise_m_s2=drive.noise_m_s2,
         velocity_m_s=start[3:] + drive.velocity_sigma_m_s * rng.standard_normal(3),
         velocity_covariance_m2_s2=drive.velocity_sigma_m_s**2 * np.eye(3),
     )
-    truth = OrbitTruth(truth.positions_m, truth.points_m, states, GM, 1.0 + light_error)
+    truth = OrbitTruth(truth.positions_m, truth.points_m, states, GM)
     return replace(sequence, frames=tuple(frames), forces=forces), truth

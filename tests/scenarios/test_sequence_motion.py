@@ -276,6 +276,7 @@ def test_forces_are_known_as_well_as_asked():
     np.testing.assert_allclose(np.std(off, axis=0), asked, rtol=0.3)
     assert (np.abs(np.mean(off, axis=0)) < 4 * np.array(asked) / 10).all()
     assert (known.gm_sigma_m3_s2, known.noise_m_s2) == (pytest.approx(0.05 * GM), 1e-7)
+    assert known.radiation_sigma_m_s2 == pytest.approx(0.2 * np.linalg.norm(truth.path.radiation_m_s2))
     np.testing.assert_array_equal(known.velocity_covariance_m2_s2, 1e-6 * np.eye(3))
     assert draw_sequence(spec(), CAMERA, SPHERE, 5, 0)[1].forces is None
 

@@ -49,9 +49,9 @@ class Field:
 
     def sigmas(self, forces: Forces) -> FloatArray:
         """(2,) standard deviations of the parameters before, m; the factor is certain where there is no pressure."""
-        pressed = bool(np.any(forces.radiation_m_s2))
+        pressure = float(np.linalg.norm(forces.radiation_m_s2))
         return self.length_m * np.array(
-            [forces.gm_sigma_m3_s2 / forces.gm_m3_s2, forces.radiation_sigma if pressed else 0.0]
+            [forces.gm_sigma_m3_s2 / forces.gm_m3_s2, forces.radiation_sigma_m_s2 / pressure if pressure else 0.0]
         )
 
     def acceleration(self, positions_m: FloatArray, parameters_m: FloatArray) -> FloatArray:

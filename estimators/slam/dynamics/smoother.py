@@ -34,7 +34,7 @@ class DynamicSmoother:
     """
 
     name: ClassVar[str] = "dynamic-smoother"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
 
     def __init__(self, options: DynamicOptions) -> None:
         self.options = options
