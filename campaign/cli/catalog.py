@@ -15,6 +15,7 @@ from campaign.cli.terminal import console
 from campaign.resolve import CATALOG, campaign_names, resolve
 from estimators.registry import estimator_names
 from estimators.slam.registry import sequence_estimator_names
+from scenarios.designs import cells
 from scenarios.load import canonical_json, file_kind, json_schema, load_campaign, load_scenario, scenario_names
 
 if TYPE_CHECKING:
@@ -52,7 +53,8 @@ def _list(_: argparse.Namespace) -> int:
     for name in campaign_names():
         spec = load_campaign(name, CATALOG).spec
         labels = ", ".join(e.label for e in spec.estimators)
-        table.add_row(name, str(spec.trials), ", ".join(spec.scenarios), labels, spec.title)
+        varied = f" (x {len(cells(spec.grid))}: {', '.join(spec.grid.axes)})" if spec.grid is not None else ""
+        table.add_row(name, str(spec.trials), ", ".join(spec.scenarios) + varied, labels, spec.title)
     out.print(table)
     out.print()
     table = Table("scenario", "what it is", box=None, pad_edge=False)

@@ -39,6 +39,8 @@ def test_list_names_everything(capsys):
         assert name in text
     quickstart = next(line for line in text.splitlines() if line.startswith("quickstart"))
     assert str(load_campaign("quickstart", CATALOG).spec.trials) in quickstart.split()
+    textures = next(line for line in text.splitlines() if line.startswith("delpech2015-images-textures"))
+    assert "apophis-sphere-images (x 10: texture)" in textures
 
 
 @pytest.mark.parametrize("name", campaign_names())
