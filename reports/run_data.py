@@ -190,7 +190,7 @@ def read_run(folder: Path) -> RunData:
         If the manifest is missing or broken, or if no trial has been stored yet.
     """
     manifest = _read_manifest(folder / "manifest.json")
-    tables = {name: _read_table(folder / name, columns) for name, columns in _COLUMNS.items()}
+    tables = {name: _read_table(folder / name, columns, manifest) for name, columns in _COLUMNS.items()}
     rows = tables.pop("rows")
     if rows.empty:
         raise BoresightError(f"{folder}/rows: no finished trial is stored; continue the run first")
@@ -213,7 +213,7 @@ def _read_manifest(path: Path) -> Manifest:
         raise BoresightError(f"{path}: {place}: {first['msg']}; the run was not written by boresight") from error
 
 
-def _read_table(folder: Path, columns: tuple[str, ...]) -> pd.DataFrame:
+def _read_table(folder: Path, columns: tuple[str, ...], manifest: Manifest) -> pd.DataFrame:
     """Read a Parquet folder, in an order that does not depend on how its parts were written."""
     if not folder.is_dir() or not any(folder.glob("*.parquet")):
         return pd.DataFrame(columns=list(columns))
@@ -223,5 +223,9 @@ def _read_table(folder: Path, columns: tuple[str, ...]) -> pd.DataFrame:
         raise BoresightError(f"{folder}: cannot be read as Parquet: {error}") from error
     missing = [name for name in columns if name not in table.columns]
     if missing:
-        raise BoresightError(f"{folder}: columns {', '.join(missing)} are missing; the run is of another version")
+        made = manifest.commit or f"version {manifest.versions.get('boresight', 'unknown')}"
+        raise BoresightError(
+            f"{folder}: columns {', '.join(missing)} are missing; the run was stored by boresight {made}:"
+            f" read it with that, or run it again: boresight run {manifest.name}"
+        )
     return table.sort_values(["trial", "scenario", "estimator"], kind="stable").reset_index(drop=True)

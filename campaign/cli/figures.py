@@ -31,7 +31,10 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     figures.add_argument("--out", type=Path, help="folder of the figures (default: figures/PAPER)")
     figures.add_argument("--run", action="store_true", help="first run, or finish, the campaigns that are missing")
     figures.add_argument("--trials", type=positive, help="with --run: trials of each scenario at most")
-    figures.add_argument("--jobs", type=positive, default=cores(), help="worker processes (default: the cores)")
+    figures.add_argument(
+        "--jobs", type=positive, default=cores(),
+        help="worker processes of what is run or built again for a figure (default: the cores)",
+    )  # fmt: skip
     figures.set_defaults(handler=_figures)
 
 

@@ -22,9 +22,13 @@ def print_report(folder: RunFolder) -> None:
 
 def _fit_figures(folder: RunFolder) -> list[NamedFigure]:
     """Draw a typical trial, unless code, data or machine can no longer make its image."""
-    why = "the run was made by another version of boresight or of its data"
+    manifest = folder.read_manifest() or {}
+    why = (
+        "the run was made by another version of boresight or of its data:"
+        f" run it again to have one: boresight run {manifest.get('name', '')}".rstrip()
+    )
     try:
-        campaign = reload(folder.read_manifest() or {})
+        campaign = reload(manifest)
         if campaign is not None:
             return list(fit_figures(campaign, folder.path, folder.table("rows")))
     except BoresightError as error:

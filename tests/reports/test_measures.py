@@ -155,3 +155,13 @@ def test_missing_columns_are_named(builder):
     builder.add("rows", trial=0, scenario="s", estimator="e", status="ok", reason="")
     with pytest.raises(BoresightError, match="position_error_m"):
         read_run(builder.write())
+
+
+def test_a_run_of_another_version_says_what_to_do(builder):
+    builder.trial(0, ((1, 0, 0), 1), ((1, 0, 0), 1))
+    builder.add("landmarks", trial=0, scenario="itokawa", estimator="landmark-harris", landmark=1, error_m=1.0)
+    folder = builder.write(commit="d295d4c")
+    with pytest.raises(BoresightError, match="landmarks: columns chi_square are missing") as caught:
+        read_run(folder)
+    said = "stored by boresight d295d4c: read it with that, or run it again: boresight run rowell2015-simulated"
+    assert said in str(caught.value)
