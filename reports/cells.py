@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from reports.grid import NO_VALUE, number
 from reports.statistics import Measured
-from reports.tables import NO_VALUE, number
 
 _SMALL_P = 1e-3
 

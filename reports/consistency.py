@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from reports.clusters import clusters_of
+from reports.grid import NO_VALUE, Grid, number, value_of
 from reports.measures import Record, find
 from reports.paired import share_of
 from reports.run_data import RunData, select
 from reports.statistics import MEAN, MEDIAN, FloatArray, Measured, measure
-from reports.tables import NO_VALUE, Grid, number, value_of
 
 CONSISTENCY = "consistency"
 """Stage of the records that hold a covariance or a bound against the errors."""

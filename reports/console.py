@@ -10,11 +10,13 @@ from rich.table import Table
 from rich.text import Text
 
 from reports.clusters import pools
+from reports.comparison_tables import verdict_grid
 from reports.content import Content, read_content
 from reports.designs import design_grids
+from reports.grid import Grid
 from reports.measures import CONTROL
 from reports.sequences import sequence_grid
-from reports.tables import Grid, pose_grids, verdict_grid
+from reports.tables import pose_grids
 
 
 def console_table(run: Path | Content) -> Group:

@@ -13,12 +13,13 @@ from matplotlib.figure import Figure
 
 from reports.clusters import image_set
 from reports.comparison import ComparedClaim, ComparedValue, compare, compare_claims
+from reports.comparison_tables import claim_grid, comparison_grid
 from reports.consistency import consistency_grid, consistency_records
 from reports.contrasts import ratio_records, reduction_records
 from reports.derived import derived_records
 from reports.design_figures import design_figures
 from reports.designs import design_grids
-from reports.detection import DEFINITIONS, Detection, area, detections, outlier_records, roc_curve
+from reports.detection import DEFINITIONS, Detection, area, detections, outlier_grid, outlier_records, roc_curve
 from reports.figures import (
     MOST_CURVES,
     Curve,
@@ -32,27 +33,16 @@ from reports.figures import (
     draw_roc,
     draw_trade_off,
 )
+from reports.grid import Grid
+from reports.labels import stage_label
 from reports.measures import CONTROL, Record, errors_by_stage, final_stage, measure_run
-from reports.paired import paired_records
+from reports.paired import paired_grid, paired_records
 from reports.published import Comparison, load_published
 from reports.run_data import RunData, read_run, select
 from reports.sensitivity import mesh_variants, sensitivity_grid
 from reports.sequences import pooled_alone, sequence_figures, sequence_grids
 from reports.statistics import LARGE, MEDIAN, FloatArray
-from reports.tables import (
-    Grid,
-    claim_grid,
-    comparison_grid,
-    detail_grid,
-    diagnostic_grid,
-    failure_grid,
-    outlier_grid,
-    paired_grid,
-    pose_grids,
-    reference_grid,
-    stage_label,
-    timing_grid,
-)
+from reports.tables import detail_grid, diagnostic_grid, failure_grid, pose_grids, reference_grid, timing_grid
 from reports.tradeoff import ATTITUDE, POSITION, costs, prior_medians, trade_grid
 from reports.vision import vision_records
 

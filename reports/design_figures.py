@@ -11,10 +11,11 @@ from reports.designs import ATTITUDE, POSITION, DesignData, Outcome, outcomes
 from reports.figures.curves import CurvePanel, Points, draw_curves
 from reports.figures.effects import Effect, draw_effects
 from reports.figures.matrix import Matrix, draw_matrix
+from reports.grid import number
+from reports.labels import measure_label, stage_label
 from reports.measures import CONTROL, SEQUENCE, unit_of
 from reports.run_data import DesignAxis, RunData
 from reports.statistics import Measured
-from reports.tables import measure_label, number, stage_label
 
 Drawn = tuple[str, Figure, str, str]
 """Stem of the file, the figure, its caption and its description."""

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from reports.cells import interval
 from reports.clusters import clusters_of, image_set
+from reports.grid import NO_VALUE, Grid
+from reports.labels import measure_label, stage_label
 from reports.main_effects import main_effects
 from reports.measures import CONTROL, SEQUENCE, SEQUENCE_COLUMNS, errors_by_stage, final_stage, unit_of
 from reports.run_data import Design, RunData, select
 from reports.statistics import MEAN, MEDIAN, Measured, measure
-from reports.tables import NO_VALUE, Grid, measure_label, stage_label
 
 POSITION, ATTITUDE, CENTROID = "position_error_m", "attitude_error_deg", "centroid_offset_px"
 REVOLUTION_ERRORS = tuple(name for name in SEQUENCE_COLUMNS if name.startswith("error_after_"))

@@ -8,7 +8,7 @@ over whole trials or images, or, for very many independent trials, follows from 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,8 @@ from scipy.special import ndtri
 from scipy.stats import rankdata
 
 from reports.clusters import clusters_of
-from reports.measures import CONTROL, Record
+from reports.grid import Grid, value_of
+from reports.measures import CONTROL, Record, find
 from reports.run_data import RunData, select
 from reports.statistics import LARGE, LEVEL, RESAMPLES, Measured, content_rng, draw_counts
 
@@ -191,3 +192,32 @@ def _record(found: Detection, statistic: str, measured: Measured) -> Record:
         found.scenario, found.estimator, found.definition, "", MEASURE + found.name, "", statistic,
         measured.value, measured.low, measured.high, n, n,
     )  # fmt: skip
+
+
+def outlier_grid(records: Sequence[Record]) -> Grid | None:
+    """Tabulate how well the numbers that estimators report tell their bad solutions; None where there are none."""
+    lines = [r for r in records if r.measure.startswith(MEASURE) and r.statistic == AUC]
+    heads = ("scenario", "estimator", "bad", "number", "of", "AUC [95 %]", TRUE_POSITIVES, "threshold", "flagged")
+
+    def cells(line: Record) -> tuple[str, ...]:
+        key = {"scenario": line.scenario, "estimator": line.estimator, "stage": line.stage, "measure": line.measure}
+        true, threshold, bad = (find(records, **key, statistic=name) for name in (TRUE_POSITIVES, THRESHOLD, BAD))
+        return (
+            line.scenario,
+            line.estimator,
+            DEFINITIONS[line.stage],
+            line.measure.removeprefix(MEASURE),
+            f"{0 if bad is None else round(bad.value or 0)}/{line.n}",
+            value_of(line, interval=True),
+            value_of(true),
+            value_of(threshold),
+            "below" if (line.value or 0.0) < 0.5 else "above",
+        )
+
+    note = (
+        "How well a number that the estimator reports tells its bad solutions: area under the receiver operating"
+        " characteristic (0.5 is chance; below it, small values tell), and the share of bad solutions beyond the"
+        " threshold that flags 5 % of the good ones."
+    )
+    rows = tuple(cells(line) for line in lines)
+    return Grid("Bad solutions, and what tells them", heads, rows, frozenset({0, 1, 2, 3, 8}), note) if rows else None

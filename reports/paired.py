@@ -7,7 +7,7 @@ realisations of one real image count as one, by the sign of their median.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from reports.clusters import clusters_of
-from reports.measures import CONTROL, Record, unit_of
+from reports.grid import Grid, counts, value_of
+from reports.measures import CONTROL, Record, find, unit_of
 from reports.run_data import RunData, select
 from reports.statistics import MEAN, MEDIAN, Measured, measure
 
@@ -143,3 +144,38 @@ def _failure_records(pair: _Pair) -> Iterator[Record]:
     for name, failed in ((OWN, mine), (THEIRS, theirs)):
         yield pair.record(FAILURE_RATE, name, share_of(failed), len(mine))
     yield pair.record(FAILURE_RATE, DIFFERENCE, rate_difference(mine, theirs), len(mine))
+
+
+def paired_grid(records: Sequence[Record]) -> Grid | None:
+    """Tabulate estimators beside the first one on the same trials; None where there is only one."""
+    names = list(DIFFERENCES)
+    lines = [r for r in records if r.stage == PAIRED and r.measure == names[0] and r.statistic == MEDIAN.name]
+    heads = (
+        "scenario", "estimator", "against", "both ok", "position m [95 %]", "better", "p", "attitude deg [95 %]",
+        "better", "p", "failures", "of the other", "difference [95 %]",
+    )  # fmt: skip
+
+    def cells(line: Record) -> tuple[str, ...]:
+        key = {"scenario": line.scenario, "estimator": line.estimator, "stage": PAIRED, "reference": line.reference}
+
+        def get(measure: str, statistic: str, interval: bool = False) -> str:
+            return value_of(find(records, **key, measure=measure, statistic=statistic), interval)
+
+        def chance(measure: str) -> str:
+            found = find(records, **key, measure=measure, statistic=SIGN_TEST)
+            p = None if found is None else found.value
+            return "< 0.001" if p is not None and p < 1e-3 else value_of(found)
+
+        differences = [
+            cell for name in names for cell in (get(name, MEDIAN.name, interval=True), get(name, BETTER), chance(name))
+        ]
+        rates = (get(FAILURE_RATE, OWN), get(FAILURE_RATE, THEIRS), get(FAILURE_RATE, DIFFERENCE, interval=True))
+        return (line.scenario, line.estimator, line.reference, counts(line), *differences, *rates)
+
+    note = (
+        "On the same images and priors: median of the differences of the errors, trial by trial (negative is better),"
+        " share of trials in which it is better, and p of the sign test. Failures: no estimate, or a position error"
+        " above the prior's."
+    )
+    rows = tuple(cells(line) for line in lines)
+    return Grid("Estimators on the same trials", heads, rows, frozenset({0, 1, 2}), note) if rows else None

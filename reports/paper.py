@@ -13,11 +13,13 @@ import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
 from reports.comparison import VERDICT_RULE, ComparedClaim, ComparedValue, Verdict
+from reports.comparison_tables import claim_medians
 from reports.content import Content, NamedFigure, beside_published
 from reports.figures import save_figure
+from reports.grid import NO_VALUE, Grid, counts, value_of
+from reports.labels import measure_label, stage_label
 from reports.measures import Record
 from reports.published import Comparison
-from reports.tables import NO_VALUE, Grid, claim_medians, counts, measure_label, stage_label, value_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,26 +10,19 @@ from matplotlib.figure import Figure
 
 from reports.clusters import clusters_of, pooled_scenarios, pools
 from reports.comparison import ComparedValue
+from reports.comparison_tables import comparison_grid
 from reports.contrasts import RATIO
 from reports.designs import design_grids
 from reports.figures.revolutions import draw_revolutions
 from reports.figures.starts import draw_starts
 from reports.figures.traces import LANDMARKS, POSITION, draw_traces
+from reports.grid import NO_VALUE, Grid, counts, number, value_of
+from reports.labels import measure_label
 from reports.measures import SEQUENCE, Record, find
 from reports.paired import BETTER, SIGN_TEST
 from reports.run_data import RunData, select
 from reports.statistics import DEVIATION, MEAN, MEDIAN, P95, RMS
-from reports.tables import (
-    NO_VALUE,
-    Grid,
-    comparison_grid,
-    counts,
-    diagnostic_grid,
-    measure_label,
-    number,
-    timing_grid,
-    value_of,
-)
+from reports.tables import diagnostic_grid, timing_grid
 from reports.vision import vision_grid
 
 Drawn = tuple[str, Figure, str, str]

@@ -10,11 +10,11 @@ import pandas as pd
 
 from reports.cells import interval
 from reports.clusters import clusters_of
+from reports.grid import NO_VALUE, Grid, number
 from reports.measures import CONTROL
 from reports.paired import failures, share_of
 from reports.run_data import RunData, select
 from reports.statistics import MEDIAN, Measured, measure
-from reports.tables import NO_VALUE, Grid, number
 
 POSITION, ATTITUDE = "position_error_m", "attitude_error_deg"
 _IMAGE_STAGES = ("image", "stored_image")

@@ -9,10 +9,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from reports.clusters import clusters_of, groups
+from reports.grid import Grid, counts, value_of
 from reports.measures import Record, unit_of
 from reports.run_data import RunData
 from reports.statistics import MEAN, MEDIAN, measure
-from reports.tables import Grid, counts, value_of
 
 VISION = "vision"
 """Stage of what the vision layer did to the images, whatever estimator used its tracks."""

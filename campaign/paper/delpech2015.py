@@ -12,6 +12,7 @@ from reports.content import NamedFigure
 from reports.designs import design_grids
 from reports.figures.sightings import draw_sightings
 from reports.figures.traces import LANDMARKS, POSITION
+from reports.grid import Grid
 from reports.sequences import (
     pooled_alone,
     ratio_grids,
@@ -22,7 +23,6 @@ from reports.sequences import (
     start_figure,
     trace_figure,
 )
-from reports.tables import Grid
 from reports.vision import vision_grid
 from scenarios.errors import BoresightError
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from campaign.paper.gather import FinishedRun
 from reports.content import NamedFigure
-from reports.tables import Grid
+from reports.grid import Grid
 
 Runs = Mapping[str, FinishedRun]
 Draw = Callable[[Runs, int], Iterator[NamedFigure]]

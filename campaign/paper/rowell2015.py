@@ -28,10 +28,10 @@ from reports.figures import (
     draw_method_errors,
     draw_triangulation,
 )
+from reports.grid import Grid
 from reports.published import load_published
 from reports.run_data import select
 from reports.sensitivity import mesh_variants, sensitivity_grid
-from reports.tables import Grid
 from scenarios.errors import BoresightError
 from scenarios.geometry import View
 

@@ -11,7 +11,7 @@ from reports.compare.grids import contrast_grid, contrast_table, subject_grid, s
 from reports.compare.subjects import RunComparison
 from reports.content import NamedFigure
 from reports.figures.style import save_figure
-from reports.tables import Grid
+from reports.grid import Grid
 from scenarios.errors import BoresightError
 
 

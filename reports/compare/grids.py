@@ -9,9 +9,9 @@ import pandas as pd
 from reports.cells import chance, interval
 from reports.compare.pairs import Contrast
 from reports.compare.subjects import STATISTICS, RunComparison, Subject
+from reports.grid import NO_VALUE, Grid
 from reports.measures import CONTROL, FAILURES_AT_PRIOR
 from reports.statistics import Measured
-from reports.tables import NO_VALUE, Grid
 
 FAILURES_WORST = "failures-worst"
 """Stage in which a trial without an error counts as worse than any that has one."""

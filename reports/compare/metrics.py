@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from reports.labels import measure_label
 from reports.measures import SEQUENCE_COLUMNS, unit_of
 from reports.run_data import POSE_COLUMNS, RunData
-from reports.tables import measure_label
 from scenarios.errors import BoresightError
 
 LATERAL, BORESIGHT = "lateral_error_m", "boresight_error_m"

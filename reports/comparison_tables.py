@@ -1,0 +1,89 @@
+"""The tables that set published values and statements beside ours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from reports.comparison import VERDICT_RULE, ComparedClaim, ComparedValue
+from reports.grid import NO_VALUE, Grid, counts, value_of
+from reports.labels import measure_label, stage_label
+from reports.measures import Record
+
+
+def comparison_grid(compared: Sequence[ComparedValue]) -> Grid | None:
+    """Tabulate published values beside ours; None if the campaign is compared with nothing."""
+    if not compared:
+        return None
+    heads = (
+        "quantity",
+        "stage",
+        "statistic",
+        "paper",
+        "ours [95 %]",
+        "ok",
+        "tolerance",
+        "verdict",
+        "place in the paper",
+    )
+    several = len({(c.scenario, c.estimator) for c in compared}) > 1
+    rows = tuple(_compared_cells(c, several) for c in compared)
+    return Grid("Beside the published values", heads, rows, frozenset({0, 1, 2, 7, 8}), VERDICT_RULE)
+
+
+def verdict_grid(compared: Sequence[ComparedValue]) -> Grid | None:
+    """Tabulate the same in few columns, without times; None if the campaign is compared with nothing."""
+    several = len({(c.scenario, c.estimator) for c in compared}) > 1
+    rows = []
+    for item in compared:
+        if item.published.measure != "seconds":
+            quantity, stage, statistic, paper, ours, _, _, verdict, _ = _compared_cells(item, several)
+            rows.append((f"{quantity}, {stage}, {statistic}", paper, ours, verdict))
+    heads = ("quantity", "paper", "ours [95 %]", "verdict")
+    return Grid("Beside the published values", heads, tuple(rows), frozenset({0, 3})) if rows else None
+
+
+def _compared_cells(compared: ComparedValue, several: bool) -> tuple[str, ...]:
+    published, ours = compared.published, compared.ours
+    quantity = measure_label(published.measure)
+    judged = compared.verdict != "context" and published.tolerance is not None
+    return (
+        f"{compared.scenario}, {compared.estimator}: {quantity}" if several else quantity,
+        stage_label(published.stage, timed=published.measure == "seconds"),
+        published.statistic,
+        published.printed,
+        value_of(ours, interval=True),
+        counts(ours),
+        f"± {published.tolerance:g}" if judged else NO_VALUE,
+        compared.verdict,
+        published.place,
+    )
+
+
+def claim_grid(claims: Sequence[ComparedClaim]) -> Grid | None:
+    """Tabulate orders that the paper states in words; None if it states none."""
+    heads = ("the paper says", "ours: medians [95 %], in that order", "verdict", "place in the paper")
+    rows = tuple(
+        (
+            item.claim.text,
+            claim_medians(item.ours),
+            item.verdict,
+            item.claim.place,
+        )
+        for item in claims
+    )
+    return Grid("Beside what the paper says in words", heads, rows, frozenset({0, 1, 2, 3})) if rows else None
+
+
+def claim_medians(ours: Sequence[Record | None]) -> str:
+    """Print the medians in the order of a claim, with the relation that holds between neighbours; ``-`` for none."""
+    parts: list[str] = []
+    for before, record in zip((None, *ours), ours, strict=False):
+        parts += [_relation(before, record)] if parts else []
+        parts.append(f"{record.estimator} {value_of(record, interval=True)} {record.unit}" if record else NO_VALUE)
+    return " ".join(parts) or NO_VALUE
+
+
+def _relation(before: Record | None, after: Record | None) -> str:
+    if before is None or after is None or before.value is None or after.value is None:
+        return "?"
+    return "<" if before.value < after.value else ">" if before.value > after.value else "="
