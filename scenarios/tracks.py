@@ -83,6 +83,8 @@ class TrackFrame:
         Standard deviation of the error of `R_cam_body` about each camera axis: that of the star tracker, independent
         from frame to frame, that of the camera's attitude on it, always the same, and that of `R_body_inertial`, which
         grows with time.
+    attitude_lasting_rad
+        The part of it that is not independent from frame to frame: the latter two.
     """
 
     time_s: float
@@ -96,6 +98,7 @@ class TrackFrame:
     again: IndexArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     R_body_inertial: FloatArray = field(default_factory=lambda: np.eye(3))
     attitude_sigma_rad: float = 0.0
+    attitude_lasting_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,6 +14,7 @@ from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.ekf_gate import Update, gated
 from estimators.slam.ekf_health import Health
 from estimators.slam.ekf_measure import Sight
+from estimators.slam.ekf_pose import PoseState
 from estimators.slam.ekf_state import FilterState
 from estimators.slam.ekf_update import Iteration, iterated, updated
 from estimators.slam.following import LostError, check_scale, follow
@@ -24,7 +25,7 @@ FloatArray = NDArray[np.float64]
 
 
 class EkfSlam:
-    """An extended Kalman filter of the camera position and of the landmarks in view, which are anchored."""
+    """An extended Kalman filter of the camera (its position, or all of it) and of the landmarks in view, anchored."""
 
     name: ClassVar[str] = "ekf-slam"
     version: ClassVar[int] = 3
@@ -67,8 +68,9 @@ class ConsistentEkfSlam:
     Bearings do not change when all grows, and nor does what a filter believes, as long as all derivatives by a landmark
     are taken at the same inverse distance and anchor. With each frame's own estimates the directions that it learns
     nothing of differ, and it takes itself for surer than it is (Huang, Mourikis and Roumeliotis 2010, of translation
-    and rotation; here attitude is known, and a translation leaves anchored landmarks as they are). The first estimate
-    is taken where an inverse distance has settled: before, it is a guess, and derivatives there are wrong by as much.
+    and rotation; here attitude is measured, and a translation leaves anchored landmarks as they are). The first
+    estimate is taken where an inverse distance has settled: before, it is a guess, and derivatives there are wrong by
+    as much.
     """
 
     name: ClassVar[str] = "consistent-ekf-slam"
@@ -109,7 +111,8 @@ class _Filter:
         self.camera = sequence.camera
         self.update = update
         self.settled_sigma = settled_sigma
-        self.state = FilterState.of_camera(sequence.position_m, sequence.position_covariance_m2)
+        self.first = (sequence.position_m, sequence.position_covariance_m2)
+        self.state: FilterState
         self.health = Health(options)
         self.started = False
 
@@ -118,22 +121,25 @@ class _Filter:
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         if self.started:
-            self.state = self.state.predicted(frame.motion_m, frame.motion_covariance_m2)
+            self.state = self.state.predicted(frame)
             self._drop_lost(frame)
             self._take_measured(frame)
+        else:
+            self.state = self._begun(frame)
         self._take_new(frame)
         self.state = self.state.settling(self.settled_sigma)
-        self.started = True
         position, covariance = self.state.position_m.copy(), self.state.covariance[:3, :3].copy()
         points = self.state.points(self.camera)
         check_scale(covariance, points, position, self.options.uncertainty_max)
-        return FrameEstimate(position, covariance, self.state.tracks, points, 0.0)
+        velocity = self.state.velocity_m_s if self.started else None
+        self.started = True
+        return FrameEstimate(position, covariance, self.state.tracks, points, 0.0, velocity)
 
     def predict(self, frame: TrackFrame) -> Prediction | None:
         """Tell where the landmarks of the state will be in the next frame."""
-        state = self.state.predicted(frame.motion_m, frame.motion_covariance_m2)
-        if not len(state.tracks):
+        if not (self.started and len(self.state.tracks)):
             return None
+        state = self.state.predicted(frame)
         order = np.argsort(state.tracks)
         nowhere = replace(frame, tracks=state.tracks[order], uv_px=np.zeros((len(order), 2)), ranges=())
         sight = Sight.of(self.camera, state, nowhere)
@@ -142,6 +148,11 @@ class _Filter:
         return Prediction(
             state.tracks[sight.rows], -innovation.residual.reshape(-1, 2), covariance + sight.second_order(state)
         )
+
+    def _begun(self, frame: TrackFrame) -> FilterState:
+        if self.options.camera == "position":
+            return FilterState.of_camera(*self.first, frame)
+        return PoseState.at_first(*self.first, frame, np.radians(self.options.turn_noise_deg))
 
     def _drop_lost(self, frame: TrackFrame) -> None:
         """Drop landmarks that are not seen any more."""
@@ -187,7 +198,7 @@ class _Filter:
             row = tracks == item.track
             elements[row, 2] = 1.0 / item.range_m
             noise[row, 2] = (item.sigma_m / item.range_m**2) ** 2
-        self.state = self.state.joined(tracks, elements, noise, frame.R_cam_body)
+        self.state = self.state.joined(tracks, elements, noise)
 
     def _inverse_guess(self, frame: TrackFrame) -> float:
         """Guess the inverse distance of a new landmark: the mean of those in view, or of the first ranges."""

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.slam.ekf_state import FilterState
-from estimators.slam.inverse_depth import SIZE, landmark_jacobians, landmark_points
 from scenarios.geometry import Camera
 from scenarios.tracks import TrackFrame
 
@@ -32,8 +31,6 @@ class Sight:
 
     Parameters
     ----------
-    R_cam_body
-        (3, 3) attitude of the frame.
     rows, uv_px, sigma_px
         (k,) landmarks by their place in the state, (k, 2) where they are seen, and the standard deviation.
     range_rows, range_m, range_sigma_m
@@ -41,7 +38,6 @@ class Sight:
     """
 
     camera: Camera
-    R_cam_body: FloatArray
     rows: IndexArray
     uv_px: FloatArray
     sigma_px: float
@@ -57,7 +53,6 @@ class Sight:
         ranges = [frame.ranges[i] for i in which.tolist()]
         return cls(
             camera,
-            frame.R_cam_body,
             rows,
             frame.uv_px[seen],
             frame.sigma_px,
@@ -86,7 +81,7 @@ class Sight:
     def residual(self, state: FilterState) -> FloatArray:
         """(2 k + r,) measured less predicted; NaN where a landmark is behind the camera."""
         lines = state.points(self.camera) - state.position_m
-        pixels = self.uv_px - self.camera.project(lines[self.rows] @ self.R_cam_body.T)
+        pixels = self.uv_px - self.camera.project(lines[self.rows] @ state.attitude.T)
         lengths = np.linalg.norm(lines[self.range_rows], axis=1)
         return np.concatenate([pixels.ravel(), self.range_m - lengths])
 
@@ -96,14 +91,14 @@ class Sight:
         That of a bearing does not change where camera, anchors and distances grow together about any point, as long as
         it is taken at one and the same inverse distance and anchor of each landmark: nothing is learnt of the scale.
         """
-        landmarks = state.linearisation_landmarks
-        lines = landmark_points(self.camera, landmarks, state.R_cam_body) - state.position_m
-        by_point = self.camera.jacobian(lines[self.rows] @ self.R_cam_body.T) @ self.R_cam_body
-        ranged = lines[self.range_rows]
+        lines = state.lines(self.camera)
+        seen, ranged = lines[self.rows], lines[self.range_rows]
+        by_line = self.camera.jacobian(seen @ state.attitude.T) @ state.attitude
         by_range = (ranged / np.linalg.norm(ranged, axis=1)[:, None])[:, None, :]
-        by_landmark = landmark_jacobians(self.camera, landmarks, state.R_cam_body)
-        rows = [_by_state(by_point, by_landmark, self.rows), _by_state(by_range, by_landmark, self.range_rows)]
-        return Innovation(self.residual(state), np.concatenate(rows), self.variance)
+        by_landmark = state.landmark_jacobians(self.camera)
+        pixels = _by_state(state.camera_jacobians(by_line, seen), by_line, by_landmark, self.rows)
+        ranges = _by_state(state.camera_jacobians(by_range, ranged), by_range, by_landmark, self.range_rows)
+        return Innovation(self.residual(state), np.concatenate([pixels, ranges]), self.variance)
 
     def second_order(self, state: FilterState) -> FloatArray:
         """(2 k, 2 k) what an innovation's covariance lacks where both a distance and the camera are uncertain.
@@ -112,7 +107,7 @@ class Sight:
         derivatives say and the product of both errors, which is independent from landmark to landmark.
         """
         points = state.points(self.camera)[self.rows] - state.position_m
-        by_camera = self.camera.jacobian(points @ self.R_cam_body.T) @ self.R_cam_body
+        by_camera = self.camera.jacobian(points @ state.attitude.T) @ state.attitude
         own = by_camera @ state.covariance[:3, :3] @ np.swapaxes(by_camera, 1, 2)
         own *= (state.inverse_sigmas[self.rows] ** 2)[:, None, None]
         k = np.arange(len(own))
@@ -121,13 +116,17 @@ class Sight:
         return wide.reshape(2 * len(own), 2 * len(own))
 
 
-def _by_state(by_point: FloatArray, by_landmark: FloatArray, rows: IndexArray) -> FloatArray:
-    """(k r, n) derivative by the whole state of measurements whose derivative by the landmark's point is (k, r, 3)."""
-    count, height = by_point.shape[:2]
-    jacobian = np.zeros((count, height, 3 + SIZE * len(by_landmark)))
-    jacobian[:, :, :3] = -by_point
-    columns = 3 + SIZE * rows[:, None] + np.arange(SIZE)
-    jacobian[np.arange(count)[:, None], :, columns] = np.swapaxes(by_point @ by_landmark[rows], 1, 2)
+def _by_state(by_camera: FloatArray, by_line: FloatArray, by_landmark: FloatArray, rows: IndexArray) -> FloatArray:
+    """(k r, C + L n) derivative by the whole state of measurements of the landmarks (k,) that ``rows`` tells.
+
+    They have the derivatives (k, r, C) by the camera and (k, r, 3) by the line, and points (n, 3, L) by the landmarks.
+    """
+    count, height, first = by_camera.shape
+    size = by_landmark.shape[2]
+    jacobian = np.zeros((count, height, first + size * len(by_landmark)))
+    jacobian[:, :, :first] = by_camera
+    columns = first + size * rows[:, None] + np.arange(size)
+    jacobian[np.arange(count)[:, None], :, columns] = np.swapaxes(by_line @ by_landmark[rows], 1, 2)
     return jacobian.reshape(count * height, jacobian.shape[2])
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.inverse_depth import SIZE, landmark_points
+from estimators.slam.inverse_depth import SIZE, landmark_jacobians, landmark_points
 from scenarios.geometry import Camera
+from scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -16,22 +18,24 @@ IndexArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterState:
-    """Equation (7), with the position alone for the camera.
+    """Equation (7), ``x = [X_C, l_1, ..., l_N]``, with the position alone for the camera.
 
-    The 13 elements of the paper hold velocity, attitude and rate too: attitude is known here, and the motion between
-    frames is handed in with its covariance instead of being propagated.
+    Attitude is taken as it is measured, and the motion between frames is handed in with its covariance instead of being
+    propagated. `estimators.slam.ekf_pose.PoseState` has the 13 elements of the paper.
 
     Parameters
     ----------
     x, covariance
-        (3 + 6 n,) and its covariance.
+        (C + L n,), C elements of the camera and L of each landmark, and the covariance of their errors.
     tracks
-        (n,) whose landmark each six elements are, in the order in which they came.
+        (n,) whose landmark each L elements are, in the order in which they came.
     R_cam_body
         (n, 3, 3) attitudes of the anchors.
     settled
         (n, 4) inverse distance and anchor where derivatives by a landmark are taken for good (first-estimates
         Jacobians); NaN where they are taken at the present estimate.
+    frame
+        The frame that the camera stands at.
     """
 
     x: FloatArray
@@ -39,12 +43,18 @@ class FilterState:
     tracks: IndexArray
     R_cam_body: FloatArray
     settled: FloatArray
+    frame: TrackFrame
+
+    CAMERA: ClassVar[int] = 3
+    LANDMARK: ClassVar[int] = SIZE
+    POSE: ClassVar[tuple[int, ...]] = (0, 1, 2)
+    """Elements of the camera that a new landmark's last ones, its anchor, are a copy of."""
 
     @classmethod
-    def of_camera(cls, position_m: FloatArray, covariance_m2: FloatArray) -> FilterState:
+    def of_camera(cls, position_m: FloatArray, covariance_m2: FloatArray, frame: TrackFrame) -> FilterState:
         """Begin without a landmark."""
         none = np.zeros(0, dtype=np.int64)
-        return cls(position_m.copy(), covariance_m2.copy(), none, np.zeros((0, 3, 3)), np.zeros((0, 4)))
+        return FilterState(position_m.copy(), covariance_m2.copy(), none, np.zeros((0, 3, 3)), np.zeros((0, 4)), frame)
 
     @property
     def position_m(self) -> FloatArray:
@@ -52,9 +62,24 @@ class FilterState:
         return self.x[:3]
 
     @property
+    def velocity_m_s(self) -> FloatArray | None:
+        """(3,) velocity, inertial axes; None where it is no part of the state."""
+        return None
+
+    @property
+    def attitude(self) -> FloatArray:
+        """(3, 3) R_cam_body of the camera."""
+        return self.frame.R_cam_body
+
+    @property
+    def anchor_attitudes(self) -> FloatArray:
+        """(n, 3, 3) R_cam_body of the anchors."""
+        return self.R_cam_body
+
+    @property
     def landmarks(self) -> FloatArray:
         """(n, 6) elements of equation (8)."""
-        return self.x[3:].reshape(-1, SIZE)
+        return self.x[self.CAMERA :].reshape(-1, self.LANDMARK)[:, :SIZE]
 
     @property
     def linearisation_landmarks(self) -> FloatArray:
@@ -66,59 +91,79 @@ class FilterState:
     @property
     def inverse_sigmas(self) -> FloatArray:
         """(n,) standard deviations of the inverse distances, relative."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)[5::SIZE]) / self.landmarks[:, 2], dtype=np.float64)
+        variances = np.diag(self.covariance)[self.CAMERA + 2 :: self.LANDMARK]
+        return np.asarray(np.sqrt(variances) / self.landmarks[:, 2], dtype=np.float64)
 
     def points(self, camera: Camera) -> FloatArray:
         """(n, 3) landmarks in the body frame, m."""
-        return landmark_points(camera, self.landmarks, self.R_cam_body)
+        return landmark_points(camera, self.landmarks, self.anchor_attitudes)
 
-    def predicted(self, motion_m: FloatArray, covariance_m2: FloatArray) -> FilterState:
-        """Move the camera; landmarks stand still."""
+    def lines(self, camera: Camera) -> FloatArray:
+        """(n, 3) from the camera to the landmarks at which derivatives are taken, body axes, m."""
+        return landmark_points(camera, self.linearisation_landmarks, self.anchor_attitudes) - self.position_m
+
+    def landmark_jacobians(self, camera: Camera) -> FloatArray:
+        """(n, 3, L) of the points by the elements of their landmarks."""
+        return landmark_jacobians(camera, self.linearisation_landmarks, self.anchor_attitudes)
+
+    def camera_jacobians(self, by_line: FloatArray, lines: FloatArray) -> FloatArray:
+        """(k, r, C) by the camera of what has the derivatives (k, r, 3) by its lines to landmarks, (k, 3)."""
+        del lines
+        return -by_line
+
+    def predicted(self, frame: TrackFrame) -> Self:
+        """Move the camera to the next frame by all that this tells beside its pixels; landmarks stand still."""
         x, covariance = self.x.copy(), self.covariance.copy()
-        x[:3] += motion_m
-        covariance[:3, :3] += covariance_m2
-        return replace(self, x=x, covariance=covariance)
+        x[:3] += frame.motion_m
+        covariance[:3, :3] += frame.motion_covariance_m2
+        return replace(self, x=x, covariance=covariance, frame=frame)
 
-    def without(self, lost: NDArray[np.bool_]) -> FilterState:
+    def folded(self) -> Self:
+        """Take errors that an update has corrected out of ``x`` where they belong elsewhere."""
+        return self
+
+    def without(self, lost: NDArray[np.bool_]) -> Self:
         """Drop the landmarks marked in (n,), with their rows and columns."""
-        rows = np.concatenate([np.ones(3, dtype=np.bool_), np.repeat(~lost, SIZE)])
-        return FilterState(
-            self.x[rows],
-            self.covariance[np.ix_(rows, rows)],
-            self.tracks[~lost],
-            self.R_cam_body[~lost],
-            self.settled[~lost],
+        rows = np.concatenate([np.ones(self.CAMERA, dtype=np.bool_), np.repeat(~lost, self.LANDMARK)])
+        return replace(
+            self,
+            x=self.x[rows],
+            covariance=self.covariance[np.ix_(rows, rows)],
+            tracks=self.tracks[~lost],
+            R_cam_body=self.R_cam_body[~lost],
+            settled=self.settled[~lost],
         )
 
-    def settling(self, sigma: float) -> FilterState:
+    def settling(self, sigma: float) -> Self:
         """Keep the derivatives of landmarks whose inverse distance is known to ``sigma``, relative, as they are now."""
         now = np.isnan(self.settled[:, 0]) & (self.inverse_sigmas < sigma)
         return replace(self, settled=np.where(now[:, None], self.landmarks[:, 2:], self.settled))
 
-    def joined(
-        self, tracks: IndexArray, elements: FloatArray, noise: FloatArray, R_cam_body: FloatArray
-    ) -> FilterState:
+    def joined(self, tracks: IndexArray, elements: FloatArray, noise: FloatArray) -> Self:
         """Append landmarks anchored at the present camera: equations (9) to (11).
+
+        ``x_aug = [x, u, v, rho, T]``, with the covariance ``P_ll = dl/dx_c P_XX dl/dx_c' + R_l``, where R_l has the
+        variances R_y of the pixel and R_rho of the inverse distance, and none for the anchor.
 
         Parameters
         ----------
         elements, noise
             (m, 3) pixel and inverse distance, and the variances of their errors.
-        R_cam_body
-            (3, 3) present attitude.
         """
-        old = len(self.x)
-        new = len(tracks)
-        anchored = np.concatenate([elements, np.broadcast_to(self.position_m, (new, 3))], axis=1)
-        by_camera = np.zeros((new * SIZE, old))
-        by_camera[:, :3] = np.tile(np.concatenate([np.zeros((3, 3)), np.eye(3)]), (new, 1))
+        old, new, anchor = len(self.x), len(tracks), len(self.POSE)
+        pose = self.x[list(self.POSE)]
+        anchored = np.concatenate([elements, np.broadcast_to(pose, (new, anchor))], axis=1)  # eq. (9)
+        copy = np.zeros((self.LANDMARK, old))
+        copy[np.arange(3, self.LANDMARK), self.POSE] = 1.0
+        by_camera = np.tile(copy, (new, 1))
         cross = by_camera @ self.covariance
         own = cross @ by_camera.T  # eq. (10)
-        own += np.diag(np.concatenate([noise, np.zeros((new, 3))], axis=1).ravel())  # eq. (11)
-        return FilterState(
-            np.concatenate([self.x, anchored.ravel()]),
-            np.block([[self.covariance, cross.T], [cross, own]]),
-            np.concatenate([self.tracks, tracks]),
-            np.concatenate([self.R_cam_body, np.broadcast_to(R_cam_body, (new, 3, 3))]),
-            np.concatenate([self.settled, np.full((new, 4), np.nan)]),
+        own += np.diag(np.concatenate([noise, np.zeros((new, anchor))], axis=1).ravel())  # eq. (11)
+        return replace(
+            self,
+            x=np.concatenate([self.x, anchored.ravel()]),
+            covariance=np.block([[self.covariance, cross.T], [cross, own]]),
+            tracks=np.concatenate([self.tracks, tracks]),
+            R_cam_body=np.concatenate([self.R_cam_body, np.broadcast_to(self.attitude, (new, 3, 3))]),
+            settled=np.concatenate([self.settled, np.full((new, 4), np.nan)]),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from estimators.slam.ekf_measure import Innovation, Sight
 from estimators.slam.ekf_state import FilterState
 
 FloatArray = NDArray[np.float64]
+
+AnyState = TypeVar("AnyState", bound=FilterState)
 
 _SHORTEST = 1e-3
 
@@ -33,7 +36,7 @@ class _Place:
     cost: float
 
 
-def updated(state: FilterState, innovation: Innovation) -> tuple[FilterState, float]:
+def updated(state: AnyState, innovation: Innovation) -> tuple[AnyState, float]:
     """Update by all measurements at once; return the state and the squared normalised innovation.
 
     With S = L L', the covariance loses W' W, W = L^-1 H P: symmetric by construction, and 6 times cheaper than Joseph's
@@ -48,7 +51,7 @@ def updated(state: FilterState, innovation: Innovation) -> tuple[FilterState, fl
     white = solve_triangular(factor, innovation.residual, lower=True, check_finite=False)
     weighted = solve_triangular(factor, crossed.T, lower=True, check_finite=False)
     moved = replace(state, x=state.x + weighted.T @ white, covariance=state.covariance - weighted.T @ weighted)
-    return moved, float(white @ white)
+    return moved.folded(), float(white @ white)
 
 
 def iterated(state: FilterState, sight: Sight, rule: Iteration) -> tuple[FilterState, float]:
@@ -79,7 +82,7 @@ def iterated(state: FilterState, sight: Sight, rule: Iteration) -> tuple[FilterS
             break
     factor, crossed = _factored(covariance, sight.innovation(place.state))
     weighted = solve_triangular(factor, crossed.T, lower=True, check_finite=False)
-    return replace(place.state, covariance=covariance - weighted.T @ weighted), place.cost
+    return replace(place.state, covariance=covariance - weighted.T @ weighted).folded(), place.cost
 
 
 def innovation_covariance(state: FilterState, innovation: Innovation) -> FloatArray:

@@ -1,7 +1,8 @@
 """Anchored landmarks of section 3.3: a pixel, an inverse distance and the camera position where it was first seen.
 
-Equation (8): ``l = [u, v, rho, T0]``. The 10 elements that the text of equation (9) speaks of hold the attitude of the
-anchor as well; it is known here, so it is a constant and 6 elements serve.
+Equation (8): ``l = [u, v, rho, T0]``. The 10 elements of equation (9), ``[u, v, rho, T]``, hold the attitude of the
+anchor as well, a quaternion of which three angles can be wrong. Where attitudes are known it is a constant, and 6
+elements serve.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.slam.turns import cross_matrix
 from scenarios.geometry import Camera
 
 FloatArray = NDArray[np.float64]
@@ -35,3 +37,10 @@ def landmark_jacobians(camera: Camera, landmarks: FloatArray, R_cam_body: FloatA
     turned = np.swapaxes(R_cam_body, 1, 2) @ np.concatenate([by_pixel, by_inverse], axis=2)
     ones = np.broadcast_to(np.eye(3), (len(landmarks), 3, 3))
     return np.concatenate([turned, ones], axis=2)
+
+
+def turn_jacobians(camera: Camera, landmarks: FloatArray, R_cam_body: FloatArray) -> FloatArray:
+    """(n, 3, 3) of `landmark_points` by a small turn of the anchor's attitude, R_cam_body = exp(turn) R."""
+    rays = camera.unproject(landmarks[:, :2])
+    across = np.swapaxes(R_cam_body, 1, 2) @ cross_matrix(rays)
+    return np.asarray(across / landmarks[:, 2][:, None, None], dtype=np.float64)

@@ -89,6 +89,18 @@ class BundleOptions(AssociationOptions):
 class FilterOptions(InnovationOptions, LossOptions):
     """Options of ``ekf-slam``."""
 
+    camera: Literal["position", "pose"] = Field(
+        "position",
+        description="State of the camera: the position, with attitude taken for known, or all 13 elements of the"
+        " paper, with the star tracker's attitude for a measurement",
+    )
+    turn_noise_deg: float = Field(
+        1.0,
+        gt=0,
+        le=30,
+        description="With camera: pose, standard deviation, about each axis, of the turn between two frames that the"
+        " angular rate of the frame before does not foretell",
+    )
     depth_sigma: float = Field(
         0.3, gt=0, le=2, description="Standard deviation of a new landmark's inverse distance, relative to its guess"
     )

@@ -55,7 +55,8 @@ def known_sequence(
     ranges += _later_ranges(sightings, path, camera, knowledge, generator(seed, Stream.RANGES, trial))
     misalignment = np.radians(knowledge.misalignment_sigma_deg)
     turns = star_tracker * rng.normal(size=(len(path.poses), 3)) + misalignment * rng.normal(size=3)
-    sigmas = np.sqrt(star_tracker**2 + misalignment**2 + rotation_sigma_rad(path.times_s, spec) ** 2)
+    lasting = np.hypot(misalignment, rotation_sigma_rad(path.times_s, spec))
+    sigmas = np.hypot(star_tracker, lasting)
     frames = tuple(
         TrackFrame(
             time_s=float(path.times_s[i]),
@@ -69,6 +70,7 @@ def known_sequence(
             again=sighting.again,
             R_body_inertial=attitudes[i],
             attitude_sigma_rad=float(sigmas[i]),
+            attitude_lasting_rad=float(lasting[i]),
         )
         for i, sighting in enumerate(sightings)
     )

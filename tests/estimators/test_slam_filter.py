@@ -13,6 +13,7 @@ from estimators.slam.ekf_measure import Sight
 from estimators.slam.ekf_state import FilterState
 from estimators.slam.ekf_update import Iteration, iterated, updated
 from estimators.slam.inverse_depth import landmark_jacobians, landmark_points
+from scenarios.tracks import TrackFrame
 
 NO_RANGES = (np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
 
@@ -22,11 +23,18 @@ def state() -> FilterState:
     """Three landmarks anchored at the first position, the camera two degrees further on."""
     rng = np.random.default_rng(3)
     first = np.array([ORBIT_M, 0.0, 0.0])
-    start = FilterState.of_camera(first, 0.01 * np.eye(3))
+    start = FilterState.of_camera(first, 0.01 * np.eye(3), frame_at(first, first))
     elements = np.column_stack([rng.uniform(300, 700, (3, 2)), np.full(3, 1.0 / 620.0)])
     noise = np.tile([0.4, 0.4, (0.1 / 620.0) ** 2], (3, 1))
-    joined = start.joined(np.array([4, 7, 9]), elements, noise, look_down(first))
-    return joined.predicted(_second() - first, 4.0 * np.eye(3))
+    joined = start.joined(np.array([4, 7, 9]), elements, noise)
+    return joined.predicted(frame_at(_second(), first))
+
+
+def frame_at(position_m: np.ndarray, before_m: np.ndarray) -> TrackFrame:
+    """A frame that looks down, without tracks; its predicted motion is uncertain by 2 m."""
+    none = np.zeros(0, dtype=np.int64)
+    moved = position_m - before_m
+    return TrackFrame(480.0, look_down(position_m), none, np.zeros((0, 2)), 0.7, moved, 4.0 * np.eye(3))
 
 
 def _second() -> np.ndarray:
@@ -35,9 +43,9 @@ def _second() -> np.ndarray:
 
 def sight(state: FilterState, rows: list[int], shift_px: np.ndarray, sigma_px: float = 0.7) -> Sight:
     """The landmarks where the state expects them from the second position, but for a shift."""
-    R = look_down(_second())
-    uv = CAMERA.project((state.points(CAMERA)[rows] - state.position_m) @ R.T) + shift_px
-    return Sight(CAMERA, R, np.array(rows), uv, sigma_px, *NO_RANGES)
+    lines = state.points(CAMERA)[rows] - state.position_m
+    uv = CAMERA.project(lines @ look_down(_second()).T) + shift_px
+    return Sight(CAMERA, np.array(rows), uv, sigma_px, *NO_RANGES)
 
 
 def square_root(covariance: np.ndarray) -> np.ndarray:
@@ -154,7 +162,7 @@ def test_settled_landmarks_tell_nothing_of_the_scale(state: FilterState) -> None
 
 
 def test_new_landmark_shares_the_error_of_its_anchor(state: FilterState) -> None:
-    joined = state.joined(np.array([11]), np.array([[500.0, 400.0, 1 / 600]]), np.array([[1.0, 1.0, 1e-8]]), np.eye(3))
+    joined = state.joined(np.array([11]), np.array([[500.0, 400.0, 1 / 600]]), np.array([[1.0, 1.0, 1e-8]]))
     np.testing.assert_array_equal(joined.covariance[-3:, :3], state.covariance[:3, :3])
     np.testing.assert_array_equal(joined.covariance[-3:, -3:], state.covariance[:3, :3])
     without = joined.without(np.array([True, True, True, False]))

@@ -323,6 +323,7 @@ def test_attitude_and_first_position_are_as_wrong_as_asked():
     assert np.degrees(np.sqrt(np.mean(np.square(angle)) / 3)) == pytest.approx(0.1, rel=0.2)
     assert 0.0 < np.linalg.norm(sequence.position_m - truth.poses[0].camera_position_m) < 12.0
     np.testing.assert_array_equal(sequence.position_covariance_m2, 4.0 * np.eye(3))
+    assert not any(frame.attitude_lasting_rad for frame in sequence.frames)
 
 
 def test_a_misaligned_camera_is_wrong_by_the_same_turn_in_all_frames():
@@ -334,6 +335,7 @@ def test_a_misaligned_camera_is_wrong_by_the_same_turn_in_all_frames():
         errors.append(cv2.Rodrigues(turns[0])[0][:, 0])
     assert np.degrees(np.std(errors)) == pytest.approx(0.2, rel=0.25)
     assert [frame.attitude_sigma_rad for frame in sequence.frames] == pytest.approx([np.radians(0.2)] * 10)
+    assert [frame.attitude_lasting_rad for frame in sequence.frames] == pytest.approx([np.radians(0.2)] * 10)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,190 @@
+"""State of EKF-SLAM with the whole camera, and the star tracker, whose attitudes are measurements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.slam.ekf_measure import Innovation
+from estimators.slam.ekf_state import FilterState
+from estimators.slam.ekf_update import updated
+from estimators.slam.inverse_depth import SIZE, turn_jacobians
+from estimators.slam.turns import cross_matrix, left_jacobian, rotation_of, turn_of
+from scenarios.geometry import Camera
+from scenarios.tracks import TrackFrame
+
+FloatArray = NDArray[np.float64]
+
+_POSITION, _VELOCITY, _TURN, _RATE, _LASTING = (slice(3 * i, 3 * i + 3) for i in range(5))
+_ANCHOR_TURN = slice(SIZE, SIZE + 3)
+
+# The first interval tells both; until then, this is more than any camera near an asteroid does.
+_FIRST_VELOCITY_M_S = 10.0
+_FIRST_RATE_RAD_S = 0.01
+# What is exact is believed to be this good, a hundred-thousandth of a pixel: a variance of zero is lost in rounding.
+_LEAST_ATTITUDE_RAD = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseState(FilterState):
+    """Equation (7) with the 13 elements of section 3.3 for the camera, and the 10 of equation (9) for a landmark.
+
+    The camera has its position (body axes), its velocity (inertial axes), its attitude, and its angular rate against
+    inertial space (camera axes); a landmark has ``[u, v, rho, T]`` with the pose T of its anchor. In place of the
+    paper's quaternions attitudes are rotation matrices beside ``x``, where each has the three angles of its error, on
+    the left: zero but for the time between an update and `folded` (multiplicative filter). So the covariance is 12 wide
+    for the camera and 9 for a landmark.
+
+    Three elements more are what the star tracker's attitude has wrong in all frames: its misalignment with the camera,
+    which averages out of no number of frames. It is seen only by its difference from what landmarks tell.
+
+    Parameters
+    ----------
+    R_camera
+        (3, 3) R_cam_body of the camera.
+    turn_noise_rad
+        Standard deviation, about each axis, of the turn between two frames that the rate does not foretell.
+    """
+
+    R_camera: FloatArray
+    turn_noise_rad: float
+
+    CAMERA: ClassVar[int] = 15
+    LANDMARK: ClassVar[int] = 9
+    POSE: ClassVar[tuple[int, ...]] = (0, 1, 2, 6, 7, 8)
+
+    @classmethod
+    def at_first(
+        cls, position_m: FloatArray, covariance_m2: FloatArray, frame: TrackFrame, turn_noise_rad: float
+    ) -> PoseState:
+        """Begin without a landmark, at the attitude of the star tracker."""
+        lasting = frame.attitude_lasting_rad**2 * np.eye(3)
+        covariance = np.zeros((cls.CAMERA, cls.CAMERA))
+        covariance[_POSITION, _POSITION] = covariance_m2
+        covariance[_VELOCITY, _VELOCITY] = _FIRST_VELOCITY_M_S**2 * np.eye(3)
+        covariance[_RATE, _RATE] = _FIRST_RATE_RAD_S**2 * np.eye(3)
+        covariance[_TURN, _TURN] = lasting + _star_tracker_variance(frame) * np.eye(3)
+        covariance[_LASTING, _LASTING] = lasting
+        covariance[_TURN, _LASTING] = covariance[_LASTING, _TURN] = -lasting
+        x = np.concatenate([position_m, np.zeros(cls.CAMERA - 3)])
+        none = np.zeros(0, dtype=np.int64)
+        anchors, settled = np.zeros((0, 3, 3)), np.zeros((0, 4))
+        return cls(x, covariance, none, anchors, settled, frame, frame.R_cam_body, turn_noise_rad)
+
+    @property
+    def velocity_m_s(self) -> FloatArray:
+        """(3,) mean velocity since the frame before, inertial axes."""
+        return self.x[_VELOCITY]
+
+    @property
+    def attitude(self) -> FloatArray:
+        """(3, 3) R_cam_body of the camera."""
+        return np.asarray(rotation_of(self.x[_TURN]) @ self.R_camera, dtype=np.float64)
+
+    @property
+    def anchor_turns(self) -> FloatArray:
+        """(n, 3) errors of the attitudes of the anchors."""
+        return self.x[self.CAMERA :].reshape(-1, self.LANDMARK)[:, _ANCHOR_TURN]
+
+    @property
+    def anchor_attitudes(self) -> FloatArray:
+        """(n, 3, 3) R_cam_body of the anchors."""
+        return np.asarray(rotation_of(self.anchor_turns) @ self.R_cam_body, dtype=np.float64)
+
+    def landmark_jacobians(self, camera: Camera) -> FloatArray:
+        """(n, 3, 9) of the points by the elements of their landmarks."""
+        by_turn = turn_jacobians(camera, self.linearisation_landmarks, self.anchor_attitudes)
+        # The explicit base: a dataclass with slots is another class than the one that super() closes over.
+        others = FilterState.landmark_jacobians(self, camera)
+        return np.concatenate([others, by_turn @ left_jacobian(self.anchor_turns)], axis=2)
+
+    def camera_jacobians(self, by_line: FloatArray, lines: FloatArray) -> FloatArray:
+        """(k, r, 15) by the camera of what has the derivatives (k, r, 3) by its lines to landmarks, (k, 3).
+
+        A turn of the camera changes what it sees of a line as the opposite turn of the line does.
+        """
+        by_camera = np.zeros((*by_line.shape[:2], self.CAMERA))
+        by_camera[:, :, _POSITION] = -by_line
+        by_camera[:, :, _TURN] = -by_line @ cross_matrix(lines) @ self.attitude.T @ left_jacobian(self.x[_TURN])
+        return by_camera
+
+    def predicted(self, frame: TrackFrame) -> PoseState:
+        """Move by the displacement that comes with a frame and turn by the rate; then look at the stars.
+
+        Velocity is the displacement since the frame before over the time between, in inertial axes. The rate is
+        constant but for an angular acceleration, which is constant between two frames and independent from one interval
+        to the next.
+        """
+        return _star_tracked(self.propagated(frame))
+
+    def propagated(self, frame: TrackFrame) -> PoseState:
+        """Move and turn, and forget nothing of what all errors have in common with those of landmarks."""
+        F, noise = self._transition(frame)
+        x, covariance = self.x.copy(), self.covariance.copy()
+        x[_POSITION] += frame.motion_m
+        x[_VELOCITY] = self._velocity(frame, x[_POSITION])
+        C = slice(self.CAMERA)
+        covariance[C] = F @ covariance[C]
+        covariance[:, C] = covariance[:, C] @ F.T
+        covariance[C, C] += noise
+        turned = rotation_of(-self.x[_RATE] * self._seconds(frame)) @ self.R_camera
+        about = self.frame.R_body_inertial @ frame.R_body_inertial.T
+        return replace(self, x=x, covariance=covariance, frame=frame, R_camera=turned @ about)
+
+    def folded(self) -> Self:
+        """Take the errors of attitudes into the attitudes: what is left of them refers to the new ones."""
+        turns = np.concatenate([self.x[None, _TURN], self.anchor_turns])
+        rotations = rotation_of(turns) @ np.concatenate([self.R_camera[None], self.R_cam_body])
+        first = np.concatenate([[_TURN.start], self.CAMERA + self.LANDMARK * np.arange(len(self.tracks)) + SIZE])
+        rows = first[:, None] + np.arange(3)
+        x, covariance = self.x.copy(), self.covariance.copy()
+        x[rows] = 0.0
+        J = left_jacobian(turns)
+        covariance[rows] = J @ covariance[rows]
+        covariance.T[rows] = J @ covariance.T[rows]
+        return replace(self, x=x, covariance=covariance, R_camera=rotations[0], R_cam_body=rotations[1:])
+
+    def _seconds(self, frame: TrackFrame) -> float:
+        return frame.time_s - self.frame.time_s
+
+    def _velocity(self, frame: TrackFrame, position_m: FloatArray) -> FloatArray:
+        before, after = self.frame.R_body_inertial.T @ self.position_m, frame.R_body_inertial.T @ position_m
+        return np.asarray((after - before) / self._seconds(frame), dtype=np.float64)
+
+    def _transition(self, frame: TrackFrame) -> tuple[FloatArray, FloatArray]:
+        """(15, 15) derivatives of the camera's errors by those at the frame before, and the covariance to be added."""
+        dt = self._seconds(frame)
+        turn = -self.x[_RATE] * dt
+        moves, accelerates = np.zeros((self.CAMERA, 3)), np.zeros((self.CAMERA, 3))
+        F = np.eye(self.CAMERA)
+        F[_VELOCITY, _VELOCITY] = 0.0
+        F[_VELOCITY, _POSITION] = (frame.R_body_inertial - self.frame.R_body_inertial).T / dt
+        F[_TURN, _TURN] = rotation_of(turn)
+        F[_TURN, _RATE] = -left_jacobian(turn) * dt
+        moves[_POSITION] = np.eye(3)
+        moves[_VELOCITY] = frame.R_body_inertial.T / dt
+        accelerates[_TURN] = -left_jacobian(turn)
+        accelerates[_RATE] = 2.0 / dt * np.eye(3)  # a turn of a dt^2 / 2 is a rate of a dt
+        noise = moves @ frame.motion_covariance_m2 @ moves.T
+        noise += self.turn_noise_rad**2 * accelerates @ accelerates.T
+        grown = max(frame.attitude_lasting_rad**2 - self.frame.attitude_lasting_rad**2, 0.0)
+        noise[_LASTING, _LASTING] += grown * np.eye(3)
+        return F, noise
+
+
+def _star_tracked(state: PoseState) -> PoseState:
+    """Update by the attitude that a frame brings, ``exp(lasting + noise) R_cam_body``."""
+    frame = state.frame
+    found = rotation_of(-state.x[_LASTING]) @ frame.R_cam_body @ state.attitude.T
+    jacobian = np.zeros((3, len(state.x)))
+    jacobian[:, _TURN] = jacobian[:, _LASTING] = np.eye(3)
+    variance = np.full(3, _star_tracker_variance(frame))
+    return updated(state, Innovation(turn_of(found), jacobian, variance))[0]
+
+
+def _star_tracker_variance(frame: TrackFrame) -> float:
+    """Return the variance of what is independent from frame to frame, rad^2."""
+    return float(max(frame.attitude_sigma_rad**2 - frame.attitude_lasting_rad**2, _LEAST_ATTITUDE_RAD**2))
