@@ -61,30 +61,62 @@ class FacetTree:
             hidden[start : start + share] = self._hidden(rays[start : start + share], origin_m)
         return hidden
 
+    def first_met(self, origins_m: FloatArray, rays_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Find where (n, 3) rays from (n, 3) origins first meet a facet.
+
+        Returns
+        -------
+        tuple
+            (n,) in lengths of the ray, infinite where it meets nothing, and (n, 3, 3) corners of the facet, NaN there.
+        """
+        share = max(1, _PAIRS_AT_ONCE // 256)
+        nearest, corners = np.full(len(rays_m), np.inf), np.full((len(rays_m), 3, 3), np.nan)
+        for start in range(0, len(rays_m), share):
+            part = slice(start, start + share)
+            nearest[part], corners[part] = self._first_met(rays_m[part], origins_m[part])
+        return nearest, corners
+
     def _hidden(self, rays: FloatArray, origin: FloatArray) -> BoolArray:
+        ray, leaf = self._leaves(rays, np.broadcast_to(origin, rays.shape), 1.0)
+        hidden = np.zeros(len(rays), dtype=bool)
+        for k in range(self.corners_m.shape[1]):
+            along = _crossing(self.corners_m[leaf, k], origin, rays[ray])
+            hidden[ray[(along > 0.0) & (along < 1.0 - _SLACK)]] = True
+        return hidden
+
+    def _first_met(self, rays: FloatArray, origins: FloatArray) -> tuple[FloatArray, FloatArray]:
+        ray, leaf = self._leaves(rays, origins, np.inf)
+        nearest, corners = np.full(len(rays), np.inf), np.full((len(rays), 3, 3), np.nan)
+        for k in range(self.corners_m.shape[1]):
+            facets = self.corners_m[leaf, k]
+            along = _crossing(facets, origins[ray], rays[ray])
+            before = np.flatnonzero((along > 0.0) & (along < nearest[ray]))
+            before = before[np.argsort(-along[before], kind="stable")]  # the nearest is written last
+            nearest[ray[before]], corners[ray[before]] = along[before], facets[before]
+        return nearest, corners
+
+    def _leaves(self, rays: FloatArray, origins: FloatArray, end: float) -> tuple[IndexArray, IndexArray]:
+        """Pair rays, (P,), with the leaves, (P,), whose boxes they meet before ``end`` lengths."""
         with np.errstate(divide="ignore"):
             inverse = 1.0 / rays
         ray = np.arange(len(rays), dtype=np.int64)
         node = np.zeros(len(rays), dtype=np.int64)
         first_leaf = len(self.corners_m) - 1
         while len(ray):
-            meets = self._meets(node, origin, inverse[ray])
+            meets = self._meets(node, origins[ray], inverse[ray], end)
             ray, node = ray[meets], node[meets]
             if len(node) and node[0] >= first_leaf:
                 break
             ray, node = np.repeat(ray, 2), np.stack([2 * node + 1, 2 * node + 2], axis=1).ravel()
-        hidden = np.zeros(len(rays), dtype=bool)
-        for k in range(self.corners_m.shape[1]):
-            hidden[ray[_blocks(self.corners_m[node - first_leaf, k], origin, rays[ray])]] = True
-        return hidden
+        return ray, node - first_leaf
 
-    def _meets(self, node: IndexArray, origin: FloatArray, inverse: FloatArray) -> BoolArray:
+    def _meets(self, node: IndexArray, origin: FloatArray, inverse: FloatArray, end: float) -> BoolArray:
         """(P,): whether each ray meets its box before its end (slabs; Kay and Kajiya 1986)."""
         with np.errstate(invalid="ignore"):
             one, other = (self.low_m[node] - origin) * inverse, (self.high_m[node] - origin) * inverse
         enter = np.fmin(one, other).max(axis=1)
         leave = np.fmax(one, other).min(axis=1)
-        met: BoolArray = (enter <= leave + _SLACK) & (leave >= 0.0) & (enter < 1.0)
+        met: BoolArray = (enter <= leave + _SLACK) & (leave >= 0.0) & (enter < end)
         return met
 
 
@@ -102,10 +134,10 @@ def _halved(middles: FloatArray, levels: int) -> IndexArray:
     return np.array([np.resize(group, size) for group in groups])
 
 
-def _blocks(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> BoolArray:
-    """(P,): whether each ray meets its facet, (P, 3, 3), before its end, by Moeller and Trumbore (1997).
+def _crossing(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> FloatArray:
+    """(P,): where each ray crosses its facet, (P, 3, 3), in lengths of the ray; NaN where it passes by.
 
-    The end is the point itself: the facet that it lies on, met at 1 but for rounding, does not count.
+    After Moeller and Trumbore (1997). A point on the facet itself is met at 1 but for rounding.
     """
     edge1, edge2, offset = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], origin - corners[:, 0]
     p, q = np.cross(rays, edge2), np.cross(offset, edge1)
@@ -114,5 +146,4 @@ def _blocks(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> BoolAr
         u = np.einsum("pi,pi->p", offset, p) / determinant
         v = np.einsum("pi,pi->p", rays, q) / determinant
         t = np.einsum("pi,pi->p", edge2, q) / determinant
-    met: BoolArray = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0) & (t < 1.0 - _SLACK)
-    return met
+    return np.where((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0), t, np.nan)

@@ -125,6 +125,14 @@ class MeshGround:
         seen[rows] = ~self._tree.hidden(points_m[rows], camera_position_m)
         return seen
 
+    def intersect(self, origin_body_m: FloatArray, directions_body: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return (n, 3) points and (n, 3) outward normals where (n, 3) rays meet the body; NaN where they miss it."""
+        along, corners = self._tree.first_met(origin_body_m, directions_body)
+        area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        met = np.where(np.isfinite(along), along, np.nan)
+        points = origin_body_m + met[:, None] * directions_body
+        return points, area / np.linalg.norm(area, axis=1, keepdims=True)
+
 
 def faces(points_m: FloatArray, normals: FloatArray, camera_position_m: FloatArray) -> BoolArray:
     """(n,): points whose outward normal points towards the camera."""

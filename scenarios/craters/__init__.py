@@ -1,0 +1,1 @@
+"""Craters as the world has them."""

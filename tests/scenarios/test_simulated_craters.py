@@ -1,0 +1,86 @@
+"""Detections drawn by geometry, and the lines of sight that meet a mesh, against linear equations and closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from crater_looks import CAMERA, RANGE_M, ellipsoid, population
+
+from scenarios.craters.simulated import NO_CRATER, DetectionErrors, detect_simulated, draw_craters, in_view
+from scenarios.geometry import Pose, View, look_at
+
+
+@pytest.fixture(scope="module")
+def ground():
+    return ellipsoid(3)
+
+
+def test_lines_of_sight_meet_a_mesh_where_linear_equations_say(ground) -> None:
+    rng = np.random.default_rng(1)
+    origins = rng.normal(size=(60, 3))
+    origins *= 40e3 / np.linalg.norm(origins, axis=1, keepdims=True)
+    rays = rng.uniform(-9e3, 9e3, (60, 3)) - origins
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    points, normals = ground.intersect(origins, rays)
+    corners, count = ground.mesh.corners_m, 0
+    for origin, ray, point, normal in zip(origins, rays, points, normals, strict=True):
+        # origin + t ray = a + u (b - a) + v (c - a), for every facet
+        sides = np.broadcast_to(-ray, (len(corners), 3))
+        matrix = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], sides], axis=2)
+        u, v, t = np.linalg.solve(matrix, (origin - corners[:, 0])[..., None])[..., 0].T
+        t = np.where((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0), t, np.inf)
+        if not np.isfinite(t).any():
+            assert np.isnan(point).all()
+            assert np.isnan(normal).all()
+            continue
+        count += 1
+        np.testing.assert_allclose(point, origin + t.min() * ray, atol=1e-6)
+        np.testing.assert_allclose(normal, ground.mesh.normals[int(t.argmin())], atol=1e-9)
+    assert 20 < count < 60
+
+
+def test_sizes_follow_the_power_law(ground) -> None:
+    craters = draw_craters(ground, 20_000, (100.0, 1000.0), 2.0, np.random.default_rng(2))
+    above = [(craters.radius_m > radius).mean() for radius in (100.0, 200.0, 400.0)]
+    closed = [(radius**-2 - 1e-6) / (1e-4 - 1e-6) for radius in (100.0, 200.0, 400.0)]
+    np.testing.assert_allclose(above, closed, atol=4 * np.sqrt(0.25 / 20_000))
+
+
+def _view() -> View:
+    position = RANGE_M * np.array([0.0, 0.6, 0.8])
+    pose = look_at(position)
+    return View(CAMERA, Pose(pose.rotation, pose.translation_m), np.array([0.5, 0.4, 0.9]))
+
+
+def test_detections_have_the_errors_the_misses_and_the_false_ones_that_were_asked_for(ground) -> None:
+    rng = np.random.default_rng(3)
+    craters, view = population(ground, 4, 4000), _view()
+    visible = in_view(craters, ground, view, (60.0, 0.0, 75.0))
+    exact = DetectionErrors(0.0, 0.0, 1e-12, 1.0 - 1e-12, 0.0, 6.0, 0.0)
+    errors = DetectionErrors(0.5, 0.0, 0.05, 0.7, 0.2, 6.0, 0.0)
+    truth = detect_simulated(craters, visible, view, exact, rng)
+    assert len(truth.crater) > 60
+    place = {int(crater): k for k, crater in enumerate(truth.crater)}
+    right = false = 0
+    residuals = []
+    for _ in range(30):
+        found = detect_simulated(craters, visible, view, errors, rng)
+        own = found.crater != NO_CRATER
+        right, false = right + int(own.sum()), false + int((~own).sum())
+        rows = [place[int(crater)] for crater in found.crater[own]]
+        residuals.append(found.ellipses.centre_px[own] - truth.ellipses.centre_px[rows])
+    trials = 30 * len(truth.crater)
+    assert abs(right / trials - 0.7) < 4 * np.sqrt(0.21 / trials)
+    assert abs(false / (right + false) - 0.2) < 0.03
+    assert np.concatenate(residuals).std() == pytest.approx(0.5, rel=0.05)
+
+
+def test_craters_in_view_face_the_camera_and_the_sun(ground) -> None:
+    craters, view = population(ground, 5, 3000), _view()
+    rows = in_view(craters, ground, view, (60.0, 20.0, 75.0))
+    assert len(rows) > 30
+    towards = view.T_cam_body.camera_position_m - craters.centre_body_m[rows]
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    assert (np.einsum("ni,ni->n", towards, craters.normal_body[rows]) > 0.5).all()
+    incidence = np.degrees(np.arccos(craters.normal_body[rows] @ view.sun_dir_body))
+    assert ((incidence > 20.0) & (incidence < 75.0)).all()
