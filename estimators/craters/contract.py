@@ -91,6 +91,11 @@ class CraterMatches:
     score: FloatArray
     reason: str = ""
 
+    @classmethod
+    def none(cls, reason: str) -> CraterMatches:
+        """No match, and why."""
+        return cls(np.zeros((0, 2), dtype=np.int64), np.zeros(0), reason)
+
 
 class Ground(Protocol):
     """The a priori shape, as lines of sight meet it."""

@@ -1,0 +1,209 @@
+"""Matching by context: constellations of craters and linear transforms, after Cheng et al. (2003)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import product
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from estimators.craters.contract import CraterImage, CraterMatches, Ground
+from estimators.craters.matching.epipolar import epipolar_offsets, size_ratios
+from estimators.craters.matching.result import too_few
+from estimators.craters.matching.transfer import mapped
+from estimators.options import parse_options
+from scenarios.geometry import Ellipses
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.int64]
+
+_NEIGHBOURS = 8
+_MOST_COMBINATIONS = 400
+_REFITS = 5
+
+
+class ContextOptions(SpecModel):
+    """Options of matching by context; the paper prints 20 px, 3 px and 4 craters."""
+
+    epipolar_px: float = Field(20.0, gt=0.0, description="Distance of a candidate from the epipolar line")
+    size_ratio: float = Field(1.4, gt=1.0, description="Of a candidate's size to the crater's, either way")
+    place_px: float = Field(3.0, gt=0.0, description="From where a crater is transferred to, to the one it agrees with")
+    axes_ratio: float = Field(1.3, gt=1.0, description="Of the axes of the two, either way")
+    agreeing: int = Field(4, ge=3, description="Craters that agree must be more")
+    least_height: float = Field(0.2, gt=0.0, lt=0.87, description="Of a triangle of craters, by its longest side")
+    loops: int = Field(100, ge=1, description="Triangles that are tried")
+
+
+class ContextMatcher:
+    """Tries triangles of craters until a linear transform takes more craters along than chance would.
+
+    The paper draws three craters from anywhere and ends at the first transform that holds. A body of relief has no
+    plane to hold it everywhere: triangles are drawn among neighbours, and the craters that a confirmed transform has
+    not matched are tried on until the loops are used up.
+    """
+
+    name: ClassVar[str] = "context"
+    version: ClassVar[int] = 1
+
+    def __init__(self, options: ContextOptions) -> None:
+        self._options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options."""
+        return cls(parse_options(ContextOptions, options, cls.name))
+
+    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
+        """Match by the relative positions and the shapes of craters; the shape of the body is not asked."""
+        del ground
+        options = self._options
+        if reason := too_few(first, second, needed=options.agreeing + 1):
+            return CraterMatches.none(reason)
+        near = epipolar_offsets(first, second) < options.epipolar_px
+        candidates = near & (np.abs(np.log(size_ratios(first, second))) < np.log(options.size_ratio))
+        here, there = first.detections.ellipses, second.detections.ellipses
+        pairs, votes = constellations(here, there, candidates, options, (first.number, second.number))
+        if len(pairs) == 0:
+            tried = f"no linear transform takes more than {options.agreeing} craters along"
+            return CraterMatches.none(f"{tried} in {options.loops} loops")
+        return CraterMatches(pairs, votes.astype(np.float64))
+
+
+def constellations(
+    first: Ellipses, second: Ellipses, candidates: BoolArray, options: ContextOptions, seed: tuple[int, int]
+) -> tuple[IndexArray, IndexArray]:
+    """Match craters by linear transforms: couples (k, 2), and how many agreed with the transform of each, (k,).
+
+    ``seed`` draws the triangles: the same for the same two images.
+    """
+    left = candidates.copy()
+    found: list[IndexArray] = []
+    usable = np.asarray(candidates.any(axis=1))
+    for triangle in _triangles(first.centre_px, usable, options, np.random.default_rng(seed)):
+        if not left[triangle].any(axis=1).all():
+            continue
+        pairs = _confirmed(first, second, left, triangle, options)
+        if len(pairs) > options.agreeing:
+            found.append(pairs)
+            left[pairs[:, 0]] = False
+            left[:, pairs[:, 1]] = False
+    if not found:
+        return np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
+    return np.concatenate(found), np.concatenate([np.full(len(pairs), len(pairs)) for pairs in found])
+
+
+def linear_transforms(here: FloatArray, there: FloatArray) -> FloatArray:
+    """(c, 3, 3): T = (X'_1 X'_2 X'_3) (X_1 X_2 X_3)^-1 for three points, (3, 2), and c choices of others, (c, 3, 2)."""
+    points = np.concatenate([here, np.ones((3, 1))], axis=1).T
+    others = np.swapaxes(np.concatenate([there, np.ones((len(there), 3, 1))], axis=2), 1, 2)
+    return np.asarray(others @ np.linalg.inv(points), dtype=np.float64)
+
+
+def fitted_transform(here: FloatArray, there: FloatArray) -> FloatArray:
+    """(3, 3) linear transform of least squares between (k, 2) and (k, 2) points, k >= 3."""
+    points = np.concatenate([here, np.ones((len(here), 1))], axis=1)
+    solution = np.linalg.lstsq(points, there, rcond=None)[0]
+    return np.vstack([solution.T, [0.0, 0.0, 1.0]])
+
+
+def agreeing(
+    transforms: FloatArray, first: Ellipses, second: Ellipses, candidates: BoolArray, options: ContextOptions
+) -> BoolArray:
+    """(c, n, m) which craters agree in place and in both axes after each of c transforms."""
+    places = np.einsum("cij,nj->cni", transforms[:, :2, :2], first.centre_px) + transforms[:, None, :2, 2]
+    offsets = np.linalg.norm(places[:, :, None] - second.centre_px, axis=3)
+    agree = (offsets < options.place_px) & candidates
+    which, rows, columns = np.nonzero(agree)
+    ellipses, real = mapped(first[rows], transforms[which])
+    ratios = np.full((len(rows), 2), np.inf)
+    ratios[real] = np.abs(np.log(ellipses.semi_axes_px / second.semi_axes_px[columns[real]]))
+    agree[which, rows, columns] = (ratios < np.log(options.axes_ratio)).all(axis=1)
+    return np.asarray(agree)
+
+
+def _triangles(
+    centres: FloatArray, usable: BoolArray, options: ContextOptions, rng: np.random.Generator
+) -> Iterator[IndexArray]:
+    """Draw triangles of neighbours that are not collinear, up to the loop limit."""
+    rows = np.flatnonzero(usable)
+    if len(rows) < 3:
+        return
+    for _ in range(options.loops):
+        start = rng.choice(rows)
+        order = rows[np.argsort(np.linalg.norm(centres[rows] - centres[start], axis=1), kind="stable")]
+        near = order[1 : _NEIGHBOURS + 1]
+        triangle = np.concatenate([[start], rng.choice(near, 2, replace=False)])
+        if _height(centres[triangle]) > options.least_height:
+            yield triangle
+
+
+def _height(corners: FloatArray) -> float:
+    """Return the smallest height of a triangle (3, 2) by its longest side."""
+    sides = corners - np.roll(corners, 1, axis=0)
+    longest2 = float((sides**2).sum(axis=1).max())
+    return abs(float(sides[0, 0] * sides[1, 1] - sides[0, 1] * sides[1, 0])) / max(longest2, 1e-12)
+
+
+def _confirmed(
+    first: Ellipses, second: Ellipses, candidates: BoolArray, triangle: IndexArray, options: ContextOptions
+) -> IndexArray:
+    """Try all combinations of candidates for a triangle; return the couples of the one that most agree with."""
+    combinations = _combinations(candidates[triangle])
+    none = np.zeros((0, 2), dtype=np.int64)
+    if len(combinations) == 0:
+        return none
+    transforms = linear_transforms(first.centre_px[triangle], second.centre_px[combinations])
+    upright = np.linalg.det(transforms) > 0.0  # the far side of a surface is never seen
+    if not upright.any():
+        return none
+    agree = agreeing(transforms[upright], first, second, candidates, options)
+    counts = np.minimum(agree.any(axis=2).sum(axis=1), agree.any(axis=1).sum(axis=1))
+    best = int(np.argmax(counts))
+    if counts[best] <= options.agreeing:
+        return none
+    return _refitted(first, second, candidates, transforms[upright][best], options)
+
+
+def _combinations(candidates: BoolArray) -> IndexArray:
+    """(c, 3) choices of three different candidates; the first of them where they are very many."""
+    choices = product(*(np.flatnonzero(row) for row in candidates))
+    different = [choice for choice in choices if len(set(choice)) == 3]
+    return np.array(different[:_MOST_COMBINATIONS], dtype=np.int64).reshape(-1, 3)
+
+
+def _refitted(
+    first: Ellipses, second: Ellipses, candidates: BoolArray, transform: FloatArray, options: ContextOptions
+) -> IndexArray:
+    """Fit the transform to all couples that agree and look for more, until they stay the same."""
+    pairs = np.zeros((0, 2), dtype=np.int64)
+    for _ in range(_REFITS):
+        found = nearest_couples(transform, first, second, candidates, options)
+        if len(found) < 3 or np.array_equal(found, pairs):
+            break
+        pairs = found
+        transform = fitted_transform(first.centre_px[pairs[:, 0]], second.centre_px[pairs[:, 1]])
+    return pairs
+
+
+def nearest_couples(
+    transform: FloatArray, first: Ellipses, second: Ellipses, candidates: BoolArray, options: ContextOptions
+) -> IndexArray:
+    """List couples (k, 2) that agree and are each other's nearest."""
+    agree = agreeing(transform[None], first, second, candidates, options)[0]
+    places = first.centre_px @ transform[:2, :2].T + transform[:2, 2]
+    distance = np.linalg.norm(places[:, None] - second.centre_px, axis=2)
+    return mutual(np.where(agree, distance, np.inf))
+
+
+def mutual(cost: FloatArray) -> IndexArray:
+    """List couples (k, 2) of a cost matrix (n, m) that are the least of their row and of their column, and finite."""
+    if cost.size == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    least = (cost == cost.min(axis=1, keepdims=True)) & (cost == cost.min(axis=0, keepdims=True)) & np.isfinite(cost)
+    once = least & (least.sum(axis=1, keepdims=True) == 1) & (least.sum(axis=0, keepdims=True) == 1)
+    return np.argwhere(once).astype(np.int64)

@@ -1,0 +1,102 @@
+"""Matching by projective conic invariants, after Cheng et al. (2003) and Forsyth et al. (1991)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from estimators.craters.contract import CraterImage, CraterMatches, Ground
+from estimators.craters.matching.result import too_few
+from estimators.options import parse_options
+from scenarios.geometry import Ellipses
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+class InvariantOptions(SpecModel):
+    """Options of matching by invariants; the paper prints none but the threshold of 4 votes."""
+
+    tolerance: float = Field(0.02, gt=0.0, description="Of the logarithm of both invariants, at the most")
+    votes: int = Field(4, ge=1, description="A couple of craters needs more of them")
+    couples: int = Field(2, ge=1, description="An image pair needs more such couples")
+
+
+class InvariantMatcher:
+    """Compares the invariants (10) of all pairs of craters: needs no pose, and rims that lie in a plane."""
+
+    name: ClassVar[str] = "invariants"
+    version: ClassVar[int] = 1
+
+    def __init__(self, options: InvariantOptions) -> None:
+        self._options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options."""
+        return cls(parse_options(InvariantOptions, options, cls.name))
+
+    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
+        """Match by invariants alone; the shape is not asked."""
+        del ground
+        if reason := too_few(first, second, needed=2):
+            return CraterMatches.none(reason)
+        votes = vote_matrix(first.detections.ellipses, second.detections.ellipses, self._options.tolerance)
+        pairs = unambiguous(votes, self._options.votes)
+        if len(pairs) <= self._options.couples:
+            return CraterMatches.none(f"{len(pairs)} couples of craters have enough votes of conic invariants")
+        return CraterMatches(pairs, votes[pairs[:, 0], pairs[:, 1]].astype(np.float64))
+
+
+def conic_invariants(conics: FloatArray) -> FloatArray:
+    """(n, n) of equation (10): entry (i, j) is tr(C_i^-1 C_j) with each conic scaled to unit determinant.
+
+    Entry (j, i) is the second invariant of the pair. They do not change under C -> T^-T C T^-1: the trace sees a
+    similarity, and the determinants are scaled alike.
+    """
+    unit = conics / np.cbrt(np.linalg.det(conics))[:, None, None]
+    return np.asarray(np.einsum("iab,jba->ij", np.linalg.inv(unit), unit), dtype=np.float64)  # eq. (10)
+
+
+def hash_table(ellipses: Ellipses) -> tuple[IndexArray, FloatArray]:
+    """List all ordered pairs (i, j) of craters, (n (n - 1), 2), with the logarithms of their two invariants.
+
+    Rims that lie apart have negative invariants, those that lie in each other positive ones: the sign goes before the
+    logarithm, so that the two kinds never meet.
+    """
+    invariants = conic_invariants(ellipses.conics())
+    i, j = np.nonzero(~np.eye(len(ellipses), dtype=np.bool_))
+    both = np.stack([invariants[i, j], invariants[j, i]], axis=1)
+    with np.errstate(divide="ignore"):
+        logs = np.sign(both) * (np.log(np.maximum(np.abs(both), 1e-300)) + 1e3)
+    return np.stack([i, j], axis=1), logs
+
+
+def vote_matrix(first: Ellipses, second: Ellipses, tolerance: float) -> IndexArray:
+    """(n, m) votes: every pair of rows of the two hash tables that are close votes for the couples of its craters."""
+    votes = np.zeros((len(first), len(second)), dtype=np.int64)
+    if len(first) < 2 or len(second) < 2:
+        return votes
+    (pairs, here), (others, there) = hash_table(first), hash_table(second)
+    close = cKDTree(here).query_ball_tree(cKDTree(there), tolerance, p=np.inf)
+    for (i, j), found in zip(pairs, close, strict=True):
+        for k, m in others[found]:
+            votes[i, k] += 1
+            votes[j, m] += 1
+    return votes
+
+
+def unambiguous(votes: IndexArray, threshold: int) -> IndexArray:
+    """List the couples (k, 2) with more votes than the threshold that have no rival in their row and column.
+
+    Every ordered pair of craters is in a table twice, (i, j) and (j, i), so that each agreement counts twice.
+    """
+    strong = votes > 2 * threshold
+    alone = strong & (strong.sum(axis=1, keepdims=True) == 1) & (strong.sum(axis=0, keepdims=True) == 1)
+    return np.argwhere(alone).astype(np.int64)

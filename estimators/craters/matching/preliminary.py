@@ -1,0 +1,139 @@
+"""Which images may show the same craters: preliminary matching after Cheng et al. (2003)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from estimators.craters.contract import CraterImage, Ground
+from estimators.craters.matching.located import Located, locate
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.int64]
+
+
+class PreliminaryOptions(SpecModel):
+    """Which landmarks may be the same, and which images are worth matching."""
+
+    gate_sigma: float = Field(3.5, gt=0.0, description="Of the distance of two landmarks by their uncertainty")
+    height_sigma_m: float = Field(30.0, gt=0.0, description="Of the height of the a priori shape under a crater")
+    size_ratio: float = Field(1.5, gt=1.0, description="Of the radii of two landmarks, either way")
+    landmarks: int = Field(1, ge=1, description="Landmarks of an image pair that may be the same, at the least")
+    overlap: float = Field(0.1, ge=0.0, le=1.0, description="Share of a lit region that the other image shows lit")
+    footprint: int = Field(8, ge=2, description="Points on a side of the grid that stands for an image")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImagePairs:
+    """Pairs of images that are likely to have craters in common.
+
+    Parameters
+    ----------
+    pairs
+        (k, 2) places in the sequence of images, ascending.
+    landmarks
+        (k,) how many landmarks may be the same.
+    overlap
+        (k,) share of the smaller lit region that the other image shows.
+    """
+
+    pairs: IndexArray
+    landmarks: IndexArray
+    overlap: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Landmarks:
+    """All landmarks of all images side by side."""
+
+    image: IndexArray
+    points_m: FloatArray
+    covariance_m2: FloatArray
+    log_radius: FloatArray
+
+
+def preliminary_pairs(
+    images: Sequence[CraterImage], ground: Ground, options: PreliminaryOptions | None = None
+) -> ImagePairs:
+    """Find the pairs of images whose landmarks may be the same and whose lit regions overlap."""
+    options = options or PreliminaryOptions()
+    if not images:
+        return ImagePairs(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))
+    landmarks = _all_landmarks(images, ground, options)
+    couples = same_place(landmarks.points_m, landmarks.covariance_m2, options.gate_sigma)
+    ratio = np.abs(np.diff(landmarks.log_radius[couples], axis=1)[:, 0])
+    between = landmarks.image[couples]
+    between = np.sort(between[(ratio < np.log(options.size_ratio)) & (between[:, 0] != between[:, 1])], axis=1)
+    pairs, counts = np.unique(between.reshape(-1, 2), axis=0, return_counts=True)
+    lit = [lit_points(image, ground, options.footprint) for image in images]
+    shares = np.array([_overlap(images[i], images[j], lit[i], lit[j]) for i, j in pairs])
+    kept = (counts >= options.landmarks) & (shares >= options.overlap)
+    return ImagePairs(pairs[kept], counts[kept], shares[kept])
+
+
+def same_place(points_m: FloatArray, covariances_m2: FloatArray, gate_sigma: float) -> IndexArray:
+    """List couples (k, 2) of landmarks (n, 3) whose places agree within their uncertainty (n, 3, 3)."""
+    reach = gate_sigma * np.sqrt(np.trace(covariances_m2, axis1=1, axis2=2))
+    if len(points_m) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    couples = cKDTree(points_m).query_pairs(2.0 * float(reach.max()), output_type="ndarray").astype(np.int64)
+    offset = points_m[couples[:, 0]] - points_m[couples[:, 1]]
+    together = covariances_m2[couples[:, 0]] + covariances_m2[couples[:, 1]]
+    far = np.einsum("ki,ki->k", offset, np.linalg.solve(together, offset[..., None])[..., 0])
+    return np.asarray(couples[far < gate_sigma**2])
+
+
+def landmark_covariances(image: CraterImage, located: Located, height_sigma_m: float) -> FloatArray:
+    """(n, 3, 3) m^2 covariance of located craters: of the pose, half a pixel of the centre, and the shape's height."""
+    by_pose, by_height = located.by_pose(), located.by_height()
+    ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
+    pixel_m = 0.5 * ranges * image.camera.pixel_angle_rad
+    covariance = by_pose @ image.frame.prior_covariance @ np.swapaxes(by_pose, 1, 2)
+    covariance += height_sigma_m**2 * np.einsum("ni,nj->nij", by_height, by_height)
+    return np.asarray(covariance + pixel_m[:, None, None] ** 2 * np.eye(3), dtype=np.float64)
+
+
+def lit_points(image: CraterImage, ground: Ground, side: int) -> FloatArray:
+    """(k, 3) points of the shape on a grid of lines of sight that face the Sun."""
+    camera, pose = image.camera, image.frame.prior_T_cam_body
+    steps = (np.arange(side) + 0.5) / side
+    u, v = np.meshgrid(steps * camera.width_px, steps * camera.height_px)
+    rays = pose.inverse().rotate(camera.unproject(np.column_stack([u.ravel(), v.ravel()])))
+    points, normals = ground.intersect(np.broadcast_to(pose.camera_position_m, rays.shape), rays)
+    sun_dir_body = pose.rotation.T @ image.frame.sun_dir_cam
+    with np.errstate(invalid="ignore"):
+        return points[normals @ sun_dir_body > 0.0]
+
+
+def _all_landmarks(images: Sequence[CraterImage], ground: Ground, options: PreliminaryOptions) -> _Landmarks:
+    parts = []
+    for number, image in enumerate(images):
+        located = locate(image, ground)
+        known = located.on_body
+        covariance = landmark_covariances(image, located, options.height_sigma_m)
+        ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
+        radius_m = image.detections.ellipses.semi_axes_px[:, 0] * image.camera.pixel_angle_rad * ranges
+        here = np.full(int(known.sum()), number)
+        parts.append((here, located.points_body_m[known], covariance[known], np.log(radius_m[known])))
+    image_of, points, covariances, radii = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return _Landmarks(image_of.astype(np.int64), points, covariances, radii)
+
+
+def _overlap(first: CraterImage, second: CraterImage, here: FloatArray, there: FloatArray) -> float:
+    """Return the share of the points lit in one image that lie in the frame and the light of the other; the larger."""
+    shares = [_shown(there_image, points) for there_image, points in ((second, here), (first, there))]
+    return max(shares)
+
+
+def _shown(image: CraterImage, points_body_m: FloatArray) -> float:
+    if len(points_body_m) == 0:
+        return 0.0
+    uv_px = image.camera.project(image.frame.prior_T_cam_body.transform(points_body_m))
+    return float(image.camera.contains(uv_px).mean())

@@ -1,0 +1,119 @@
+"""From one image to another by the local plane of each crater: homographies (5), predicted rims, and their errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.craters.contract import CraterImage, Ground
+from estimators.craters.matching.located import Located, hidden, skew
+from scenarios.geometry import Camera, Ellipses, Pose
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transfer:
+    """Where craters of a first image are expected in a second one.
+
+    Parameters
+    ----------
+    rows
+        (p,) rows of the first image's detections: those that the second image should show.
+    homographies
+        (p, 3, 3) from pixels of the first to pixels of the second: equation (5) as a matrix.
+    ellipses
+        p predicted rims in the second image.
+    by_error
+        (p, 2, 12) px by the errors of the prior poses, [rotation_rad, translation_m] of the first and the second.
+    by_height
+        (p, 2) px by a metre that the shape lies higher than thought.
+    """
+
+    rows: IndexArray
+    homographies: FloatArray
+    ellipses: Ellipses
+    by_error: FloatArray
+    by_height: FloatArray
+
+
+def transfer(first: CraterImage, second: CraterImage, located: Located, ground: Ground) -> Transfer:
+    """Predict the craters of a first image in a second one by both prior poses and the a priori shape.
+
+    Left out are craters that are off the body, turned away from the second camera, hidden from it by the shape, or out
+    of its frame by more than the prior's uncertainty of three standard deviations.
+    """
+    pose, camera = second.frame.prior_T_cam_body, second.camera
+    rows = np.flatnonzero(located.on_body)
+    planes = _part(located, rows)
+    towards = pose.camera_position_m - planes.points_body_m
+    away = np.einsum("ni,ni->n", planes.normals_body, towards) <= 0.0
+    radii_m = _radii_m(first, planes, rows)
+    kept = ~away & ~hidden(planes.points_body_m, pose.camera_position_m, ground, 2.0 * radii_m)
+    rows, planes = rows[kept], _part(planes, np.flatnonzero(kept))
+    by_error, by_height = _sensitivity(planes, camera, pose)
+    maps = plane_homographies(planes, first.camera, camera, pose)
+    ellipses, real = mapped(first.detections.ellipses[rows], maps)
+    spread = 3.0 * np.sqrt(np.einsum("nij,jk,nik->ni", by_error, joint_covariance(first, second), by_error))
+    inside = np.zeros(len(rows), dtype=np.bool_)
+    inside[real] = _near_frame(ellipses.centre_px, spread[real], camera)
+    return Transfer(rows[inside], maps[inside], ellipses[inside[real]], by_error[inside], by_height[inside])
+
+
+def joint_covariance(first: CraterImage, second: CraterImage) -> FloatArray:
+    """(12, 12) covariance of the errors of both prior poses, taken for independent."""
+    covariance = np.zeros((12, 12))
+    covariance[:6, :6], covariance[6:, 6:] = first.frame.prior_covariance, second.frame.prior_covariance
+    return covariance
+
+
+def plane_homographies(located: Located, first: Camera, second: Camera, T_second_body: Pose) -> FloatArray:
+    """(n, 3, 3) homographies of equation (5), from pixels of the first to pixels of the second image.
+
+    For the plane m . x = h in axes of the first camera, K2 (R + t m^T / h) K1^-1.
+    """
+    rotation = T_second_body.rotation @ located.T_cam_body.rotation.T
+    shift = T_second_body.translation_m - rotation @ located.T_cam_body.translation_m
+    normal = located.T_cam_body.rotate(located.normals_body)
+    height = np.einsum("ni,ni->n", normal, located.T_cam_body.transform(located.points_body_m))
+    moved = rotation + shift[:, None] * (normal / height[:, None])[:, None, :]
+    return np.asarray(second.matrix @ moved @ np.linalg.inv(first.matrix), dtype=np.float64)  # eq. (5)
+
+
+def mapped(ellipses: Ellipses, maps: FloatArray) -> tuple[Ellipses, BoolArray]:
+    """Map n ellipses by n homographies: those that stay ellipses, and (n,) which they are."""
+    inverse = np.linalg.inv(maps)
+    conics = np.swapaxes(inverse, 1, 2) @ ellipses.conics() @ inverse  # eq. (9) for x' = T x
+    blocks = np.linalg.det(conics[:, :2, :2])
+    # An ellipse is real where its determinant and its trace differ in sign.
+    real = (blocks > 0.0) & (np.linalg.det(conics) * np.trace(conics[:, :2, :2], axis1=1, axis2=2) < 0.0)
+    return Ellipses.from_conics(conics[real]), np.asarray(real)
+
+
+def _sensitivity(located: Located, camera: Camera, pose: Pose) -> tuple[FloatArray, FloatArray]:
+    """Differentiate the places in an image by the errors of both poses and by the height of the shape."""
+    turned = located.points_body_m @ pose.rotation.T
+    by_point = camera.jacobian(turned + pose.translation_m)
+    first = by_point @ pose.rotation @ located.by_pose()
+    second = by_point @ np.concatenate([-skew(turned), np.broadcast_to(np.eye(3), (len(turned), 3, 3))], axis=2)
+    by_height = np.einsum("nij,nj->ni", by_point @ pose.rotation, located.by_height())
+    return np.concatenate([first, second], axis=2), by_height
+
+
+def _radii_m(image: CraterImage, located: Located, rows: IndexArray) -> FloatArray:
+    """(p,) radii of the rims on the body: foreshortening leaves the longer axis."""
+    ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
+    return np.asarray(image.detections.ellipses.semi_axes_px[rows, 0] * image.camera.pixel_angle_rad * ranges)
+
+
+def _near_frame(centre_px: FloatArray, spread_px: FloatArray, camera: Camera) -> BoolArray:
+    size = np.array([camera.width_px, camera.height_px])
+    return np.asarray(((centre_px > -spread_px) & (centre_px < size + spread_px)).all(axis=1))
+
+
+def _part(located: Located, rows: IndexArray) -> Located:
+    return Located(located.points_body_m[rows], located.normals_body[rows], located.T_cam_body)
