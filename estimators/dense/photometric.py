@@ -12,12 +12,12 @@ from estimators.dense.gauss_newton import inverse
 from estimators.dense.linearisation import available_gradient
 from estimators.dense.options import PhotometricOptions
 from estimators.dense.registration import Registration, register
+from estimators.image import image_fault
 from estimators.landmark.centroid import MeshView
 from estimators.landmark.recognizer import borrow_database
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
-from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.observation import Frame, Observation
 
@@ -74,11 +74,9 @@ class PhotometricEstimator:
 
     def _register(self, frame: Frame, camera: Camera, clock: Stopwatch) -> Registration | str:
         """Register one frame, or say why there is nothing to register."""
-        if frame.image.shape != (camera.height_px, camera.width_px):
-            expected = (camera.height_px, camera.width_px)
-            raise BoresightError(f"the image has shape {frame.image.shape}, but the camera's is {expected}")
-        if not np.isfinite(frame.image).all():
-            return "the image holds NaN or infinite pixels"
+        fault = image_fault(frame, camera)
+        if fault:
+            return fault
         observed = extract_signal(frame.image)
         if observed.empty:
             return "the image is black: nothing above its background"

@@ -16,6 +16,7 @@ from estimators.contract import Assets, Estimate, Stage
 from estimators.descriptors.build import DescriptorOptions, DescriptorViewOptions
 from estimators.descriptors.database import DescriptorDatabase
 from estimators.descriptors.features import FeatureOptions, Features, Kind, find_features, match_features
+from estimators.image import image_fault
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
 from estimators.landmark.pose.posterior import Posterior, Prior, solve_map
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
@@ -124,11 +125,9 @@ class DescriptorNavigator:
     def _solve(self, frame: Frame, camera: Camera, seed: int, clock: Stopwatch) -> tuple[Pose, Posterior] | str:
         """Solve one frame, or say why there is no pose."""
         options = self._options
-        if frame.image.shape != (camera.height_px, camera.width_px):
-            expected = (camera.height_px, camera.width_px)
-            raise BoresightError(f"the image has shape {frame.image.shape}, but the camera's is {expected}")
-        if not np.isfinite(frame.image).all():
-            return "the image holds NaN or infinite pixels"
+        fault = image_fault(frame, camera)
+        if fault:
+            return fault
         if extract_signal(frame.image).empty:
             return "the image is black: nothing above its background"
         with clock("feature_extraction"):

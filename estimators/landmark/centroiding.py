@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Assets, Estimate, ImageRenderer, Stage
+from estimators.image import image_fault
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.centroid import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
 from estimators.landmark.recognizer import borrow_database
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
-from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose
 from scenarios.observation import Frame, Observation
 from scenarios.spec.base import SpecModel
@@ -79,11 +79,10 @@ class CentroidAligner:
         BoresightError
             If the image is not of the camera's size.
         """
-        prior, expected = frame.prior_T_cam_body, (camera.height_px, camera.width_px)
-        if frame.image.shape != expected:
-            raise BoresightError(f"the image has shape {frame.image.shape}, but the camera's is {expected}")
-        if not np.isfinite(frame.image).all():
-            return Alignment(prior, (), "the image holds NaN or infinite pixels"), {}
+        prior = frame.prior_T_cam_body
+        fault = image_fault(frame, camera)
+        if fault:
+            return Alignment(prior, (), fault), {}
         with clock("centroid"):
             observed = extract_signal(frame.image)
         if observed.empty:

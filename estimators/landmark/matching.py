@@ -37,12 +37,17 @@ class Matches:
         return np.array_equal(self.landmark, other.landmark) and np.array_equal(self.corner, other.corner)
 
 
+def inverse_and_determinant(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Inverses (..., 2, 2) and determinants (...) of symmetric matrices (..., 2, 2)."""
+    a, b, c = covariances[..., 0, 0], covariances[..., 0, 1], covariances[..., 1, 1]
+    determinant = a * c - b * b
+    adjugate = np.stack([np.stack([c, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=-2)
+    return adjugate / determinant[..., None, None], determinant  # eq. (19)
+
+
 def inverse_2x2(covariances_px2: FloatArray) -> FloatArray:
-    """Inverses (N, 2, 2) of symmetric matrices (N, 2, 2)."""
-    a, b, c = covariances_px2[:, 0, 0], covariances_px2[:, 0, 1], covariances_px2[:, 1, 1]
-    adjugate = np.stack([c, -b, -b, a], axis=1).reshape(-1, 2, 2)
-    inverse: FloatArray = adjugate / (a * c - b * b)[:, None, None]  # eq. (19)
-    return inverse
+    """Inverses (..., 2, 2) of symmetric matrices (..., 2, 2)."""
+    return inverse_and_determinant(covariances_px2)[0]
 
 
 def squared_distances(offsets_px: FloatArray, covariances_px2: FloatArray) -> FloatArray:

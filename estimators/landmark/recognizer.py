@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Table
+from estimators.image import image_fault
 from estimators.landmark.alignment import correlation_pair
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.centroid import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
@@ -140,11 +141,9 @@ def recognise(
     """
     prior, camera, clock = frame.prior_T_cam_body, view.camera, Stopwatch()
     nothing = Alignment(prior, ())
-    expected = (camera.height_px, camera.width_px)
-    if frame.image.shape != expected:
-        raise BoresightError(f"the image has shape {frame.image.shape}, but the camera's is {expected}")
-    if not np.isfinite(frame.image).all():
-        return Recognition(prior, nothing, None, None, clock.seconds, "the image holds NaN or infinite pixels")
+    fault = image_fault(frame, camera)
+    if fault:
+        return Recognition(prior, nothing, None, None, clock.seconds, fault)
     with clock("centroid"):
         observed = extract_signal(frame.image)
     if observed.empty:

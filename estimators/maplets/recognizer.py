@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from estimators.contract import Assets, Estimate, Stage
+from estimators.image import image_fault
 from estimators.landmark.alignment import correlation_pair
 from estimators.landmark.centroid import AlignmentOptions, MeshView, align_translation
 from estimators.landmark.matching import inverse_2x2
@@ -61,11 +62,9 @@ def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: Maplets
     def failed(why: str) -> Recognition:
         return Recognition(tuple(stages), (), clock.seconds, why)
 
-    expected = (camera.height_px, camera.width_px)
-    if frame.image.shape != expected:
-        raise BoresightError(f"the image has shape {frame.image.shape}, but the camera's is {expected}")
-    if not np.isfinite(frame.image).all():
-        return failed("the image holds NaN or infinite pixels")
+    fault = image_fault(frame, camera)
+    if fault:
+        return failed(fault)
     with clock("centroid"):
         observed = extract_signal(frame.image)
     if observed.empty:

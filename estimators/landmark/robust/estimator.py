@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from estimators.certainty import invertible
 from estimators.contract import Assets, Estimate, ImageRenderer, Stage
+from estimators.image import image_fault
 from estimators.landmark.centroid import Alignment, MeshView, align_translation
 from estimators.landmark.consistency import centroid_residual_px, inconsistency
 from estimators.landmark.corners import detect_corners
@@ -89,11 +90,9 @@ class ConsensusRecognizer:
 
     def _solve(self, frame: Frame, camera: Camera, clock: Stopwatch, rng: np.random.Generator) -> _Solution:
         options, prior = self._options, frame.prior_T_cam_body
-        if frame.image.shape != (camera.height_px, camera.width_px):
-            expected = (camera.height_px, camera.width_px)
-            raise BoresightError(f"the image has shape {frame.image.shape}, but the camera's is {expected}")
-        if not np.isfinite(frame.image).all():
-            return _Solution("the image holds NaN or infinite pixels")
+        fault = image_fault(frame, camera)
+        if fault:
+            return _Solution(fault)
         with clock("centroid"):
             observed = extract_signal(frame.image)
         if observed.empty:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from estimators.landmark.matching import inverse_and_determinant
 from estimators.landmark.robust.options import MixtureOptions
 from scenarios.geometry import Camera, Pose
 
@@ -128,7 +129,7 @@ class Mixture:
         uv = self._camera.project(points)
         by_point = self._camera.jacobian(points)
         covariance = self._image_covariances(poses, by_point, corner_sigma_px)
-        information, determinant = _inverse(covariance)
+        information, determinant = inverse_and_determinant(covariance)
         reach_px = 5.0 * float(np.sqrt(np.median(covariance[..., 0, 0] + covariance[..., 1, 1])))
         _, near = self._tree.query(uv, k=self._k, distance_upper_bound=reach_px)
         near = near.reshape(*uv.shape[:2], self._k)
@@ -169,14 +170,6 @@ class Mixture:
         by_body = by_point @ poses.rotations[:, None]
         projected: FloatArray = by_body @ self._covariances_m2 @ np.swapaxes(by_body, 2, 3)
         return projected + corner_sigma_px**2 * np.eye(2)
-
-
-def _inverse(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Inverses and determinants of symmetric matrices (..., 2, 2)."""
-    a, b, c = covariances[..., 0, 0], covariances[..., 0, 1], covariances[..., 1, 1]
-    determinant = a * c - b * b
-    adjugate = np.stack([np.stack([c, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=-2)
-    return adjugate / determinant[..., None, None], determinant
 
 
 def _pose_jacobian(by_point: FloatArray, arms_m: FloatArray) -> FloatArray:
