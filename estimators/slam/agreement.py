@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.expected import guessed_points, line_information
-from estimators.slam.gating import mahalanobis_squares
+from estimators.slam.deviations import landmark_information, pixel_squares
+from estimators.slam.expected import guessed_points
 from estimators.slam.journal import Journal
 from estimators.slam.state import Adjustment, State
 
@@ -51,31 +51,20 @@ def all_fit(journal: Journal, heard: Heard, before: tuple[Adjustment, State], li
     if len(rows) < _FEWEST:
         return False
     problem, state = before
+    frame = journal.frames[heard.view]
     points = heard.points[rows]
-    squares = _squares(journal, heard.view, rows, state.points_m[points], None)
+    lines_m = state.points_m[points] - journal.positions_m[heard.view]
+    squares = pixel_squares(journal.camera, frame, rows, lines_m, np.zeros((len(rows), 3, 3)))
     odd = np.flatnonzero(~(squares <= limit))
     if len(odd):
         if 2 * len(odd) > len(rows) or (problem.prior is not None and np.isin(points[odd], problem.prior.points).any()):
             return False
-        own = np.asarray(np.linalg.inv(line_information(problem, state, points[odd]).sum(axis=1)), dtype=np.float64)
-        if not (_squares(journal, heard.view, rows[odd], state.points_m[points[odd]], own) <= limit).all():
+        own = np.asarray(np.linalg.inv(landmark_information(problem, state)[points[odd]]), dtype=np.float64)
+        if not (pixel_squares(journal.camera, frame, rows[odd], lines_m[odd], own) <= limit).all():
             return False
     once, sights = heard.once
     if not len(once):
         return True
     guessed, own = guessed_points(journal, sights, heard.depth_m)
-    return bool((_squares(journal, heard.view, once, guessed, own) <= limit).all())
-
-
-def _squares(
-    journal: Journal, view: int, rows: IndexArray, points_m: FloatArray, own_m2: FloatArray | None
-) -> FloatArray:
-    """(n,) squared distances of pixels from where landmarks (n, 3) of covariance (n, 3, 3) are; NaN behind."""
-    frame, camera = journal.frames[view], journal.camera
-    in_camera = (points_m - journal.positions_m[view]) @ frame.R_cam_body.T
-    off = frame.uv_px[rows] - camera.project(in_camera)
-    if own_m2 is None:
-        return np.asarray((off**2).sum(axis=1) / frame.sigma_px**2, dtype=np.float64)
-    by_line = camera.jacobian(in_camera) @ frame.R_cam_body
-    spread = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2) + frame.sigma_px**2 * np.eye(2)
-    return mahalanobis_squares(off, np.asarray(spread, dtype=np.float64))
+    squares = pixel_squares(journal.camera, frame, once, guessed - journal.positions_m[heard.view], own)
+    return bool((squares <= limit).all())

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from estimators.slam.agreement import Heard, all_fit
+from estimators.slam.deviations import sighting_squares
 from estimators.slam.expected import Common, Expected, guessed_landmarks, mapped_landmarks
 from estimators.slam.following import lookup
 from estimators.slam.hearing import fitting
 from estimators.slam.journal import Journal
 from estimators.slam.levenberg import StoppingRule
-from estimators.slam.residuals import bearing_residuals
 from estimators.slam.state import Adjustment, State
 from scenarios.tracks import TrackFrame
 
@@ -122,7 +122,7 @@ class Jury:
         the others along. Refused ones that fit again come back with the next frame.
         """
         seen = adjusted.problem.sightings
-        squares = np.sum(bearing_residuals(adjusted.problem, adjusted.state) ** 2, axis=1)
+        squares = sighting_squares(adjusted.problem, adjusted.state)
         for view, point in zip(adjusted.problem.distances.view, adjusted.problem.distances.point, strict=True):
             squares[(seen.view == view) & (seen.point == point)] = 0.0  # without it the range would be lost
         self._let_back(adjusted)
@@ -176,9 +176,10 @@ class Jury:
     def _heard(self, view: int, before: Adjusted | None, depth_m: float) -> Heard:
         """Gather the landmarks of the map that a frame sees, and those seen once before."""
         tracks = self.complete[view].tracks
-        last = self._last_seen(view)
-        points = np.full(len(tracks), -1) if before is None else lookup(before.tracks.tolist(), tracks)
-        once = [row for row in np.flatnonzero(points < 0).tolist() if int(tracks[row]) in last]
+        points = np.full(len(tracks), -1) if before is None else lookup(before.tracks, tracks)
+        unknown = np.flatnonzero(points < 0).tolist()
+        last = self._last_seen(view, tracks[unknown].tolist())
+        once = [row for row in unknown if int(tracks[row]) in last]
         sights = [(last[int(tracks[row])], int(tracks[row])) for row in once]
         return Heard(view, points, (np.array(once, dtype=np.int64), sights), depth_m)
 
@@ -194,13 +195,10 @@ class Jury:
         at = self.journal.positions_m[view - 1] + self.complete[view].motion_m
         return mapped_landmarks(common, (before.problem, before.state, before.views), places, view, at).joined(guessed)
 
-    def _last_seen(self, view: int) -> dict[int, int]:
-        """Tell for each track that one of the views before saw, as far as believed, the last such view."""
-        last: dict[int, int] = {}
-        for other in range(view - _LOOK_BACK, view):
-            if other in self.complete:
-                last.update(dict.fromkeys(self.journal.frames[other].tracks.tolist(), other))
-        return last
+    def _last_seen(self, view: int, tracks: Sequence[int]) -> dict[int, int]:
+        """Tell for each of ``tracks`` that one of the views before saw, as far as believed, the last such view."""
+        views = [other for other in range(view - _LOOK_BACK, view) if other in self.complete] if tracks else []
+        return {track: seen[-1] for track in tracks if (seen := self.journal.seeing(track, views))}
 
     def _refuse(self, view: int, tracks: Sequence[int]) -> None:
         if not tracks:

@@ -49,6 +49,17 @@ class Expected:
     own_m2: FloatArray
     known: BoolArray
 
+    def some(self, which: BoolArray) -> Expected:
+        """Return those marked in ``which`` (n,) alone."""
+        return Expected(
+            self.rows[which],
+            self.lines_m[which],
+            self.by_all[which],
+            self.covariance,
+            self.own_m2[which],
+            self.known[which],
+        )
+
     def joined(self, other: Expected) -> Expected:
         """Take two together that are uncertain by the same."""
         return Expected(
@@ -197,7 +208,8 @@ def guessed_landmarks(
     rows, sights = places
     points, own = guessed_points(journal, sights, depth_m)
     at = journal.positions_m[view - 1] + journal.frames[view].motion_m
-    by_all = np.array([common.by_view(other) - common.by_camera(view) for other, _ in sights])
+    by_camera = common.by_camera(view)
+    by_all = np.array([common.by_view(other) - by_camera for other, _ in sights])
     return Expected(
         rows,
         points - at,

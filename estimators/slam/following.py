@@ -114,7 +114,7 @@ def median_distance(points_m: FloatArray, position_m: FloatArray) -> float:
     return float(np.sqrt(squares[(len(squares) - 1) // 2 : len(squares) // 2 + 1]).mean())
 
 
-def lookup(keys: Sequence[int], wanted: IndexArray) -> IndexArray:
+def lookup(keys: Sequence[int] | IndexArray, wanted: IndexArray) -> IndexArray:
     """(n,) where each of ``wanted`` stands in the sorted ``keys``; -1 where it does not."""
     table = np.asarray(keys, dtype=np.int64)
     if len(table) == 0:

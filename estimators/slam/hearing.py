@@ -32,7 +32,8 @@ def fitting(camera: Camera, frame: TrackFrame, seen: Expected, false_alarm: floa
     residual, by_line = _pixels(camera, frame, seen, seen.lines_m)
     H = by_line[first] @ seen.by_all[first]
     rows = H.reshape(-1, H.shape[2])
-    spread = rows @ seen.covariance @ rows.T + _block_diagonal(_own(frame, seen, by_line, seen.covariance)[first])
+    own = _own(frame, seen.some(first), by_line[first], seen.covariance)
+    spread = rows @ seen.covariance @ rows.T + _block_diagonal(own)
     fit = np.zeros(len(sound), dtype=np.bool_)
     fit[first] = believed(residual[first], spread, "one-point", false_alarm)
     others = sound & ~first
@@ -41,7 +42,7 @@ def fitting(camera: Camera, frame: TrackFrame, seen: Expected, false_alarm: floa
         gain = np.linalg.solve(spread[np.ix_(inside, inside)], rows[inside] @ seen.covariance).T
         shift = gain @ residual[fit].ravel()
         left = seen.covariance - gain @ (rows[inside] @ seen.covariance)
-        fit[others] = _alone(camera, frame, seen, shift, left)[others] <= limit
+        fit[others] = _alone(camera, frame, seen.some(others), shift, left) <= limit
     return fit
 
 
@@ -72,9 +73,9 @@ def _own(frame: TrackFrame, seen: Expected, by_line: FloatArray, covariance: Flo
     Where the distance is a guess there is a term of second order: a pixel goes with the way of the camera over the
     distance, and both are uncertain.
     """
-    way = _own_blocks(seen.by_all, covariance)
-    guessed = np.where(seen.known, 0.0, DEPTH_SIGMA**2)[:, None, None]
-    own = by_line @ (seen.own_m2 + guessed * way) @ np.swapaxes(by_line, 1, 2)
+    own_m2, guessed = seen.own_m2.copy(), ~seen.known
+    own_m2[guessed] += DEPTH_SIGMA**2 * _own_blocks(seen.by_all[guessed], covariance)
+    own = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2)
     return np.asarray(own + frame.sigma_px**2 * np.eye(2), dtype=np.float64)
 
 

@@ -118,6 +118,10 @@ class Journal:
                 seen[track].append(view)
         return dict(seen)
 
+    def seeing(self, track: int, views: Sequence[int]) -> list[int]:
+        """List those of ``views`` that saw a track."""
+        return [view for view in views if track in self._sight(view).rows]
+
     def in_view(self, view: int, tracks: Sequence[int]) -> BoolArray:
         """(n,) which of ``tracks`` a view sees."""
         rows = self._sight(view).rows

@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Literal
 
 from scenarios.errors import BoresightError
+from scenarios.geometry import Camera
 
 VARIABLE = "BORESIGHT_KERNELS"
 
@@ -29,6 +30,18 @@ def kernel_variant() -> Literal["numba", "numpy"]:
     if chosen == "numpy":
         return "numpy"
     raise BoresightError(f"{VARIABLE}: {chosen!r} is unknown; choose numba or numpy")
+
+
+def compiled_deviations(camera: Camera) -> ModuleType | None:
+    """Return the compiled kernels of `deviations`; nothing where numpy is chosen, or where a lens distorts."""
+    return None if kernel_variant() == "numpy" or camera.distortion is not None else _deviations()
+
+
+@cache
+def _deviations() -> ModuleType:
+    from estimators.slam.compiled import deviations
+
+    return deviations
 
 
 @cache

@@ -6,12 +6,15 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import mahalanobis
 from slam_sequences import Recipe, make_sequence
 
+from estimators.slam import deviations
 from estimators.slam.bundle import BundleSlam
 from estimators.slam.compiled import envelope as packed
 from estimators.slam.compiled import equations, reduction, sight
@@ -100,6 +103,35 @@ def test_equations_are_those_of_numpy(seed: int) -> None:
         (inverse, expected_inverse.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]),
     ]:
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max(initial=1.0))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_deviations_are_those_of_numpy_and_scipy(seed: int, reference) -> None:
+    """Also of a landmark behind its camera; those of one pixel with derivatives by differences."""
+    problem, state = window(seed)
+    squares = deviations.sighting_squares(problem, state)
+    np.testing.assert_allclose(squares, reference(deviations.sighting_squares, problem, state), rtol=1e-11)
+    told = deviations.landmark_information(problem, state)
+    np.testing.assert_allclose(
+        told, reference(deviations.landmark_information, problem, state), rtol=0, atol=1e-12 * told.max()
+    )
+    sequence, _ = make_sequence(np.random.default_rng([31, seed]), Recipe(frames=2, landmarks=12))
+    camera, frame, rows = sequence.camera, sequence.frames[0], np.arange(4)
+    rng = np.random.default_rng(seed)
+    lines = camera.unproject(frame.uv_px[rows] + rng.normal(size=(4, 2))) @ frame.R_cam_body * 600.0
+    root = rng.normal(size=(4, 3, 5))
+    arguments = camera, frame, rows, lines, root @ np.swapaxes(root, 1, 2)
+    found = deviations.pixel_squares(*arguments)
+    np.testing.assert_allclose(found, reference(deviations.pixel_squares, *arguments), rtol=1e-11)
+    shifts = 1e-3 * np.vstack([np.eye(3), -np.eye(3)])
+    ends = camera.project((lines[0] + shifts) @ frame.R_cam_body.T)
+    rise = (ends[:3] - ends[3:]).T / 2e-3
+    inverse = np.linalg.inv(rise @ arguments[-1][0] @ rise.T + frame.sigma_px**2 * np.eye(2))
+    expected = mahalanobis(frame.uv_px[0], camera.project(frame.R_cam_body @ lines[0]), inverse)
+    assert found[0] == pytest.approx(expected**2, rel=1e-6)
+    lines[1] *= -1.0
+    for judge in (deviations.pixel_squares, partial(reference, deviations.pixel_squares)):
+        np.testing.assert_array_equal(np.isnan(judge(*arguments)), [False, True, False, False])
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -38,14 +38,9 @@ def linearise(
     n = len(shape.reach)
     kept, kept_gradient = np.zeros(shape.begin[n]), np.zeros((n, 3))
     by_view, by_point = np.zeros((len(positions), 9)), np.zeros((len(points), 9))
-    terms = np.empty((seen + len(problem.ranged_view), 9))
-    frozen_positions = _merged(problem.frozen_positions_m, positions)
-    frozen_points = _merged(problem.frozen_points_m, points)
-    rows = _scaled(problem, sights, frozen_positions, frozen_points)
-    _sightings(problem.attitudes, problem.seen_view, rows, terms)
-    _distances(problem, (positions, points, frozen_positions, frozen_points), terms)
-    _sum_terms(terms, problem.seen_view, problem.seen_point, 0, by_view, by_point)
-    _sum_terms(terms, problem.ranged_view, problem.ranged_point, seen, by_view, by_point)
+    terms = measured_terms(problem, positions, points, sights)
+    sum_terms(terms, problem.seen_view, problem.seen_point, 0, by_view, by_point)
+    sum_terms(terms, problem.ranged_view, problem.ranged_point, seen, by_view, by_point)
     _scatter(by_view, layout.view_slot, -1.0, shape, kept, kept_gradient)
     _scatter(by_point, layout.point_slot, 1.0, shape, kept, kept_gradient)
     if len(shape.reach) > layout.views:
@@ -54,6 +49,18 @@ def linearise(
     if len(problem.prior_gradient) > 0:
         _add_prior(problem, layout, positions, points, kept, kept_gradient)
     return FlatEquations(kept, kept_gradient, by_point, terms)
+
+
+@kernel
+def measured_terms(problem: FlatProblem, positions: FloatArray, points: FloatArray, sights: FloatArray) -> FloatArray:
+    """(m, 9) A'A and A'r of each measurement, A by the landmark; ``sights`` are those of `look` at the same state."""
+    terms = np.empty((len(problem.seen_view) + len(problem.ranged_view), 9))
+    frozen_positions = _merged(problem.frozen_positions_m, positions)
+    frozen_points = _merged(problem.frozen_points_m, points)
+    rows = _scaled(problem, sights, frozen_positions, frozen_points)
+    _sightings(problem.attitudes, problem.seen_view, rows, terms)
+    _distances(problem, (positions, points, frozen_positions, frozen_points), terms)
+    return terms
 
 
 @kernel
@@ -123,7 +130,7 @@ def _distances(
 
 
 @kernel
-def _sum_terms(
+def sum_terms(
     terms: FloatArray, view: IndexArray, point: IndexArray, first: int, by_view: FloatArray, by_point: FloatArray
 ) -> None:
     """Add the terms of measurements, from ``first`` on, to those of their views and landmarks."""
