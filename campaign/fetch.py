@@ -18,7 +18,7 @@ import pooch
 import requests
 
 from campaign.download import TIMEOUT_S, Progress, ResumingDownloader, disk_fault, network_fault
-from campaign.store.atomic import write_text
+from scenarios.atomic import write_text
 from scenarios.data.datasets import DataSetSpec, FileSpec
 from scenarios.errors import BoresightError
 

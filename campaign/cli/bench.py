@@ -18,8 +18,8 @@ from campaign.cli.catalog import add_overrides
 from campaign.cli.terminal import console
 from campaign.resolve import resolve
 from campaign.slam_benchmark import COST_TOLERANCE, cycle_ratios, window_ratios
-from campaign.store.atomic import write_text
 from renderers.mitsuba3 import choose_variant
+from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from campaign.paper import PAPERS
 from campaign.request import RunRequest
 from campaign.resolve import resolve
 from campaign.runner import run_campaign
-from campaign.store.atomic import explain
 from renderers.mitsuba3 import choose_variant
+from scenarios.atomic import explain
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from importlib.metadata import version
 from typing import NoReturn
 
 from campaign.cli import bench, catalog, compare, fetch, figures, machine, runs
-from campaign.store.atomic import explain
+from scenarios.atomic import explain
 from scenarios.errors import BoresightError
 
 EXIT_OK, EXIT_USER_ERROR, EXIT_ESTIMATOR_ERRORS, EXIT_INTERRUPTED = 0, 2, 3, 130

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.store.atomic import write_atomically
+from scenarios.atomic import write_atomically
 from scenarios.errors import BoresightError
 
 ImageSink = Callable[[int, NDArray[np.float32]], None]

@@ -11,10 +11,10 @@ from pathlib import Path
 
 from campaign.products.keys import content_key
 from campaign.products.kinds import product_kind
-from campaign.store.atomic import explain
 from campaign.world import believed
 from estimators.contract import ImageRenderer
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
+from scenarios.atomic import explain
 from scenarios.bodies import load_body
 from scenarios.cache import default_cache
 from scenarios.errors import BoresightError

@@ -13,8 +13,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from campaign.store.atomic import write_atomically, write_text
 from campaign.store.columns import TABLES, schema
+from scenarios.atomic import write_atomically, write_text
 from scenarios.errors import BoresightError
 
 Records = Sequence[Mapping[str, object]]

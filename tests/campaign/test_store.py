@@ -13,9 +13,9 @@ import pytest
 
 from campaign.score import no_pose_error, pose_error
 from campaign.store import TABLES, RunFolder, RunLock
-from campaign.store.atomic import write_text
 from campaign.store.columns import schema
 from campaign.store.folder import Block, blocks
+from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
 from scenarios.geometry import look_at
 
@@ -119,7 +119,7 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path):
 import itertools
 import resource, signal, sys
 from pathlib import Path
-from campaign.store.atomic import write_text
+from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))

@@ -24,8 +24,8 @@ from estimators.craters.matching.epipolar import epipolar_offsets
 from estimators.craters.matching.invariants import conic_invariants, unambiguous, vote_matrix
 from estimators.craters.matching.located import Located, hidden, locate
 from estimators.craters.matching.preliminary import preliminary_pairs
-from estimators.craters.matching.registry import crater_matcher_class, crater_matcher_names
 from estimators.craters.matching.transfer import mapped, plane_homographies, transfer
+from estimators.craters.registry import crater_matcher_class, crater_matcher_names
 from scenarios.craters.simulated import DetectionErrors
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, Pose, look_at

@@ -1,0 +1,184 @@
+"""The picture-sequence file and the landmark file of Cheng et al. (2003).
+
+Both are text, in metres, seconds, radians and pixels ((u, v) = column and row; the middle of the first is at 0.5), each
+record on a line, fields parted by spaces.
+
+Picture sequence, in the order of time::
+
+    # boresight picture sequence 1
+    picture NUMBER TIME WIDTH HEIGHT FX FY CX CY R11 R12 R13 R21 R22 R23 R31 R32 R33 TX TY TZ SUNX SUNY SUNZ
+    sighting PICTURE LANDMARK U V SEMI_MAJOR SEMI_MINOR ANGLE
+
+``R`` and ``T`` take body to camera coordinates; ``SUN`` points to the Sun in camera axes. Sightings follow their
+picture.
+
+Landmarks, ascending::
+
+    # boresight landmarks of craters 1
+    landmark NUMBER X Y Z NX NY NZ RADIUS SXX SXY SXZ SYY SYZ SZZ IMAGES
+
+``X Y Z`` is the a priori location in the body frame, ``N`` the normal of the rim, ``S`` the location's covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from estimators.craters.database.landmarks import Landmarks
+from estimators.craters.database.pictures import Picture
+from estimators.craters.database.records import Record, read_records, words, write_records
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Ellipses, Pose
+
+PICTURES, LANDMARKS = "pictures.txt", "landmarks.txt"
+_SEQUENCE_HEAD = "boresight picture sequence 1"
+_LANDMARK_HEAD = "boresight landmarks of craters 1"
+_UPPER = np.triu_indices(3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CraterDatabase:
+    """Landmarks, and the pictures that show them.
+
+    Raises
+    ------
+    BoresightError
+        If a picture shows a landmark that there is not.
+    """
+
+    pictures: tuple[Picture, ...]
+    landmarks: Landmarks
+
+    def __post_init__(self) -> None:
+        for picture in self.pictures:
+            unknown = np.setdiff1d(picture.landmark, self.landmarks.number)
+            if len(unknown):
+                raise BoresightError(f"picture {picture.number} shows landmark {int(unknown[0])}, which has no place")
+
+    def save(self, folder: Path) -> None:
+        """Write both files into a folder, each whole or not at all."""
+        write_pictures(folder / PICTURES, self.pictures)
+        write_landmarks(folder / LANDMARKS, self.landmarks)
+
+    @classmethod
+    def load(cls, folder: Path) -> CraterDatabase:
+        """Read both files of a folder; raise BoresightError with file and line where one is wrong."""
+        pictures, landmarks = read_pictures(folder / PICTURES), read_landmarks(folder / LANDMARKS)
+        try:
+            return cls(pictures, landmarks)
+        except BoresightError as error:
+            raise BoresightError(f"{folder}: {error}") from error
+
+
+def write_pictures(path: Path, pictures: Sequence[Picture]) -> None:
+    """Write a picture-sequence file."""
+    lines = []
+    for p in pictures:
+        camera = p.camera
+        size = (camera.width_px, camera.height_px)
+        optics = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
+        pose = (*p.T_cam_body.rotation.ravel(), *p.T_cam_body.translation_m)
+        lines.append(words("picture", p.number, p.time_s, *size, *optics, *pose, *p.sun_dir_cam))
+        for number, centre, axes, angle in zip(
+            p.landmark, p.ellipses.centre_px, p.ellipses.semi_axes_px, p.ellipses.angle_rad, strict=True
+        ):
+            lines.append(words("sighting", p.number, int(number), *centre, *axes, angle))
+    write_records(path, _SEQUENCE_HEAD, lines)
+
+
+def read_pictures(path: Path) -> tuple[Picture, ...]:
+    """Read a picture-sequence file.
+
+    Raises
+    ------
+    BoresightError
+        With file and line: a record is malformed, a picture or a landmark in a picture stands twice, or a sighting
+        does not follow its picture.
+    """
+    heads: list[Record] = []
+    sightings: list[list[Record]] = []
+    seen: set[int] = set()
+    shown: set[int] = set()
+    for record in read_records(path, _SEQUENCE_HEAD, {"picture": 23, "sighting": 7}):
+        number = record.integer(0)
+        if record.kind == "picture":
+            if number in seen:
+                raise record.wrong(f"picture {number} stands twice")
+            seen.add(number)
+            shown = set()
+            heads.append(record)
+            sightings.append([])
+            continue
+        if not heads or heads[-1].integer(0) != number:
+            raise record.wrong(f"a sighting of picture {number} does not follow that picture")
+        landmark = record.integer(1)
+        if landmark in shown:
+            raise record.wrong(f"landmark {landmark} stands twice in picture {number}")
+        shown.add(landmark)
+        sightings[-1].append(record)
+    return tuple(_picture(head, rows) for head, rows in zip(heads, sightings, strict=True))
+
+
+def write_landmarks(path: Path, landmarks: Landmarks) -> None:
+    """Write a landmark file."""
+    upper = landmarks.covariance_m2[:, _UPPER[0], _UPPER[1]]
+    values = np.column_stack([landmarks.position_body_m, landmarks.normal_body, landmarks.radius_m, upper])
+    lines = [
+        words("landmark", int(number), *row, int(images))
+        for number, row, images in zip(landmarks.number, values, landmarks.images, strict=True)
+    ]
+    write_records(path, _LANDMARK_HEAD, lines)
+
+
+def read_landmarks(path: Path) -> Landmarks:
+    """Read a landmark file.
+
+    Raises
+    ------
+    BoresightError
+        With file and line: a record is malformed, a number stands twice, or numbers do not ascend.
+    """
+    numbers: list[int] = []
+    rows: list[list[float]] = []
+    images: list[int] = []
+    for record in read_records(path, _LANDMARK_HEAD, {"landmark": 15}):
+        number = record.integer(0)
+        if number in numbers[-1:] or (numbers and number < numbers[-1] and number in numbers):
+            raise record.wrong(f"landmark {number} stands twice: every crater has one number")
+        if numbers and number < numbers[-1]:
+            raise record.wrong(f"landmark {number} stands after {numbers[-1]}: they have to ascend")
+        numbers.append(number)
+        rows.append(record.numbers(1, 14))
+        images.append(record.integer(14))
+    values = np.array(rows).reshape(-1, 13)
+    covariance = np.empty((len(rows), 3, 3))
+    covariance[:, _UPPER[0], _UPPER[1]] = covariance[:, _UPPER[1], _UPPER[0]] = values[:, 7:]
+    return Landmarks(
+        np.array(numbers, dtype=np.int64),
+        values[:, :3],
+        values[:, 3:6],
+        values[:, 6],
+        covariance,
+        np.array(images, dtype=np.int64),
+    )
+
+
+def _picture(head: Record, rows: Sequence[Record]) -> Picture:
+    values = head.numbers(1, 23)
+    width, height = head.integer(2), head.integer(3)
+    camera = Camera(width, height, values[3], values[4], values[5], values[6])
+    pose = Pose(np.array(values[7:16]).reshape(3, 3), np.array(values[16:19]))
+    rims = np.array([row.numbers(2, 7) for row in rows]).reshape(-1, 5)
+    return Picture(
+        head.integer(0),
+        values[0],
+        camera,
+        pose,
+        np.array(values[19:22]),
+        np.array([row.integer(1) for row in rows], dtype=np.int64),
+        Ellipses(rims[:, :2], rims[:, 2:4], rims[:, 4]),
+    )

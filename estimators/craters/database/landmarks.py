@@ -1,0 +1,101 @@
+"""Where numbered craters lie: their a priori positions from the shape."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.craters.contract import CraterImage, Ground
+from estimators.craters.database.numbering import Numbering
+from estimators.craters.matching.located import locate
+from estimators.craters.matching.preliminary import landmark_covariances
+from scenarios.errors import BoresightError
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmarks:
+    """Craters of the data base, ascending by number.
+
+    Parameters
+    ----------
+    number
+        (n,) each once.
+    position_body_m, normal_body
+        (n, 3) centres of the rims, and outward unit vectors across them.
+    radius_m
+        (n,) of the rims.
+    covariance_m2
+        (n, 3, 3) of the positions.
+    images
+        (n,) in how many images each was found.
+    """
+
+    number: IndexArray
+    position_body_m: FloatArray
+    normal_body: FloatArray
+    radius_m: FloatArray
+    covariance_m2: FloatArray
+    images: IndexArray
+
+    def __post_init__(self) -> None:
+        n = len(self.number)
+        shapes = tuple(part.shape for part in (self.position_body_m, self.normal_body, self.covariance_m2))
+        if shapes != ((n, 3), (n, 3), (n, 3, 3)) or {self.radius_m.shape, self.images.shape} != {(n,)}:
+            raise BoresightError(f"{n} landmarks need (n, 3), (n, 3) and (n, 3, 3) values, not {shapes}")
+        twice = self.number[np.flatnonzero(np.diff(self.number) <= 0)]
+        if len(twice):
+            raise BoresightError(f"landmark {int(twice[0])} is followed by one of the same or a smaller number")
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+
+def locate_landmarks(
+    images: Sequence[CraterImage], numbering: Numbering, ground: Ground, height_sigma_m: float
+) -> Landmarks:
+    """Place every numbered crater where its images, located on the shape by their prior poses, agree best.
+
+    The positions of an image are weighted with their covariances, by the prior pose, the rim's centre and the height
+    of the shape. A crater that no image places on the body has no position and is left out.
+    """
+    parts = []
+    for image, numbers in zip(images, numbering.numbers, strict=True):
+        located = locate(image, ground)
+        known = (numbers >= 0) & located.on_body
+        ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
+        radii = image.detections.ellipses.semi_axes_px[:, 0] * image.camera.pixel_angle_rad * ranges
+        spread = landmark_covariances(image, located, height_sigma_m)
+        values = (numbers, located.points_body_m, located.normals_body, np.log(radii), spread)
+        parts.append(tuple(value[known] for value in values))
+    if not parts:
+        return _together(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3, 3)))
+    return _together(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _together(
+    numbers: IndexArray, points: FloatArray, normals: FloatArray, log_radii: FloatArray, spread: FloatArray
+) -> Landmarks:
+    """Average what the images say of each number, positions by their information."""
+    number, place, images = np.unique(numbers, return_inverse=True, return_counts=True)
+    information = np.linalg.inv(spread)
+    total, weighted = np.zeros((len(number), 3, 3)), np.zeros((len(number), 3))
+    normal, log_radius = np.zeros((len(number), 3)), np.zeros(len(number))
+    np.add.at(total, place, information)
+    np.add.at(weighted, place, np.einsum("nij,nj->ni", information, points))
+    np.add.at(normal, place, normals)
+    np.add.at(log_radius, place, log_radii)
+    covariance = np.linalg.inv(total)
+    return Landmarks(
+        number.astype(np.int64),
+        np.einsum("nij,nj->ni", covariance, weighted),
+        np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True), dtype=np.float64),
+        np.exp(log_radius / images),
+        0.5 * (covariance + np.swapaxes(covariance, 1, 2)),
+        images.astype(np.int64),
+    )

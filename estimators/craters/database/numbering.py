@@ -1,0 +1,130 @@
+"""One number for one crater over all images, from the matches of pairs of images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.craters.contract import CraterMatches
+from scenarios.errors import BoresightError
+
+IndexArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+
+NO_NUMBER = -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairMatches:
+    """What a matcher found in two images, by their places in the sequence."""
+
+    first: int
+    second: int
+    matches: CraterMatches
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Numbering:
+    """Numbers of the detections of all images.
+
+    Parameters
+    ----------
+    numbers
+        For each image the numbers of its detections; ``NO_NUMBER`` where a detection is matched nowhere. No number
+        stands twice in an image. They count from 0 in the order of the images.
+    conflicts
+        Matches that were refused, because they would have given two detections of an image one number.
+    """
+
+    numbers: tuple[IndexArray, ...]
+    conflicts: int
+
+    @property
+    def count(self) -> int:
+        """How many craters have a number."""
+        return 1 + max((int(one.max(initial=NO_NUMBER)) for one in self.numbers), default=NO_NUMBER)
+
+    def hits(self) -> IndexArray:
+        """(count,) in how many images each crater is."""
+        together = np.concatenate([*self.numbers, np.zeros(0, dtype=np.int64)])
+        return np.bincount(together[together >= 0], minlength=self.count)
+
+
+def number_craters(sizes: Sequence[int], found: Sequence[PairMatches]) -> Numbering:
+    """Give numbers to the craters of images with ``sizes`` detections each.
+
+    Matches are joined into groups, those first that most other images confirm (both detections matched with the same
+    third one) and of them the more certain ones. A match that would bring two detections of an image into one group
+    is a conflict: it is refused and counted.
+
+    Raises
+    ------
+    BoresightError
+        If a match names an image or a detection that there is not.
+    """
+    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    edges, scores = _edges(starts, found)
+    image_of = np.repeat(np.arange(len(sizes)), np.diff(starts))
+    order = np.lexsort((np.arange(len(edges)), -scores, -_confirmations(edges, len(image_of))))
+    groups, conflicts = _joined(edges[order], image_of)
+    numbers = _counted(groups)
+    return Numbering(tuple(numbers[a:b] for a, b in pairwise(starts)), conflicts)
+
+
+def _edges(starts: IndexArray, found: Sequence[PairMatches]) -> tuple[IndexArray, FloatArray]:
+    """Write all matches as couples (e, 2) of detections counted over all images, and their scores (e,)."""
+    sizes, parts = np.diff(starts), [np.zeros((0, 2), dtype=np.int64)]
+    for one in found:
+        images = np.array([one.first, one.second])
+        if images.min() < 0 or images.max() >= len(sizes) or one.first == one.second:
+            raise BoresightError(f"matches of images {one.first} and {one.second}: there are {len(sizes)} images")
+        pairs = one.matches.pairs
+        if len(pairs) and (pairs.min() < 0 or (pairs >= sizes[images]).any()):
+            raise BoresightError(f"matches of images {one.first} and {one.second} name a detection that there is not")
+        parts.append(pairs + starts[images])
+    return np.concatenate(parts), np.concatenate([np.zeros(0), *(one.matches.score for one in found)])
+
+
+def _confirmations(edges: IndexArray, count: int) -> IndexArray:
+    """(e,) how many third detections both ends of each match are matched with."""
+    others: list[set[int]] = [set() for _ in range(count)]
+    for a, b in edges.tolist():
+        others[a].add(b)
+        others[b].add(a)
+    return np.array([len(others[a] & others[b]) for a, b in edges.tolist()], dtype=np.int64)
+
+
+def _joined(edges: IndexArray, image_of: IndexArray) -> tuple[list[list[int]], int]:
+    """Join detections into groups, in the order of the matches: the groups, and how many matches were refused."""
+    group_of = list(range(len(image_of)))
+    members = [[k] for k in range(len(image_of))]
+    images = [{int(image)} for image in image_of]
+    conflicts = 0
+    for a, b in edges.tolist():
+        one, other = group_of[a], group_of[b]
+        if one == other:
+            continue
+        if images[one] & images[other]:
+            conflicts += 1
+            continue
+        if len(members[one]) < len(members[other]):
+            one, other = other, one
+        for k in members[other]:
+            group_of[k] = one
+        members[one] += members[other]
+        images[one] |= images[other]
+        members[other] = []
+    return members, conflicts
+
+
+def _counted(groups: Sequence[Sequence[int]]) -> IndexArray:
+    """Count groups of two and more in the order of their first detection."""
+    numbers = np.full(sum(map(len, groups)), NO_NUMBER, dtype=np.int64)
+    matched = sorted((sorted(group) for group in groups if len(group) > 1), key=lambda group: group[0])
+    for number, group in enumerate(matched):
+        numbers[group] = number
+    return numbers

@@ -1,0 +1,67 @@
+"""The pictures of a sequence, each with the numbered craters that it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.craters.contract import CraterImage
+from estimators.craters.database.numbering import Numbering
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Ellipses, Pose
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One image as orbit determination sees it.
+
+    Parameters
+    ----------
+    number
+        Of the image, unique in its sequence.
+    time_s
+        Epoch of the exposure.
+    camera
+        Its parameters, without distortion.
+    T_cam_body
+        The prior pose: where the camera was thought to be and to point.
+    sun_dir_cam
+        (3,) unit vector towards the Sun.
+    landmark
+        (k,) numbers of the craters that were found, each once.
+    ellipses
+        k rims: their centres are the data, columns and rows.
+    """
+
+    number: int
+    time_s: float
+    camera: Camera
+    T_cam_body: Pose
+    sun_dir_cam: FloatArray
+    landmark: IndexArray
+    ellipses: Ellipses
+
+    def __post_init__(self) -> None:
+        if len(self.landmark) != len(self.ellipses):
+            raise BoresightError(f"picture {self.number}: {len(self.landmark)} numbers of {len(self.ellipses)} rims")
+        values, counts = np.unique(self.landmark, return_counts=True)
+        if (counts > 1).any():
+            raise BoresightError(f"picture {self.number} has landmark {int(values[np.argmax(counts > 1)])} twice")
+
+
+def pictures_of(images: Sequence[CraterImage], numbering: Numbering) -> tuple[Picture, ...]:
+    """Write images with their numbered craters as pictures in the order of time."""
+    pictures = []
+    for image, numbers in zip(images, numbering.numbers, strict=True):
+        rows = np.flatnonzero(numbers >= 0)
+        rows = rows[np.argsort(numbers[rows], kind="stable")]
+        frame, rims = image.frame, image.detections.ellipses[rows]
+        pose = frame.prior_T_cam_body
+        pictures.append(Picture(image.number, frame.time_s, image.camera, pose, frame.sun_dir_cam, numbers[rows], rims))
+    return tuple(sorted(pictures, key=lambda picture: (picture.time_s, picture.number)))

@@ -1,0 +1,91 @@
+"""Text files of records: one a line, a word that says of which kind it is, then its fields.
+
+Numbers are written as Python's ``repr``, the shortest text that reads back as the same number. A line that begins with
+``#`` is a comment; the first line names the format and its version.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from scenarios.atomic import write_text
+from scenarios.errors import BoresightError
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A line of a file: where it stands, its kind and its fields."""
+
+    path: Path
+    line: int
+    kind: str
+    fields: tuple[str, ...]
+
+    def wrong(self, what: str) -> BoresightError:
+        """Make the error that names this line."""
+        return BoresightError(f"{self.path}:{self.line}: {what}")
+
+    def integer(self, field: int) -> int:
+        """Read a field as a whole number that is not negative."""
+        text = self.fields[field]
+        if not text.isdecimal():
+            raise self.wrong(f"field {field + 1} of the {self.kind} is {text!r}, not a whole number")
+        return int(text)
+
+    def numbers(self, first: int, last: int) -> list[float]:
+        """Read fields ``first`` to before ``last`` as finite numbers."""
+        values = []
+        for field in range(first, last):
+            try:
+                value = float(self.fields[field])
+            except ValueError:
+                value = float("nan")
+            if not -float("inf") < value < float("inf"):
+                raise self.wrong(f"field {field + 1} of the {self.kind} is {self.fields[field]!r}, not a finite number")
+            values.append(value)
+        return values
+
+
+def write_records(path: Path, head: str, lines: Iterable[str]) -> None:
+    """Write a file whole or not at all.
+
+    Raises
+    ------
+    BoresightError
+        If it cannot be written.
+    """
+    write_text(path, "".join(f"{line}\n" for line in (f"# {head}", *lines)))
+
+
+def read_records(path: Path, head: str, fields: Mapping[str, int]) -> Iterator[Record]:
+    """Read the records of a file; ``fields`` tells how many each kind has.
+
+    Raises
+    ------
+    BoresightError
+        If the file cannot be read, is of another format, or a line is of no known kind or length.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BoresightError(f"{path}: cannot be read: {error}") from error
+    if not lines or lines[0] != f"# {head}":
+        raise BoresightError(f"{path}:1: the first line is not '# {head}'")
+    for number, line in enumerate(lines[1:], start=2):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        record = Record(path, number, words[0], tuple(words[1:]))
+        if record.kind not in fields:
+            raise record.wrong(f"{record.kind!r} is no kind of record; there are: {', '.join(sorted(fields))}")
+        if len(record.fields) != fields[record.kind]:
+            wanted = fields[record.kind]
+            raise record.wrong(f"a {record.kind} has {wanted} fields, not {len(record.fields)}")
+        yield record
+
+
+def words(*values: object) -> str:
+    """Write values as one line: whole numbers and texts as they are, others exactly."""
+    return " ".join(str(v) if isinstance(v, int | str) else repr(float(v)) for v in values)  # type: ignore[arg-type]
