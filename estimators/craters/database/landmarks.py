@@ -96,6 +96,6 @@ def _together(
         np.einsum("nij,nj->ni", covariance, weighted),
         np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True), dtype=np.float64),
         np.exp(log_radius / images),
-        0.5 * (covariance + np.swapaxes(covariance, 1, 2)),
+        np.asarray(0.5 * (covariance + np.swapaxes(covariance, 1, 2)), dtype=np.float64),
         images.astype(np.int64),
     )
