@@ -18,8 +18,8 @@ from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.projection import project_landmarks
 from estimators.landmark.recognizer import LandmarkRecognizer, Recognition
 from estimators.landmark.visibility import visible_landmarks
-from reports.content import NamedFigure, file_stem
 from reports.figures import Fit, Overlay, draw_fit_panels
+from reports.named_figure import NamedFigure, file_stem
 from scenarios.geometry import Camera, Pose, TriangleMesh
 from scenarios.spec.scenario import ScenarioSpec
 

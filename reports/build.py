@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.content import Content, NamedFigure, draw_figures, read_content
+from reports.content import Content, read_content
 from reports.figures.style import save_figure
 from reports.html import html_page, reproduce_command
+from reports.named_figure import NamedFigure
+from reports.run_figures import draw_figures
 from scenarios.errors import BoresightError
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
-from reports.measures import CONTROL, DERIVED, Record, find
 from reports.published import Claim, Comparison, PublishedValue
+from reports.records import CONTROL, DERIVED, Record, find
 from reports.statistics import MEDIAN
 
 Verdict = Literal["reproduced", "better", "differs", "undecided", "context", "not measured"]

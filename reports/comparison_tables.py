@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from reports.comparison import VERDICT_RULE, ComparedClaim, ComparedValue
 from reports.grid import NO_VALUE, Grid, counts, value_of
 from reports.labels import measure_label, stage_label
-from reports.measures import Record
+from reports.records import Record
 
 
 def comparison_grid(compared: Sequence[ComparedValue]) -> Grid | None:

@@ -17,8 +17,8 @@ from scipy.stats import chi2
 
 from reports.clusters import clusters_of
 from reports.grid import NO_VALUE, Grid, number, value_of
-from reports.measures import Record, find
 from reports.paired import share_of
+from reports.records import Record, find
 from reports.run_data import RunData, select
 from reports.statistics import MEAN, MEDIAN, FloatArray, Measured, measure
 

@@ -14,7 +14,7 @@ from reports.comparison_tables import verdict_grid
 from reports.content import Content, read_content
 from reports.designs import design_grids
 from reports.grid import Grid
-from reports.measures import CONTROL
+from reports.records import CONTROL
 from reports.sequences import sequence_grid
 from reports.tables import pose_grids
 

@@ -15,9 +15,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from reports.clusters import clusters_of, groups, pooled_scenarios
-from reports.measures import REDUCTION, Record, unit_of
 from reports.paired import BETTER, SIGN_TEST, sign_test
 from reports.published import Comparison, PublishedValue
+from reports.records import REDUCTION, Record, unit_of
 from reports.run_data import RunData, select
 from reports.statistics import MEAN, Measured, cluster_interval
 

@@ -6,7 +6,7 @@ import math
 
 from pydantic import ValidationError
 
-from reports.measures import DERIVED, Record, unit_of
+from reports.records import DERIVED, Record, unit_of
 from reports.run_data import RunData
 from scenarios.spec.camera import CameraSpec
 

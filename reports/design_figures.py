@@ -13,7 +13,7 @@ from reports.figures.effects import Effect, draw_effects
 from reports.figures.matrix import Matrix, draw_matrix
 from reports.grid import number
 from reports.labels import measure_label, stage_label
-from reports.measures import CONTROL, SEQUENCE, unit_of
+from reports.records import CONTROL, SEQUENCE, unit_of
 from reports.run_data import DesignAxis, RunData
 from reports.statistics import Measured
 

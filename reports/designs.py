@@ -19,8 +19,10 @@ from reports.clusters import clusters_of, image_set
 from reports.grid import NO_VALUE, Grid
 from reports.labels import measure_label, stage_label
 from reports.main_effects import main_effects
-from reports.measures import CONTROL, SEQUENCE, SEQUENCE_COLUMNS, errors_by_stage, final_stage, unit_of
+from reports.measures import SEQUENCE_COLUMNS
+from reports.records import CONTROL, SEQUENCE, unit_of
 from reports.run_data import Design, RunData, select
+from reports.stages import errors_by_stage, final_stage
 from reports.statistics import MEAN, MEDIAN, Measured, measure
 
 POSITION, ATTITUDE, CENTROID = "position_error_m", "attitude_error_deg", "centroid_offset_px"

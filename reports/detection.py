@@ -19,7 +19,7 @@ from scipy.stats import rankdata
 
 from reports.clusters import clusters_of
 from reports.grid import Grid, value_of
-from reports.measures import CONTROL, Record, find
+from reports.records import CONTROL, Record, find
 from reports.run_data import RunData, select
 from reports.statistics import LARGE, LEVEL, RESAMPLES, Measured, content_rng, draw_counts
 

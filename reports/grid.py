@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from reports.measures import Record
+from reports.records import Record
 
 NO_VALUE = "-"
 

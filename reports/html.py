@@ -9,7 +9,8 @@ from importlib import resources
 
 from jinja2 import Environment, StrictUndefined
 
-from reports.content import Content, NamedFigure
+from reports.content import Content
+from reports.named_figure import NamedFigure
 
 
 def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from reports.measures import CONTROL, DERIVED, DIAGNOSTICS, FAILURES_AT_PRIOR, unit_of
+from reports.records import CONTROL, DERIVED, DIAGNOSTICS, FAILURES_AT_PRIOR, unit_of
 
 _STAGES = {
     CONTROL: "prior",

@@ -10,7 +10,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from reports.clusters import clusters_of, groups, rows_by_group
+from reports.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, SEQUENCE, Record, unit_of
 from reports.run_data import POSE_COLUMNS, RunData, select
+from reports.stages import errors_by_stage, final_stage
 from reports.statistics import (
     DEVIATION,
     MEAN,
@@ -25,23 +27,6 @@ from reports.statistics import (
     measure_deviation,
 )
 
-CONTROL = "prior"
-"""Name of the control estimator, and of the stage before anything was estimated."""
-FAILURES_AT_PRIOR = "failures-at-prior"
-"""Stage in which a trial without an estimate counts with the error of its prior."""
-
-DERIVED = "derived"
-"""Stage of what follows from the scenario alone."""
-
-DIAGNOSTICS = "diagnostics"
-"""Stage of the numbers that an estimator reports beside its pose."""
-
-SEQUENCE = "sequence"
-"""Stage of what a trial of a sequence comes to."""
-
-REDUCTION = "reduction"
-"""Stage of what an error comes down by from one scenario or estimator, which the ``reference`` names, to another."""
-
 SEQUENCE_COLUMNS = (
     "error_after_1_m",
     "error_after_2_m",
@@ -50,87 +35,12 @@ SEQUENCE_COLUMNS = (
     "final_landmark_rmse_m",
     "mean_position_nees",
 )
-
 MIN_LANDMARKS = 4
 """Landmarks that fix a pose."""
-
-UNITS = {
-    "position_error_m": "m",
-    "position_error_x_m": "m",
-    "position_error_y_m": "m",
-    "position_error_z_m": "m",
-    "attitude_error_deg": "deg",
-    "position_reduction_m": "m",
-    "attitude_reduction_deg": "deg",
-    "n_landmarks": "",
-    "four_landmarks_share": "%",
-    "landmark_observations": "",
-    "landmark_error_m": "m",
-    "chi_square": "",
-    "database_landmarks": "",
-    "database_facets": "",
-    "database_bytes": "bytes",
-    "seconds": "s",
-    "error_after_1_m": "m",
-    "error_after_2_m": "m",
-    "error_after_1_reduction": "%",
-    "error_after_2_reduction": "%",
-    "landmark_rmse_m": "m",
-    "settled_landmark_rmse_m": "m",
-    "final_landmark_rmse_m": "m",
-    "mean_position_nees": "",
-    "features_per_image": "",
-    "repeatability_share": "%",
-    "right_share": "%",
-    "kept_right_share": "%",
-    "track_survival_share": "%",
-}
-# Units of numbers that estimators report, by the end of their names.
 _REDUCTIONS = {"position_reduction_m": POSE_COLUMNS[0], "attitude_reduction_deg": POSE_COLUMNS[1]}
-_SUFFIXES = {"_px": "px", "_m": "m", "_deg": "deg", "_s": "s", "_bytes": "bytes"}
 _MAGNITUDE = (MEDIAN, RMS, P75, P95)
 _COMPONENT = (ROOT_MEDIAN_SQUARE, RMS)
 _POSE_STATISTICS = dict(zip(POSE_COLUMNS, (_MAGNITUDE, _MAGNITUDE, _COMPONENT, _COMPONENT, _COMPONENT), strict=True))
-
-
-def unit_of(name: str) -> str:
-    """Return the unit of a measure: a known one, or by the suffix of its name."""
-    suffixes = (unit for end, unit in _SUFFIXES.items() if name.endswith(end))
-    return UNITS[name] if name in UNITS else next(suffixes, "")
-
-
-@dataclass(frozen=True, slots=True)
-class Record:
-    """One line of the tidy table.
-
-    Parameters
-    ----------
-    scenario, estimator
-        What the trials were.
-    stage
-        ``prior``, a stage of the estimator, ``failures-at-prior``, ``database`` or a timed stage.
-    reference
-        The pose that was scored against; '' for the scenario's own truth.
-    measure, unit, statistic
-        What the value is.
-    value, low, high
-        The statistic with its 95 % interval; None where unknown.
-    n_ok, n
-        Samples behind the value, and how many there would be had nothing failed.
-    """
-
-    scenario: str
-    estimator: str
-    stage: str
-    reference: str
-    measure: str
-    unit: str
-    statistic: str
-    value: float | None
-    low: float | None
-    high: float | None
-    n_ok: int
-    n: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,36 +101,6 @@ def measure_run(run: RunData) -> tuple[Record, ...]:
         sequence_measures,
     )
     return tuple(record for part in parts for record in part(run))
-
-
-def find(records: Sequence[Record], **wanted: str) -> Record | None:
-    """Return the first record whose fields equal ``wanted`` (``reference`` is '' unless given)."""
-    wanted = {"reference": "", **wanted}
-    return next((r for r in records if all(getattr(r, name) == value for name, value in wanted.items())), None)
-
-
-def final_stage(run: RunData, scenario: str, estimator: str) -> str:
-    """Name the last stage that the estimator reports; its errors are those of the rows."""
-    names = select(run.stages, scenario, estimator)["stage"].unique()
-    return str(names[-1]) if len(names) and names[-1] != CONTROL else "final"
-
-
-def errors_by_stage(run: RunData, scenario: str, estimator: str) -> dict[str, pd.DataFrame]:
-    """Collect pose errors (trial, POSE_COLUMNS) of the prior, each stage and the final estimate, in order.
-
-    The prior is known for every trial, a stage for the trials that reached it, the final estimate for
-    those that are ok.
-    """
-    rows = select(run.rows, scenario, estimator)
-    prior = rows[["trial"]].assign(**{name: rows[f"prior_{name}"] for name in POSE_COLUMNS})
-    stages = select(run.stages, scenario, estimator)
-    last = final_stage(run, scenario, estimator)
-    between = [name for name in stages["stage"].unique() if name not in (CONTROL, last)]
-    columns = ["trial", *POSE_COLUMNS]
-    found = {CONTROL: prior} | {name: stages.loc[stages["stage"] == name, columns] for name in between}
-    if estimator != CONTROL:
-        found[last] = rows.loc[rows["status"] == "ok", columns]
-    return found
 
 
 def pose_measures(run: RunData) -> list[Record]:

@@ -17,7 +17,7 @@ from scipy.stats import binomtest
 
 from reports.clusters import clusters_of
 from reports.grid import Grid, counts, value_of
-from reports.measures import CONTROL, Record, find, unit_of
+from reports.records import CONTROL, Record, find, unit_of
 from reports.run_data import RunData, select
 from reports.statistics import MEAN, MEDIAN, Measured, measure
 

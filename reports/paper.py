@@ -14,12 +14,13 @@ from jinja2 import Environment, StrictUndefined
 
 from reports.comparison import VERDICT_RULE, ComparedClaim, ComparedValue, Verdict
 from reports.comparison_tables import claim_medians
-from reports.content import Content, NamedFigure, beside_published
+from reports.content import Content, beside_published
 from reports.figures import save_figure
 from reports.grid import NO_VALUE, Grid, counts, value_of
 from reports.labels import measure_label, stage_label
-from reports.measures import Record
+from reports.named_figure import NamedFigure
 from reports.published import Comparison
+from reports.records import Record
 
 
 @dataclass(frozen=True, slots=True)

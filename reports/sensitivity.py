@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from reports.grid import NO_VALUE, Grid, counts, value_of
-from reports.measures import Record, find
 from reports.paired import DIFFERENCES, FAILURE_RATE, OWN, PAIRED, THEIRS
 from reports.published import Comparison
+from reports.records import Record, find
 from reports.run_data import RunData
 from reports.statistics import MEDIAN
 

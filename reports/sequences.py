@@ -18,8 +18,8 @@ from reports.figures.starts import draw_starts
 from reports.figures.traces import LANDMARKS, POSITION, draw_traces
 from reports.grid import NO_VALUE, Grid, counts, number, value_of
 from reports.labels import measure_label
-from reports.measures import SEQUENCE, Record, find
 from reports.paired import BETTER, SIGN_TEST
+from reports.records import SEQUENCE, Record, find
 from reports.run_data import RunData, select
 from reports.statistics import DEVIATION, MEAN, MEDIAN, P95, RMS
 from reports.tables import diagnostic_grid, timing_grid

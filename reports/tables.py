@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from reports.grid import NO_VALUE, Grid, counts, value_of
 from reports.labels import MEASURES, measure_label, stage_label
-from reports.measures import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
+from reports.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
 from reports.run_data import RunData
 from reports.statistics import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE
 

@@ -11,8 +11,8 @@ import pandas as pd
 from reports.cells import interval
 from reports.clusters import clusters_of
 from reports.grid import NO_VALUE, Grid, number
-from reports.measures import CONTROL
 from reports.paired import failures, share_of
+from reports.records import CONTROL
 from reports.run_data import RunData, select
 from reports.statistics import MEDIAN, Measured, measure
 

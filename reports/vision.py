@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from reports.clusters import clusters_of, groups
 from reports.grid import Grid, counts, value_of
-from reports.measures import Record, unit_of
+from reports.records import Record, unit_of
 from reports.run_data import RunData
 from reports.statistics import MEAN, MEDIAN, measure
 

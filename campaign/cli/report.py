@@ -8,7 +8,7 @@ from campaign.resolve import reload
 from campaign.store import RunFolder
 from reports.build import write_report
 from reports.console import console_table
-from reports.content import NamedFigure
+from reports.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 from campaign.paper.first_image import first_image
 from campaign.paper.gather import FinishedRun
 from campaign.paper.kinds import Draw, Paper, PaperFigure, Runs
-from reports.content import NamedFigure
 from reports.designs import design_grids
 from reports.figures.sightings import draw_sightings
 from reports.figures.traces import LANDMARKS, POSITION
 from reports.grid import Grid
+from reports.named_figure import NamedFigure
 from reports.sequences import (
     pooled_alone,
     ratio_grids,

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from campaign.paper.gather import FinishedRun
-from reports.content import NamedFigure
 from reports.grid import Grid
+from reports.named_figure import NamedFigure
 
 Runs = Mapping[str, FinishedRun]
 Draw = Callable[[Runs, int], Iterator[NamedFigure]]

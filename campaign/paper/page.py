@@ -10,7 +10,7 @@ from typing import cast
 from campaign.paper.gather import FinishedRun, newest_finished, run_folders
 from campaign.paper.kinds import Paper, PaperFigure
 from campaign.resolve import CATALOG, campaign_names
-from reports.content import NamedFigure
+from reports.named_figure import NamedFigure
 from reports.paper import PaperLine, PaperPage, paper_lines
 from reports.published import load_published
 from scenarios.errors import BoresightError

@@ -17,7 +17,6 @@ from campaign.paper.shapes import broadside_view, built_again, cluster_view, sur
 from campaign.products.landmark_database import KIND as DATABASE
 from campaign.world import World, open_world, typical_range_m
 from estimators.landmark.build import BuiltDatabase, DatabaseOptions
-from reports.content import NamedFigure, centroid_offsets, landmark_figures, pose_figure
 from reports.designs import design_grids
 from reports.figures import (
     draw_alignment_panels,
@@ -29,8 +28,10 @@ from reports.figures import (
     draw_triangulation,
 )
 from reports.grid import Grid
+from reports.named_figure import NamedFigure
 from reports.published import load_published
 from reports.run_data import select
+from reports.run_figures import centroid_offsets, landmark_figures, pose_figure
 from reports.sensitivity import mesh_variants, sensitivity_grid
 from scenarios.errors import BoresightError
 from scenarios.geometry import View

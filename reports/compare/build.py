@@ -9,9 +9,9 @@ from pathlib import Path
 from reports.compare.figures import comparison_figures
 from reports.compare.grids import contrast_grid, contrast_table, subject_grid, subject_table
 from reports.compare.subjects import RunComparison
-from reports.content import NamedFigure
 from reports.figures.style import save_figure
 from reports.grid import Grid
+from reports.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 
 

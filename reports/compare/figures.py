@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 from reports.compare.grids import changed
 from reports.compare.subjects import RunComparison
-from reports.content import NamedFigure
 from reports.figures.standings import Standing, draw_standings
 from reports.figures.style import GREY, SERIES_COLOURS
-from reports.measures import CONTROL
+from reports.named_figure import NamedFigure
+from reports.records import CONTROL
 from reports.statistics import Measured
 
 

@@ -10,7 +10,7 @@ from reports.cells import chance, interval
 from reports.compare.pairs import Contrast
 from reports.compare.subjects import STATISTICS, RunComparison, Subject
 from reports.grid import NO_VALUE, Grid
-from reports.measures import CONTROL, FAILURES_AT_PRIOR
+from reports.records import CONTROL, FAILURES_AT_PRIOR
 from reports.statistics import Measured
 
 FAILURES_WORST = "failures-worst"

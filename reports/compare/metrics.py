@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 
 from reports.labels import measure_label
-from reports.measures import SEQUENCE_COLUMNS, unit_of
+from reports.measures import SEQUENCE_COLUMNS
+from reports.records import unit_of
 from reports.run_data import POSE_COLUMNS, RunData
 from scenarios.errors import BoresightError
 

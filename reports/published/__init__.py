@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from reports.measures import DERIVED, DIAGNOSTICS, REDUCTION, UNITS, unit_of
+from reports.records import DERIVED, DIAGNOSTICS, REDUCTION, UNITS, unit_of
 from scenarios.errors import BoresightError
 
 _FILES = ("delpech2015.yaml", "rowell2015.yaml")

@@ -9,8 +9,9 @@ from reports.clusters import image_set, pools
 from reports.console import console_table
 from reports.contrasts import RATIO, ratio_records
 from reports.designs import DesignData, Outcome
-from reports.measures import SEQUENCE, SEQUENCE_COLUMNS, find, measure_run
+from reports.measures import SEQUENCE_COLUMNS, measure_run
 from reports.paired import BETTER, SIGN_TEST
+from reports.records import SEQUENCE, find
 from reports.run_data import read_run
 from reports.sequences import revolution_figure, revolution_series
 from reports.vision import vision_records

@@ -15,7 +15,7 @@ from reports.consistency import (
     consistent_mean,
     rms_ratio,
 )
-from reports.measures import find
+from reports.records import find
 from reports.run_data import read_run
 
 TRIALS = 400

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from reports.measures import FAILURES_AT_PRIOR, clusters_of, find, measure_run
+from reports.measures import clusters_of, measure_run
+from reports.records import FAILURES_AT_PRIOR, find
 from reports.run_data import read_run
 from scenarios.errors import BoresightError
 

@@ -4,8 +4,8 @@ from importlib import resources
 import pytest
 
 from reports.comparison import compare, compare_claims, judge, judge_order
-from reports.measures import Record
 from reports.published import Comparison, PublishedValue, load_published, parse, published_names
+from reports.records import Record
 from scenarios.errors import BoresightError
 
 # Abstract, sections 4.1, 4.2.1, 4.2.2, 4.3.1, 4.3.2 and table 1 of the paper, typed apart from the package's file.

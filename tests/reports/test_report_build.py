@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from reports.build import write_report
-from reports.content import NamedFigure
 from reports.figures import draw_landmark_counts
+from reports.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}

@@ -7,7 +7,7 @@ from rich.console import Console
 from reports.console import console_table
 from reports.content import read_content
 from reports.grid import Grid, number, value_of
-from reports.measures import Record
+from reports.records import Record
 from reports.tables import pose_grids, reference_grid, timing_grid
 
 LINE = Record("s", "e", "recognition", "", "position_error_m", "m", "median", 20.94, 19.06, 121.4, 9, 10)

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.measures import Record
 from reports.published import load_published
+from reports.records import Record
 from reports.run_data import Manifest, Product, RunData
 from reports.sensitivity import mesh_variants, sensitivity_grid
 

@@ -8,7 +8,7 @@ from reports.build import write_report
 from reports.content import read_content
 from reports.figures import TradeMark, draw_trade_off
 from reports.figures.style import render
-from reports.measures import find
+from reports.records import find
 from reports.run_data import read_run
 from reports.statistics import Measured
 from reports.tradeoff import costs, trade_grid
