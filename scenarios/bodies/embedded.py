@@ -11,10 +11,11 @@ import trimesh
 
 from scenarios.bodies import cubegrid
 from scenarios.bodies.detail.noise import Band, fractal_field
+from scenarios.bodies.eros_like import eros_like
 from scenarios.bodies.topology import FloatArray, IndexArray, unit, vertex_normals
 from scenarios.geometry import TriangleMesh
 
-__all__ = ["EMBEDDED", "apophis_sphere", "contact_binary", "sphere"]
+__all__ = ["EMBEDDED", "apophis_sphere", "contact_binary", "eros_like", "sphere"]
 
 EMBEDDED_VERSION = 1
 """Part of every embedded body's key: raise it when a formula gives another mesh."""
@@ -126,5 +127,5 @@ def _centre_of_volume(points_m: FloatArray, faces: IndexArray) -> FloatArray:
 
 
 EMBEDDED: Mapping[str, Callable[[], TriangleMesh]] = MappingProxyType(
-    {"contact-binary": contact_binary, "sphere": sphere, "apophis-sphere": apophis_sphere}
+    {"contact-binary": contact_binary, "sphere": sphere, "apophis-sphere": apophis_sphere, "eros-like": eros_like}
 )

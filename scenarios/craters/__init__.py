@@ -1,1 +1,20 @@
-"""Craters as the world has them."""
+"""Craters whose every one is known: a population, its relief on a smooth body, and the truth of it in an image."""
+
+from scenarios.craters.population import Craters, draw_craters
+from scenarios.craters.rims import Rims
+from scenarios.craters.surface import CrateredSurface, cratered_surface, shape_digest, surface_digest
+from scenarios.craters.tiles import Tiling
+from scenarios.craters.truth import CraterTruth, crater_truth
+
+__all__ = [
+    "CraterTruth",
+    "CrateredSurface",
+    "Craters",
+    "Rims",
+    "Tiling",
+    "crater_truth",
+    "cratered_surface",
+    "draw_craters",
+    "shape_digest",
+    "surface_digest",
+]

@@ -10,6 +10,7 @@ from scenarios.spec.base import SpecModel
 from scenarios.spec.body import BodySpec
 from scenarios.spec.brdf import BrdfSpec, LambertSpec
 from scenarios.spec.camera import CameraSpec, DetectorSpec, RenderingSpec
+from scenarios.spec.craters import CratersSpec
 from scenarios.spec.images import ImageSetSpec
 from scenarios.spec.onboard import OnboardSpec
 from scenarios.spec.sensors import SensorsSpec
@@ -32,6 +33,12 @@ class ScenarioSpec(SpecModel):
     name: str = Field(pattern=NAME_PATTERN, description="Lower case; the file's name if left out")
     description: str = Field("", description="One line about the scenario")
     body: BodySpec = BodySpec()
+    craters: CratersSpec | None = Field(
+        None,
+        # Left out of digests where it is not given: such a scenario is the same as ever.
+        exclude_if=lambda craters: craters is None,
+        description="Craters that are all known, on a surface that is fine where the camera looks",
+    )
     camera: CameraSpec
     rendering: RenderingSpec = RenderingSpec()
     detector: DetectorSpec | None = Field(None, description="Left out: ideal, noise-free images")
@@ -43,6 +50,15 @@ class ScenarioSpec(SpecModel):
     pose_error: PoseErrorSpec = PAPER_POSE_ERROR
     sensors: SensorsSpec = Field(SensorsSpec(), description="What is measured beside the image")
     onboard: OnboardSpec = Field(OnboardSpec(), description="What the spacecraft believes, where it is wrong")
+
+    @model_validator(mode="after")
+    def _craters_on_a_smooth_body(self) -> Self:
+        body = self.body
+        if self.craters is not None and (body.detail is not None or body.height_error is not None):
+            raise ValueError("craters are put on a smooth shape: leave out body.detail and body.height_error")
+        if self.craters is not None and body.shading != "flat":
+            raise ValueError("craters have facets smaller than pixels, with flat normals: leave out body.shading")
+        return self
 
     @model_validator(mode="after")
     def _onboard_knows_of_something(self) -> Self:

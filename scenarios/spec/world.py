@@ -17,7 +17,7 @@ def _check_within(key: str, bounds: tuple[float, float], low: float, high: float
 
 
 class ViewpointSpec(SpecModel):
-    """A random direction at a fixed range, boresight to the body's centre, random roll."""
+    """A random direction at a fixed range, boresight to the body's centre or to ground of some kind, random roll."""
 
     kind: Literal["random-direction"] = "random-direction"
     range_m: float = Field(gt=0, description="Distance of the camera from the body's origin")
@@ -29,6 +29,13 @@ class ViewpointSpec(SpecModel):
     keep_clear_px: tuple[Rectangle, ...] = Field(
         (),
         description="Rectangles [left, top, right, bottom] of the detector; a view with the body in one is drawn anew",
+    )
+    targets: tuple[Literal["nadir", "limb", "terminator"], ...] = Field(
+        (),
+        # Left out of digests where it is not given: such views are the same as ever.
+        exclude_if=lambda targets: not targets,
+        description="Point at sunlit ground, each kind as often: below the camera, near the lit limb (emission 50 to 70"
+        " deg) or near the terminator (incidence 55 to 75 deg); at the body's centre where none is given",
     )
 
     @model_validator(mode="after")

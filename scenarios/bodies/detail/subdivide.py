@@ -40,7 +40,7 @@ def interpolating_control(vertices: FloatArray, faces: IntArray) -> FloatArray:
     edges = find_edges(faces)
     control = vertices
     for _ in range(_FIT_ROUNDS):
-        control = control + (vertices - _limit(control, edges))
+        control = control + (vertices - limit(control, edges))
     return control
 
 
@@ -73,8 +73,8 @@ def _moved(values: FloatArray, edges: Edges) -> FloatArray:
     return (1.0 - valence * beta) * values + beta * _neighbour_sum(values, edges)
 
 
-def _limit(values: FloatArray, edges: Edges) -> FloatArray:
-    """Where the vertices end after infinitely many subdivisions."""
+def limit(values: FloatArray, edges: Edges) -> FloatArray:
+    """Take the values (V, k) of vertices to what they become after infinitely many subdivisions."""
     valence = _valence(edges, len(values))[:, None]
     weight = 1.0 / (0.375 / _beta(valence) + valence)
     return (1.0 - valence * weight) * values + weight * _neighbour_sum(values, edges)

@@ -1,0 +1,328 @@
+"""Kernels of the fine surface: vertices of curved tiles, facets, relief of craters and noise, crest curves."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.craters.jit import kernel
+from scenarios.craters.profile import profile_height
+
+FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
+IndexArray = NDArray[np.int64]
+
+
+@kernel
+def _bend(out: FloatArray, p: FloatArray, q: FloatArray, normal: FloatArray) -> None:
+    """Control point a third of the way from p to q, in the plane at p across its normal: b_210 of Vlachos et al."""
+    along = (q[0] - p[0]) * normal[0] + (q[1] - p[1]) * normal[1] + (q[2] - p[2]) * normal[2]
+    for x in range(3):
+        out[x] = p[x] + (q[x] - p[x] - along * normal[x]) / 3.0
+
+
+@kernel
+def _normalise(v: FloatArray, row: int) -> None:
+    length = np.sqrt(v[row, 0] * v[row, 0] + v[row, 1] * v[row, 1] + v[row, 2] * v[row, 2])
+    for x in range(3):
+        v[row, x] /= length
+
+
+@kernel
+def place_edges(
+    points: FloatArray, up: FloatArray, normals: FloatArray, ends: IndexArray, pieces: IndexArray, start: IndexArray
+) -> None:
+    """Lay the inner vertices of each edge on its cubic, from its first end to its second."""
+    near, far = np.empty(3), np.empty(3)
+    for e in range(len(ends)):
+        a, b = ends[e, 0], ends[e, 1]
+        _bend(near, points[a], points[b], normals[a])
+        _bend(far, points[b], points[a], normals[b])
+        for k in range(1, pieces[e]):
+            t = k / pieces[e]
+            s = 1.0 - t
+            row = start[e] + k - 1
+            for x in range(3):
+                inner = 3.0 * s * t * (s * near[x] + t * far[x])
+                points[row, x] = s * s * s * points[a, x] + inner + t * t * t * points[b, x]
+                up[row, x] = s * up[a, x] + t * up[b, x]
+            _normalise(up, row)
+
+
+@kernel
+def place_interiors(
+    points: FloatArray, up: FloatArray, normals: FloatArray, faces: IndexArray, pieces: IndexArray, start: IndexArray
+) -> None:
+    """Lay the inner vertices of each tile on its cubic patch, row by row."""
+    side = np.empty((6, 3))
+    middle = np.empty(3)
+    for f in range(len(faces)):
+        n, row = pieces[f], start[f]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        _bend(side[0], points[a], points[b], normals[a])
+        _bend(side[1], points[b], points[a], normals[b])
+        _bend(side[2], points[b], points[c], normals[b])
+        _bend(side[3], points[c], points[b], normals[c])
+        _bend(side[4], points[c], points[a], normals[c])
+        _bend(side[5], points[a], points[c], normals[a])
+        for x in range(3):
+            mean = (side[0, x] + side[1, x] + side[2, x] + side[3, x] + side[4, x] + side[5, x]) / 6.0
+            middle[x] = mean + 0.5 * (mean - (points[a, x] + points[b, x] + points[c, x]) / 3.0)
+        for i in range(1, n - 1):
+            for j in range(1, n - i):
+                v, w = i / n, j / n
+                u = 1.0 - v - w
+                for x in range(3):
+                    corners = u * u * u * points[a, x] + v * v * v * points[b, x] + w * w * w * points[c, x]
+                    sides = u * v * (u * side[0, x] + v * side[1, x])
+                    sides += v * w * (v * side[2, x] + w * side[3, x])
+                    sides += w * u * (w * side[4, x] + u * side[5, x])
+                    points[row, x] = corners + 3.0 * sides + 6.0 * u * v * w * middle[x]
+                    up[row, x] = u * up[a, x] + v * up[b, x] + w * up[c, x]
+                _normalise(up, row)
+                row += 1
+
+
+@kernel
+def _on_edge(corner: int, other: int, first: int, pieces: int, start: int, step: int, n: int) -> int:
+    """Vertex of an edge that is nearest to step / n of the way from one end to the other."""
+    k = (2 * step * pieces + n) // (2 * n)
+    if k == 0:
+        return corner
+    if k == pieces:
+        return other
+    return start + (k - 1 if first == corner else pieces - 1 - k)
+
+
+@kernel
+def number_tile(
+    ids: IndexArray,
+    f: int,
+    faces: IndexArray,
+    of_face: IndexArray,
+    ends: IndexArray,
+    edge_pieces: IndexArray,
+    edge_start: IndexArray,
+    n: int,
+    start: int,
+) -> None:
+    """Write the numbers of a tile's vertices: at [i, j] that at barycentric coordinates (n - i - j, i, j) / n."""
+    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    row = start
+    for i in range(1, n - 1):
+        for j in range(1, n - i):
+            ids[i, j] = row
+            row += 1
+    e, g, h = of_face[f, 0], of_face[f, 1], of_face[f, 2]
+    for k in range(n + 1):
+        ids[k, 0] = _on_edge(a, b, ends[e, 0], edge_pieces[e], edge_start[e], k, n)
+        ids[n - k, k] = _on_edge(b, c, ends[g, 0], edge_pieces[g], edge_start[g], k, n)
+        ids[0, n - k] = _on_edge(c, a, ends[h, 0], edge_pieces[h], edge_start[h], k, n)
+
+
+@kernel
+def cut_tiles(
+    found: IndexArray,
+    tiles: IndexArray,
+    faces: IndexArray,
+    of_face: IndexArray,
+    ends: IndexArray,
+    edge_pieces: IndexArray,
+    edge_start: IndexArray,
+    tile_pieces: IndexArray,
+    tile_start: IndexArray,
+) -> int:
+    """Write the facets of some tiles, and return how many they are; those of no area are left out."""
+    count = 0
+    ids = np.empty((tile_pieces.max() + 1, tile_pieces.max() + 1), dtype=np.int64)
+    for f in tiles:
+        n = tile_pieces[f]
+        number_tile(ids, f, faces, of_face, ends, edge_pieces, edge_start, n, tile_start[f])
+        for i in range(n):
+            for j in range(n - i):
+                for half in range(1 if i + j == n - 1 else 2):
+                    p = ids[i + half, j]
+                    q = ids[i + 1, j + half]
+                    r = ids[i, j + 1]
+                    if p != q and q != r and r != p:
+                        found[count, 0], found[count, 1], found[count, 2] = p, q, r
+                        count += 1
+    return count
+
+
+@kernel
+def add_crater(
+    heights: FloatArray,
+    points: FloatArray,
+    up: FloatArray,
+    runs: IndexArray,
+    centre: FloatArray,
+    frame: FloatArray,
+    radius: float,
+    shape: FloatArray,
+) -> None:
+    """Put one crater on the relief that is there: see `scenarios.craters.relief`.
+
+    Parameters
+    ----------
+    heights
+        (N,) along ``up``, changed here.
+    runs
+        (R, 2) ranges of the vertices that may lie in reach.
+    frame
+        (3, 3) axes of the crater, the last one up.
+    shape
+        (4,) rim, rounding, stretch and scale of `profile_height`.
+    """
+    plane = _rim_plane(heights, points, up, runs, centre, frame, radius)
+    offset = np.empty(3)
+    for k in range(len(runs)):
+        for v in range(runs[k, 0], runs[k, 1]):
+            facing = up[v, 0] * frame[2, 0] + up[v, 1] * frame[2, 1] + up[v, 2] * frame[2, 2]
+            for axis in range(3):
+                offset[axis] = points[v, axis] - centre[axis]
+            r = np.sqrt(offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]) / radius
+            if r >= 3.0 or facing <= 0.2:
+                continue
+            change = 2.0 * radius * profile_height(r, shape[0], shape[1], shape[2], shape[3])
+            if r < 1.0:
+                t = min(max(2.0 * r - 1.0, 0.0), 1.0)
+                kept = t * t * (3.0 - 2.0 * t)
+                x = offset[0] * frame[0, 0] + offset[1] * frame[0, 1] + offset[2] * frame[0, 2]
+                y = offset[0] * frame[1, 0] + offset[1] * frame[1, 1] + offset[2] * frame[1, 2]
+                z = offset[0] * frame[2, 0] + offset[1] * frame[2, 1] + offset[2] * frame[2, 2]
+                level = plane[0] + plane[1] * x + plane[2] * y
+                change += (1.0 - kept) * (level - z - heights[v] * facing)
+            heights[v] += change / facing
+
+
+@kernel
+def _rim_plane(
+    heights: FloatArray,
+    points: FloatArray,
+    up: FloatArray,
+    runs: IndexArray,
+    centre: FloatArray,
+    frame: FloatArray,
+    radius: float,
+) -> FloatArray:
+    """Least-squares plane (constant, slopes along the frame's axes) of the surface about the rim to be."""
+    normal = np.zeros((3, 3))
+    right = np.zeros(3)
+    row = np.ones(3)
+    offset = np.empty(3)
+    for k in range(len(runs)):
+        for v in range(runs[k, 0], runs[k, 1]):
+            for axis in range(3):
+                offset[axis] = points[v, axis] - centre[axis]
+            r = np.sqrt(offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]) / radius
+            facing = up[v, 0] * frame[2, 0] + up[v, 1] * frame[2, 1] + up[v, 2] * frame[2, 2]
+            if r < 0.8 or r > 1.2 or facing <= 0.2:
+                continue
+            row[1] = offset[0] * frame[0, 0] + offset[1] * frame[0, 1] + offset[2] * frame[0, 2]
+            row[2] = offset[0] * frame[1, 0] + offset[1] * frame[1, 1] + offset[2] * frame[1, 2]
+            z = offset[0] * frame[2, 0] + offset[1] * frame[2, 1] + offset[2] * frame[2, 2] + heights[v] * facing
+            for i in range(3):
+                right[i] += row[i] * z
+                for j in range(3):
+                    normal[i, j] += row[i] * row[j]
+    plane = np.empty(3)
+    plane[:] = np.linalg.solve(normal, right)
+    return plane
+
+
+@kernel
+def add_octave(
+    heights: FloatArray,
+    points: FloatArray,
+    lattice: SingleArray,
+    turn: FloatArray,
+    shift: FloatArray,
+    size: float,
+) -> None:
+    """Add a cubic B-spline of a periodic lattice (n, n, n), n a power of two, at turned and shifted points."""
+    n = lattice.shape[0]
+    weights = np.empty((3, 4))
+    first = np.empty(3, dtype=np.int64)
+    for v in range(len(points)):
+        for axis in range(3):
+            x = turn[axis, 0] * points[v, 0] + turn[axis, 1] * points[v, 1] + turn[axis, 2] * points[v, 2] + shift[axis]
+            whole = np.floor(x)
+            t = x - whole
+            s = 1.0 - t
+            first[axis] = np.int64(whole) - 1
+            weights[axis, 0] = s * s * s / 6.0
+            weights[axis, 1] = (4.0 - 3.0 * t * t * (2.0 - t)) / 6.0
+            weights[axis, 2] = (4.0 - 3.0 * s * s * (2.0 - s)) / 6.0
+            weights[axis, 3] = t * t * t / 6.0
+        total = 0.0
+        for i in range(4):
+            for j in range(4):
+                a, b = (first[0] + i) & (n - 1), (first[1] + j) & (n - 1)
+                line = 0.0
+                for k in range(4):
+                    line += weights[2, k] * lattice[a, b, (first[2] + k) & (n - 1)]
+                total += weights[0, i] * weights[1, j] * line
+        heights[v] += size * total
+
+
+@kernel
+def crossings(
+    found: FloatArray,
+    facets: IndexArray,
+    points: FloatArray,
+    surface: SingleArray,
+    centre: FloatArray,
+    radius: float,
+) -> int:
+    """Where the edges of facets cross a distance from a centre: rows of smooth point and of surface point.
+
+    Each edge is met from both of its facets, so that a point may stand twice.
+    """
+    count = 0
+    r = np.empty(3)
+    for f in range(len(facets)):
+        for k in range(3):
+            v = facets[f, k]
+            x, y, z = points[v, 0] - centre[0], points[v, 1] - centre[1], points[v, 2] - centre[2]
+            r[k] = np.sqrt(x * x + y * y + z * z) - radius
+        for k in range(3):
+            m = (k + 1) % 3
+            if (r[k] < 0.0) != (r[m] < 0.0):
+                v, w = facets[f, k], facets[f, m]
+                t = r[k] / (r[k] - r[m])
+                for x in range(3):
+                    found[count, x] = (1.0 - t) * points[v, x] + t * points[w, x]
+                    found[count, 3 + x] = (1.0 - t) * surface[v, x] + t * surface[w, x]
+                count += 1
+    return count
+
+
+@kernel
+def least_heights(
+    least: FloatArray,
+    vertices: SingleArray,
+    origins: FloatArray,
+    normals: FloatArray,
+    faces: IndexArray,
+    of_face: IndexArray,
+    ends: IndexArray,
+    edge_pieces: IndexArray,
+    edge_start: IndexArray,
+    tile_pieces: IndexArray,
+    tile_start: IndexArray,
+) -> None:
+    """Least height of each tile's vertices over its plane, given by a point and a normal."""
+    ids = np.empty((tile_pieces.max() + 1, tile_pieces.max() + 1), dtype=np.int64)
+    for f in range(len(least)):
+        n = tile_pieces[f]
+        number_tile(ids, f, faces, of_face, ends, edge_pieces, edge_start, n, tile_start[f])
+        lowest = np.inf
+        for i in range(n + 1):
+            for j in range(n + 1 - i):
+                v = ids[i, j]
+                height = 0.0
+                for axis in range(3):
+                    height += (np.float64(vertices[v, axis]) - origins[f, axis]) * normals[f, axis]
+                lowest = min(lowest, height)
+        least[f] = lowest

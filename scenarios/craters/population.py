@@ -1,0 +1,69 @@
+"""Which craters a body has: places, sizes, ages and shapes, drawn from a seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.bodies.topology import unit
+from scenarios.geometry import TriangleMesh
+from scenarios.spec.craters import CratersSpec
+
+FloatArray = NDArray[np.float64]
+
+_SCATTER = 0.25  # share of the range of depths that chance decides, the rest is degradation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Craters:
+    """Craters from the oldest to the youngest.
+
+    Parameters
+    ----------
+    centre_m
+        (n, 3) on the smooth surface, body frame.
+    axis_body
+        (n, 3) unit normal of the smooth surface there.
+    radius_m
+        (n,) of the crest.
+    degradation
+        (n,) 0 fresh to 1, descending: a crater decays as it ages.
+    depth_ratio
+        (n,) depth over diameter, from the crest to the floor.
+    """
+
+    centre_m: FloatArray
+    axis_body: FloatArray
+    radius_m: FloatArray
+    degradation: FloatArray
+    depth_ratio: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.radius_m)
+
+
+def draw_craters(spec: CratersSpec, smooth: TriangleMesh, up: FloatArray) -> Craters:
+    """Draw a population, uniform over the area of a smooth surface with unit normals ``up`` (V, 3) at its vertices.
+
+    Ages are uniform, and degradation stands for age. Diameters follow the power law cut off at both ends.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(spec.seed).spawn(1)[0])
+    n = spec.count
+    least, most = spec.max_diameter_m**-spec.exponent, spec.min_diameter_m**-spec.exponent
+    diameter_m = rng.uniform(least, most, n) ** (-1.0 / spec.exponent)
+    area = np.cumsum(np.linalg.norm(smooth.area_vectors_m2, axis=1))
+    facet = np.minimum(np.searchsorted(area, rng.uniform(0.0, area[-1], n)), len(area) - 1)
+    weights = rng.dirichlet(np.ones(3), n)  # uniform over each triangle
+    corners = smooth.faces[facet]
+    degradation = np.sort(rng.uniform(0.0, 1.0, n))[::-1]
+    low, high = spec.depth_ratio
+    share = (1.0 - _SCATTER) * (1.0 - degradation) + _SCATTER * rng.uniform(0.0, 1.0, n)
+    return Craters(
+        np.einsum("nk,nki->ni", weights, smooth.vertices_m[corners]),
+        unit(np.einsum("nk,nki->ni", weights, up[corners])),
+        0.5 * diameter_m,
+        degradation,
+        low + (high - low) * share,
+    )

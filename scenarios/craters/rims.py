@@ -1,0 +1,149 @@
+"""Crest curves of craters on the surface that is rendered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from scenarios.craters.kernels import crossings
+from scenarios.craters.population import Craters
+from scenarios.craters.relief import crater_frames
+from scenarios.craters.tiles import Tiling
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+SingleArray = NDArray[np.float32]
+IndexArray = NDArray[np.int64]
+
+RIM_POINTS = 72
+_PER_FACET = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rims:
+    """What is true of craters of at least some diameter, from the oldest to the youngest.
+
+    Parameters
+    ----------
+    crater
+        (n,) number of the crater in its population.
+    crest_m
+        (n, 72, 3) points of the crest on the rendered surface, every 5 deg of azimuth.
+    cut
+        (n, 72) whether a younger crater has taken the crest away.
+    normal_body
+        (n, 3) unit normal of the plane of the crest, outward.
+    diameter_m, depth_m, degradation
+        (n,).
+    """
+
+    crater: IndexArray
+    crest_m: FloatArray
+    cut: BoolArray
+    normal_body: FloatArray
+    diameter_m: FloatArray
+    depth_m: FloatArray
+    degradation: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.crater)
+
+    @property
+    def centre_m(self) -> FloatArray:
+        """(n, 3) middle of each crest."""
+        return np.asarray(self.crest_m.mean(axis=1), dtype=np.float64)
+
+
+def find_rims(craters: Craters, least_m: float, tiling: Tiling, smooth_m: FloatArray, surface_m: SingleArray) -> Rims:
+    """Follow the crests of all craters of diameter ``least_m`` or more.
+
+    Parameters
+    ----------
+    smooth_m, surface_m
+        (N, 3) vertices without and with the relief.
+    """
+    chosen = np.flatnonzero(2.0 * craters.radius_m >= least_m)
+    frames = crater_frames(craters)[chosen]
+    faces = tiling.mesh.faces
+    corners_m = tiling.mesh.vertices_m[faces]
+    middles = corners_m.mean(axis=1)
+    facing = tiling.up[faces].mean(axis=1)
+    tree = cKDTree(middles)
+    smooth_rims, crests, whole = [], [], []
+    for crater, frame in zip(chosen, frames, strict=True):
+        near = tree.query_ball_point(craters.centre_m[crater], craters.radius_m[crater] + tiling.reach_m)
+        tiles = np.sort(np.asarray(near, dtype=np.int64))
+        far = np.linalg.norm(corners_m[tiles] - craters.centre_m[crater], axis=2) - craters.radius_m[crater]
+        # A tile that reaches across the rim has corners on both sides of it, or next to it.
+        across = (far.min(axis=1) < tiling.bulge_m) & (far.max(axis=1) > -tiling.bulge_m)
+        tiles = tiles[across & (facing[tiles] @ frame[2] > 0.0)]
+        ring = _ring(tiles, tiling, smooth_m, surface_m, craters.centre_m[crater], float(craters.radius_m[crater]))
+        curve = _by_azimuth(ring, craters.centre_m[crater], frame)
+        whole.append(curve is not None)
+        if curve is not None:
+            smooth_rims.append(curve[:, :3])
+            crests.append(curve[:, 3:])
+    kept = chosen[np.array(whole, dtype=bool)]
+    crest_m = np.array(crests).reshape(-1, RIM_POINTS, 3)
+    return Rims(
+        kept,
+        crest_m,
+        _cut(craters, kept, np.array(smooth_rims).reshape(-1, RIM_POINTS, 3)),
+        _plane_normals(crest_m, craters.axis_body[kept]),
+        2.0 * craters.radius_m[kept],
+        2.0 * craters.radius_m[kept] * craters.depth_ratio[kept],
+        craters.degradation[kept],
+    )
+
+
+def _ring(
+    tiles: IndexArray,
+    tiling: Tiling,
+    smooth_m: FloatArray,
+    surface_m: SingleArray,
+    centre_m: FloatArray,
+    radius_m: float,
+) -> FloatArray:
+    """(K, 6) smooth and surface points where facets cross the rim's distance."""
+    facets = tiling.facets(tiles)
+    found = np.empty((_PER_FACET * len(facets), 6))
+    count = crossings(found, facets, smooth_m, surface_m, centre_m, radius_m)
+    return found[:count]
+
+
+def _by_azimuth(ring: FloatArray, centre_m: FloatArray, frame: FloatArray) -> FloatArray | None:
+    """(72, 6) the ring at even azimuths; None where it does not go round, at a body's thin end."""
+    if len(ring) < 8:
+        return None
+    offset = ring[:, :3] - centre_m
+    azimuth, order = np.unique(np.arctan2(offset @ frame[1], offset @ frame[0]), return_index=True)
+    gaps = np.diff(np.concatenate([azimuth, azimuth[:1] + 2.0 * np.pi]))
+    if gaps.max() > np.pi / 6.0:
+        return None
+    wanted = np.arange(RIM_POINTS) * (2.0 * np.pi / RIM_POINTS) - np.pi
+    points = ring[order]
+    return np.stack([np.interp(wanted, azimuth, column, period=2.0 * np.pi) for column in points.T], axis=1)
+
+
+def _cut(craters: Craters, chosen: IndexArray, rims_m: FloatArray) -> BoolArray:
+    """(n, 72) whether a point of a rim lies within the rim of a younger crater of the population."""
+    cut = np.zeros(len(chosen) * RIM_POINTS, dtype=bool)
+    if len(chosen):
+        owner = np.repeat(chosen, RIM_POINTS)
+        within = cKDTree(rims_m.reshape(-1, 3)).query_ball_point(craters.centre_m, craters.radius_m)
+        for younger, points in enumerate(within):
+            rows = np.asarray(points, dtype=np.int64)
+            cut[rows[owner[rows] < younger]] = True
+    return cut.reshape(-1, RIM_POINTS)
+
+
+def _plane_normals(crest_m: FloatArray, up: FloatArray) -> FloatArray:
+    """(n, 3) unit normals of least-squares planes through curves (n, K, 3), on the side of ``up``."""
+    if len(crest_m) == 0:
+        return np.zeros((0, 3))
+    _, _, axes = np.linalg.svd(crest_m - crest_m.mean(axis=1, keepdims=True), full_matrices=False)
+    normal = axes[:, 2]
+    return np.asarray(normal * np.where(np.einsum("ni,ni->n", normal, up) < 0.0, -1.0, 1.0)[:, None])

@@ -1,0 +1,135 @@
+"""The cratered surface of a body: built once from a scenario, kept in the cache, cut finely where it is asked for."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.bodies.detail.subdivide import interpolating_control, limit, refine, smoothed
+from scenarios.bodies.load import Body, body_digest, load_body
+from scenarios.bodies.topology import find_edges, unit, vertex_normals
+from scenarios.cache import Cache, default_cache
+from scenarios.craters.envelope import lower_envelope
+from scenarios.craters.population import Craters, draw_craters
+from scenarios.craters.relief import add_roughness, crater_relief
+from scenarios.craters.rims import Rims, find_rims
+from scenarios.craters.tiles import Tiling
+from scenarios.geometry import TriangleMesh
+from scenarios.spec.body import BodySpec
+from scenarios.spec.craters import CratersSpec
+from scenarios.spec.scenario import ScenarioSpec
+
+FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
+
+CRATERS_VERSION = 1
+"""Part of every cratered surface's key: raise it when the same spec gives another surface."""
+
+_TILE_M = 100.0
+
+
+@dataclass(frozen=True, eq=False)
+class CrateredSurface:
+    """A body's surface with craters, as tiles that are cut into facets where they are needed.
+
+    Parameters
+    ----------
+    tiling
+        The smooth surface's tiles and their cuts.
+    vertices_m
+        (N, 3) the vertices of all cuts with the relief.
+    under_m
+        (V, 3) corners of the tiles moved below the relief: see `lower_envelope`.
+    craters
+        The population.
+    rims
+        The truth of its larger members.
+    sha256
+        Digest of everything that the surface depends on.
+    """
+
+    tiling: Tiling
+    vertices_m: SingleArray
+    under_m: FloatArray
+    craters: Craters
+    rims: Rims
+    sha256: str
+
+    @cached_property
+    def under(self) -> TriangleMesh:
+        """The closed body that lies below the relief everywhere, coarse."""
+        return TriangleMesh(self.under_m, self.tiling.mesh.faces)
+
+    @cached_property
+    def corners_m(self) -> FloatArray:
+        """(V, 3) corners of the tiles with the relief."""
+        return np.asarray(self.vertices_m[: len(self.under_m)], dtype=np.float64)
+
+
+def cratered_surface(
+    body: BodySpec, craters: CratersSpec, search_dirs: Sequence[Path] = (), cache: Cache | None = None
+) -> CrateredSurface:
+    """Build a cratered surface or take it from the cache; the same sections give the same one, bit for bit."""
+    sha256 = surface_digest(body, craters, search_dirs)
+    smooth = smooth_tiles(load_body(body, search_dirs, cache), craters)
+    tiling = Tiling.of(*smooth, craters.edge_m)
+    population = draw_craters(craters, *smooth)
+
+    def build(folder: Path) -> None:
+        points_m, up = tiling.places()
+        heights_m = crater_relief(craters, population, tiling, points_m, up)
+        if craters.roughness is not None:
+            seed = np.random.SeedSequence(craters.seed).spawn(2)[1]
+            add_roughness(heights_m, points_m, craters.roughness, seed)
+        vertices_m = (points_m + heights_m[:, None] * up).astype(np.float32)
+        np.save(folder / "vertices_m.npy", vertices_m)
+        np.save(folder / "under_m.npy", lower_envelope(tiling, vertices_m))
+        rims = find_rims(population, craters.known_diameter_m, tiling, points_m, vertices_m)
+        np.savez(folder / "rims.npz", allow_pickle=False, **{f.name: getattr(rims, f.name) for f in fields(rims)})
+
+    folder = (cache or default_cache()).folder("craters", sha256, build)
+    with np.load(folder / "rims.npz") as stored:
+        rims = Rims(**stored)
+    vertices_m = np.load(folder / "vertices_m.npy", mmap_mode="r")
+    return CrateredSurface(tiling, vertices_m, np.load(folder / "under_m.npy"), population, rims, sha256)
+
+
+def surface_digest(body: BodySpec, craters: CratersSpec, search_dirs: Sequence[Path] = ()) -> str:
+    """Digest (hexadecimal SHA-256) of all that decides a cratered surface, without making it."""
+    content = [body_digest(body, search_dirs), craters.model_dump(mode="json"), CRATERS_VERSION]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def shape_digest(spec: ScenarioSpec, search_dirs: Sequence[Path] = ()) -> str:
+    """Digest of what decides the shape of a scenario's body, cratered or not, without making it."""
+    if spec.craters is None:
+        return body_digest(spec.body, search_dirs)
+    return surface_digest(spec.body, spec.craters, search_dirs)
+
+
+def smooth_tiles(body: Body, spec: CratersSpec) -> tuple[TriangleMesh, FloatArray]:
+    """Refine a body to tiles of about 100 m on Loop's smooth surface through its vertices.
+
+    Returns
+    -------
+    The tiles, and unit normals (V, 3) of the smooth surface at their corners. The relief is put on along them, so they
+    are smoothed over the depth of the deepest crater, that it may not fold.
+    """
+    mesh = body.mesh
+    edges = find_edges(mesh.faces)
+    length = np.linalg.norm(np.diff(mesh.vertices_m[edges.ends], axis=1), axis=-1)
+    rounds = max(0, int(np.ceil(np.log2(float(np.median(length)) / _TILE_M))))
+    depth_m = spec.max_diameter_m * spec.depth_ratio[1]
+    smoothing = int(np.ceil((depth_m / float(np.median(length))) ** 2))
+    up = unit(smoothed(vertex_normals(mesh.vertices_m, mesh.faces), edges, smoothing))
+    control = interpolating_control(mesh.vertices_m, mesh.faces)
+    fine, faces = refine(np.hstack([control, up]), mesh.faces, rounds)
+    points_m = limit(fine[:, :3], find_edges(faces))
+    return TriangleMesh(points_m, faces.astype(np.int32)), unit(fine[:, 3:])

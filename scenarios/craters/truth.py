@@ -1,0 +1,161 @@
+"""What is true of the craters in an image: from geometry alone, never from a detector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.craters.ellipse_fit import fit_ellipses, rim_deviation
+from scenarios.craters.rims import Rims
+from scenarios.geometry import Ellipses, SurfaceHits, View
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.int64]
+
+LEAST_DIAMETER_PX = 12.0
+LEAST_VISIBLE, LEAST_IN_FRAME, LEAST_LIT = 0.9, 0.95, 0.5
+MOST_EMISSION_DEG, INCIDENCE_DEG = 60.0, (20.0, 75.0)
+MOST_DEGRADATION, MOST_CUT = 0.6, 0.25
+MOST_DEVIATION, LEAST_AXIS_RATIO = 0.01, 0.5
+
+_FACING = -0.2  # cosine: a crest whose plane faces away by more has no point in sight
+_LIFT_M, _LIFT = 1.0, 0.01  # of a point of the crest off the facets next to it: metres, and in radii
+_SAME_M, _SAME = 15.0, 0.03  # a line of sight that ends so far before a crest has not met it: metres, and in radii
+
+
+class Sight(Protocol):
+    """How lines of sight and of the Sun meet the surface that is rendered."""
+
+    def surface(self, view: View, uv_px: FloatArray) -> SurfaceHits:
+        """De-project pixel positions (N, 2)."""
+        ...
+
+    def clear(self, view: View, points_m: FloatArray, direction: FloatArray) -> BoolArray:
+        """(N,): whether nothing stands on the rays from points (N, 3) along a unit vector (3,)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CraterTruth:
+    """The n craters of an image, from the oldest to the youngest: those with a point of the crest in sight.
+
+    Parameters
+    ----------
+    crater
+        (n,) number of each in the population.
+    ellipses
+        Least-squares ellipses through their crests in the image, without what younger craters have cut where at least
+        half is left.
+    deviation
+        (n,) RMS distance of the crest in the image from its ellipse, in radii of the ellipse.
+    centre_m
+        (n, 3) middles of the crests, body frame.
+    diameter_m, depth_m, degradation
+        (n,).
+    visible, in_frame, lit, cut
+        (n,) shares of the crest: not hidden from the camera, within the image, in sunlight, taken by younger craters.
+    emission_deg, incidence_deg
+        (n,) angles of the camera and the Sun from the normal of the crest's plane.
+    """
+
+    crater: IndexArray
+    ellipses: Ellipses
+    deviation: FloatArray
+    centre_m: FloatArray
+    diameter_m: FloatArray
+    depth_m: FloatArray
+    degradation: FloatArray
+    visible: FloatArray
+    in_frame: FloatArray
+    lit: FloatArray
+    cut: FloatArray
+    emission_deg: FloatArray
+    incidence_deg: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.crater)
+
+    @property
+    def detectable(self) -> BoolArray:
+        """(n,) 12 px or more across, seen, in the frame and lit well enough, and neither worn nor cut too much."""
+        found: BoolArray = (
+            (2.0 * self.ellipses.radius_px >= LEAST_DIAMETER_PX)
+            & (self.visible >= LEAST_VISIBLE)
+            & (self.in_frame >= LEAST_IN_FRAME)
+            & (self.lit >= LEAST_LIT)
+            & (self.emission_deg < MOST_EMISSION_DEG)
+            & (self.incidence_deg >= INCIDENCE_DEG[0])
+            & (self.incidence_deg <= INCIDENCE_DEG[1])
+            & (self.degradation <= MOST_DEGRADATION)
+            & (self.cut <= MOST_CUT)
+        )
+        return found
+
+    @property
+    def clean(self) -> BoolArray:
+        """(n,) of the detectable: those whose crest is within 1 % of an ellipse of an axis ratio over one half."""
+        ratio = self.ellipses.semi_axes_px[:, 1] / self.ellipses.semi_axes_px[:, 0]
+        found: BoolArray = self.detectable & (self.deviation <= MOST_DEVIATION) & (ratio > LEAST_AXIS_RATIO)
+        return found
+
+
+def crater_truth(rims: Rims, view: View, sight: Sight) -> CraterTruth:
+    """Find which craters a view shows, and how.
+
+    A crest is the curve at the crater's radius on the surface that is rendered; it is seen where the line of sight to
+    it meets the surface there.
+    """
+    rows, uv = _in_frame_at_all(rims, view)
+    crest_m, n, k = rims.crest_m[rows], len(rows), rims.crest_m.shape[1]
+    radius_m = 0.5 * rims.diameter_m[rows]
+    hits = sight.surface(view, uv.reshape(-1, 2))
+    camera_m = view.T_cam_body.camera_position_m
+    distance = np.linalg.norm(crest_m - camera_m, axis=2)
+    met = np.linalg.norm(hits.points_body_m - camera_m, axis=1).reshape(n, k)
+    # NaN: the line passes the body, just beside a crest on the limb.
+    visible = ~(met < distance - (_SAME_M + _SAME * radius_m[:, None]))
+    in_frame = view.camera.contains(uv)
+    lifted = crest_m + (rims.normal_body[rows] * (_LIFT_M + _LIFT * radius_m)[:, None])[:, None]
+    lit = sight.clear(view, lifted.reshape(-1, 3), view.sun_dir_body).reshape(n, k)
+    cosine_i, cosine_e = _cosines(rims.normal_body[rows], crest_m.mean(axis=1), view)
+    lit &= (cosine_i > 0.0)[:, None]
+    cut = rims.cut[rows]
+    used = ~cut | (cut.mean(axis=1) > 0.5)[:, None]
+    ellipses, fitted = fit_ellipses(uv, used)
+    kept = fitted & (visible & in_frame).any(axis=1)
+    return CraterTruth(
+        crater=rims.crater[rows][kept],
+        ellipses=ellipses[kept],
+        deviation=rim_deviation(ellipses[kept], uv[kept], used[kept]),
+        centre_m=np.asarray(crest_m.mean(axis=1)[kept], dtype=np.float64),
+        diameter_m=rims.diameter_m[rows][kept],
+        depth_m=rims.depth_m[rows][kept],
+        degradation=rims.degradation[rows][kept],
+        visible=visible.mean(axis=1)[kept],
+        in_frame=in_frame.mean(axis=1)[kept],
+        lit=lit.mean(axis=1)[kept],
+        cut=cut.mean(axis=1)[kept],
+        emission_deg=np.degrees(np.arccos(cosine_e))[kept],
+        incidence_deg=np.degrees(np.arccos(cosine_i))[kept],
+    )
+
+
+def _in_frame_at_all(rims: Rims, view: View) -> tuple[IndexArray, FloatArray]:
+    """Rows of the rims that face the camera with a point in the frame, and their pixels (n, K, 2)."""
+    _, cosine_e = _cosines(rims.normal_body, rims.centre_m, view)
+    rows = np.flatnonzero(cosine_e > _FACING)
+    uv = view.camera.project(view.T_cam_body.transform(rims.crest_m[rows]))
+    within = view.camera.contains(uv).any(axis=1) & np.isfinite(uv).all(axis=(1, 2))
+    return rows[within], uv[within]
+
+
+def _cosines(normal: FloatArray, centre_m: FloatArray, view: View) -> tuple[FloatArray, FloatArray]:
+    """(n,) cosines of incidence and emission."""
+    to_camera = view.T_cam_body.camera_position_m - centre_m
+    to_camera /= np.linalg.norm(to_camera, axis=1, keepdims=True)
+    cosine_e = np.clip(np.einsum("ni,ni->n", normal, to_camera), -1.0, 1.0)
+    return np.clip(normal @ view.sun_dir_body, -1.0, 1.0), cosine_e

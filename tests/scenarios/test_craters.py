@@ -1,0 +1,203 @@
+"""Craters of a known population: their profile, their relief, their crests and the truth of them in an image."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from scipy.optimize import minimize_scalar
+from small_craters import BODY, craters_spec, small_ground
+
+from renderers.mitsuba3 import choose_variant
+from renderers.mitsuba3.scene import build_shape
+from renderers.mitsuba3.variant import load_mitsuba
+from scenarios.bodies import load_body
+from scenarios.bodies.topology import is_closed
+from scenarios.craters import Craters, Tiling, draw_craters
+from scenarios.craters.ellipse_fit import fit_ellipses, rim_deviation
+from scenarios.craters.profile import REACH, Profiles, profile_height
+from scenarios.craters.relief import crater_relief
+from scenarios.craters.rims import find_rims
+from scenarios.craters.surface import smooth_tiles
+from scenarios.geometry import Ellipses, TriangleMesh
+
+
+def test_profile_has_its_crest_at_the_radius_and_its_floor_at_the_depth() -> None:
+    degradation, depth = np.array([0.0, 0.4, 1.0]), np.array([0.2, 0.15, 0.08])
+    profiles = Profiles.of(degradation, depth, 0.036, 0.2)
+    for k in range(3):
+
+        def minus_height(r: float, k: int = k) -> float:
+            return -float(profiles.heights(np.array([r]))[k, 0])
+
+        crest = minimize_scalar(minus_height, bounds=(0.5, 1.8), method="bounded", options={"xatol": 1e-9})
+        assert crest.x == pytest.approx(1.0, abs=1e-5)
+        assert -crest.fun + minus_height(0.0) == pytest.approx(depth[k], abs=1e-12)
+    # A fresh rim stands about 0.036 diameters over the ground (Pike 1977), a worn one lower and rounder.
+    r = np.linspace(0.0, REACH, 3001)
+    height = profiles.heights(r)
+    assert height[0, 1000] == pytest.approx(0.036, rel=0.15)
+    curvature = np.diff(height, 2, axis=1)[:, 999] / height.max(axis=1)
+    assert np.all(np.diff(np.abs(curvature)) < 0)
+    assert np.all(height[:, -1] == 0.0)
+    assert np.all(height[:, 1000:].min(axis=1) >= -1e-12)
+
+
+def test_kernel_of_the_profile_is_the_profile() -> None:
+    profiles = Profiles.of(np.array([0.3]), np.array([0.12]), 0.036, 0.2)
+    r = np.linspace(0.0, 3.5, 200)
+    shape = (profiles.rim[0], profiles.rounding[0], profiles.stretch[0], profiles.scale[0])
+    one_by_one = [profile_height(float(x), *map(float, shape)) for x in r]
+    np.testing.assert_allclose(one_by_one, profiles.heights(r)[0], atol=1e-15)
+
+
+def test_population_follows_its_power_law_and_lies_evenly() -> None:
+    spec = craters_spec(count=20_000, exponent=2.0)
+    smooth, up = smooth_tiles(load_body(BODY), spec)
+    craters = draw_craters(spec, smooth, up)
+    diameter = 2.0 * craters.radius_m
+    # N(>D) ~ D^-2 between the bounds: a quarter of those above 20 m are above 40 m, but for the cut at 120 m.
+    share = np.mean(diameter > 40.0)
+    expected = (40.0**-2 - 120.0**-2) / (20.0**-2 - 120.0**-2)
+    assert abs(share - expected) < 4.0 * np.sqrt(expected * (1 - expected) / len(craters))
+    north = np.mean(craters.centre_m[:, 2] > 0.0)
+    assert abs(north - 0.5) < 4.0 * 0.5 / np.sqrt(len(craters))
+    assert np.all(np.diff(craters.degradation) <= 0.0)
+    assert craters.depth_ratio.min() >= 0.08
+    assert craters.depth_ratio.max() <= 0.2
+    assert np.corrcoef(craters.degradation, craters.depth_ratio)[0, 1] < -0.9
+
+
+@pytest.fixture(scope="module")
+def tiling() -> Tiling:
+    spec = craters_spec()
+    return Tiling.of(*smooth_tiles(load_body(BODY), spec), 4.0)
+
+
+def test_cuts_leave_no_crack(tiling: Tiling) -> None:
+    points, up = tiling.places()
+    facets = tiling.facets(np.arange(len(tiling.mesh.faces)))
+    assert is_closed(facets)
+    assert np.array_equal(np.unique(facets), np.arange(tiling.n_vertices))
+    # On a sphere the curved tiles keep to it far better than flat ones, and so do the directions.
+    radius = np.linalg.norm(points, axis=1)
+    assert np.abs(radius - 250.0).max() < 0.05
+    np.testing.assert_allclose(up, points / radius[:, None], atol=0.02)
+    ball = trimesh.Trimesh(points, facets, process=False)
+    assert ball.volume == pytest.approx(4.0 / 3.0 * np.pi * 250.0**3, rel=2e-3)
+    assert np.percentile(ball.edges_unique_length, 99) <= 4.0
+
+
+def one_crater(radius_m: float, depth_ratio: float = 0.15, degradation: float = 0.2) -> Craters:
+    centre, axis = np.array([[0.0, 0.0, 250.0]]), np.array([[0.0, 0.0, 1.0]])
+    return Craters(centre, axis, np.array([radius_m]), np.array([degradation]), np.array([depth_ratio]))
+
+
+def heights_by_mitsuba(mesh: TriangleMesh, xy_m: np.ndarray) -> np.ndarray:
+    """Where rays straight down at (n, 2) meet a mesh: its z, (n,)."""
+    mi = load_mitsuba(choose_variant())
+    scene = mi.load_dict({"type": "scene", "shape": build_shape(mi, mesh)})
+    origins = np.column_stack([xy_m, np.full(len(xy_m), 400.0)]).T.astype(np.float32)
+    hit = scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(origins), mi.Vector3f(0.0, 0.0, -1.0)))
+    return 400.0 - hit.t.numpy().astype(float)
+
+
+def test_one_crater_has_its_depth_and_its_crest_where_rays_meet_it(tiling: Tiling) -> None:
+    points, up = tiling.places()
+    crater = one_crater(40.0)
+    heights = crater_relief(craters_spec(), crater, tiling, points, up)
+    vertices = (points + heights[:, None] * up).astype(np.float32)
+    rims = find_rims(crater, 30.0, tiling, points, vertices)
+    mesh = TriangleMesh(vertices, tiling.facets(np.arange(len(tiling.mesh.faces))).astype(np.int32))
+    # Rays of Mitsuba from above, outward from the axis in all azimuths: their highest point is the crest.
+    azimuth = np.arange(12) * np.pi / 6.0
+    out = np.linspace(30.0, 50.0, 81)
+    xy = (out[:, None, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)).reshape(-1, 2)
+    top = heights_by_mitsuba(mesh, np.concatenate([xy, [[0.3, 0.2]]]))
+    top, floor = top[:-1], top[-1]
+    # Over the sphere of the old ground the crest is where the rim's height is greatest.
+    over = top - np.sqrt(250.0**2 - (xy**2).sum(axis=1))
+    crest_m = out[np.nanargmax(over.reshape(81, 12), axis=0)]
+    chord_m = np.linalg.norm(rims.crest_m[0][:, :2], axis=1)
+    assert np.abs(np.median(crest_m) - np.median(chord_m)) < 1.5
+    assert rims.crest_m[0][:, 2].mean() - floor == pytest.approx(0.15 * 80.0, rel=0.05)
+    assert rims.normal_body[0] @ [0.0, 0.0, 1.0] > 0.9999
+    assert not rims.cut.any()
+
+
+def test_younger_craters_cut_older_ones(tiling: Tiling) -> None:
+    points, up = tiling.places()
+    old, young = one_crater(40.0, degradation=0.9), one_crater(20.0, degradation=0.1)
+    place = np.array([[40.0, 0.0, np.sqrt(250.0**2 - 40.0**2)]])
+    young = replace(young, centre_m=place, axis_body=place / 250.0)
+    both = Craters(
+        *(np.concatenate([getattr(old, f), getattr(young, f)]) for f in ("centre_m", "axis_body", "radius_m")),
+        np.array([0.9, 0.1]),
+        np.array([0.15, 0.15]),
+    )
+    heights = crater_relief(craters_spec(), both, tiling, points, up)
+    vertices = (points + heights[:, None] * up).astype(np.float32)
+    rims = find_rims(both, 30.0, tiling, points, vertices)
+    # Circles of radii 40 and 20 m, the second one's middle on the first: it takes 2 x 2 asin(20 / 80) of the rim.
+    assert rims.cut[0].mean() == pytest.approx(4.0 * np.arcsin(0.25) / (2.0 * np.pi), abs=2.0 / 72.0)
+    assert not rims.cut[1].any()
+    middle = np.argmin(np.linalg.norm(points - place, axis=1))
+    ring = np.abs(np.linalg.norm(points - place, axis=1) - 20.0) < 2.0
+    assert heights[ring].mean() - heights[middle] > 0.7 * 0.15 * 40.0
+
+
+def test_under_surface_lies_below_every_facet() -> None:
+    ground = small_ground()
+    tiling, normals = ground.tiling, ground.under.normals
+    for tile in range(0, len(tiling.mesh.faces), 37):
+        fine = np.asarray(ground.vertices_m, dtype=float)[np.unique(tiling.facets(np.array([tile])))]
+        assert ((fine - ground.under.corners_m[tile, 0]) @ normals[tile]).min() > 0.0
+    assert is_closed(ground.under.faces)
+    assert ground.under.volume_m3 > 0.9 * tiling.mesh.volume_m3
+
+
+def test_surface_is_the_same_each_time_and_another_for_another_seed() -> None:
+    one, again, other = small_ground(), small_ground(), small_ground(seed=6)
+    assert np.array_equal(one.vertices_m, again.vertices_m)
+    assert one.sha256 == again.sha256 != other.sha256
+    assert not np.array_equal(one.vertices_m, other.vertices_m)
+
+
+def test_fitted_ellipses_are_those_of_opencv() -> None:
+    rng = np.random.default_rng(0)
+    true = Ellipses(
+        np.array([[200.3, 150.7], [40.0, 300.0]]), np.array([[30.0, 18.0], [9.0, 8.0]]), np.array([0.6, 2.0])
+    )
+    points, normal = true.points(72)
+    exact, found = fit_ellipses(points, np.ones(points.shape[:2], dtype=bool))
+    assert found.all()
+    np.testing.assert_allclose(exact.centre_px, true.centre_px, atol=1e-8)
+    np.testing.assert_allclose(exact.semi_axes_px, true.semi_axes_px, atol=1e-8)
+    np.testing.assert_allclose(exact.angle_rad, true.angle_rad, atol=1e-7)
+    offset = rng.normal(0.0, 0.2, points.shape[:2])
+    noisy = points + offset[..., None] * normal
+    fitted, _ = fit_ellipses(noisy, np.ones(points.shape[:2], dtype=bool))
+    for k in range(2):
+        (u, v), (d1, d2), _ = cv2.fitEllipseDirect(noisy[k].astype(np.float32))
+        np.testing.assert_allclose(fitted.centre_px[k], [u, v], atol=2e-3)
+        np.testing.assert_allclose(fitted.semi_axes_px[k], sorted([d1 / 2, d2 / 2], reverse=True), atol=5e-3)
+    deviation = rim_deviation(true, noisy, np.ones(points.shape[:2], dtype=bool)) * true.radius_px
+    np.testing.assert_allclose(deviation, np.sqrt((offset**2).mean(axis=1)), rtol=0.03)
+
+
+def test_a_line_is_no_ellipse() -> None:
+    line = np.stack([np.linspace(0, 10, 20), np.linspace(0, 5, 20)], axis=1)[None]
+    _, found = fit_ellipses(line, np.ones((1, 20), dtype=bool))
+    assert not found[0]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [("edge_m", 9.0, "too coarse"), ("depth_ratio", (0.3, 0.2), "depth_ratio"), ("min_diameter_m", 500.0, "above")],
+)
+def test_bad_sections_are_refused(key: str, value: object, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        craters_spec(**{key: value})
