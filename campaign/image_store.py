@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from campaign.machine import package_versions, processor
 from campaign.store.image_chunk import KeptImage, read_images, write_images
-from renderers.mitsuba3 import MitsubaRenderer, choose_variant, code_generator
-from scenarios.bodies import body_digest
+from renderers.mitsuba3 import choose_variant, code_generator, renderer_version
 from scenarios.cache import Cache, default_cache
+from scenarios.craters import shape_digest
 from scenarios.draw import Stream
 from scenarios.geometry import View
 from scenarios.load import LoadedScenario, canonical_json
@@ -75,11 +75,11 @@ def image_set_key(scenario: LoadedScenario, variant: str, stream: Stream, laws: 
     compiler = code_generator(choose_variant(variant))
     parts = {
         "format": _FORMAT,
-        "body": body_digest(spec.body, scenario.search_dirs),
+        "body": shape_digest(spec, scenario.search_dirs),
         "shading": spec.body.shading,
         "scenario": [canonical_json(part) for part in (spec.camera, spec.brdf, spec.rendering)],
         "views": [int(stream), *(canonical_json(law) for law in laws)],
-        "renderer": [MitsubaRenderer.name, MitsubaRenderer.version, variant],
+        "renderer": [*renderer_version(spec), variant],
         "machine": [versions["mitsuba"], versions["drjit"], compiler, processor()],
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:24]

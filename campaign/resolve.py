@@ -20,6 +20,7 @@ from renderers.detector import Detector
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.beliefs import believed_spec
 from scenarios.bodies import body_digest
+from scenarios.craters import shape_digest
 from scenarios.designs import Variation, cells
 from scenarios.errors import BoresightError
 from scenarios.load import (
@@ -42,8 +43,7 @@ class ResolvedCampaign:
     """A campaign with its scenarios read: what the rows depend on, and nothing else.
 
     ``kernels`` are those of adjustments, '' where rows do not depend on them. ``variations`` tells, by the name of a
-    scenario, where in the campaign's grid it stands. ``overrides`` are those of the command line, which the scenarios
-    hold already.
+    scenario, where in the campaign's grid it stands.
     Equality and hash are those of the digest, so a worker can keep what it built for a campaign.
     """
 
@@ -53,7 +53,6 @@ class ResolvedCampaign:
     variant: str = ""
     kernels: str = ""
     variations: Mapping[str, Variation] = field(default_factory=dict)
-    overrides: tuple[str, ...] = ()
 
     @cached_property
     def identity(self) -> dict[str, object]:
@@ -66,7 +65,7 @@ class ResolvedCampaign:
                 {
                     "name": s.spec.name,
                     "digest": digest(s.spec),
-                    "body": body_digest(s.spec.body, s.search_dirs),
+                    "body": shape_digest(s.spec, s.search_dirs),
                     "onboard": body_digest(believed_spec(s.spec).body, s.search_dirs),
                     "images": images_digest(s),
                 }
@@ -136,9 +135,7 @@ def resolve(
         _versions(spec, entry)
         _check_sensors(entry, scenarios)
     kernels = kernel_variant() if experiment_class(spec.experiment).kernels else ""
-    return ResolvedCampaign(
-        spec, scenarios, spec.seed if seed is None else seed, variant, kernels, variations, tuple(overrides)
-    )
+    return ResolvedCampaign(spec, scenarios, spec.seed if seed is None else seed, variant, kernels, variations)
 
 
 def _scenarios(loaded: LoadedCampaign, overrides: Sequence[str]) -> Iterator[tuple[LoadedScenario, Variation | None]]:

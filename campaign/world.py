@@ -13,9 +13,11 @@ from campaign.image_store import ImageStore
 from campaign.images import images_digest, open_images
 from renderers.detector import Detector
 from renderers.images import ImageSet, reach
-from renderers.mitsuba3 import MitsubaRenderer, choose_variant
+from renderers.mitsuba3 import BodyRenderer, MitsubaRenderer, TiledRenderer, choose_variant
+from scenarios.aim import draw_aimed_view
 from scenarios.beliefs import believed_spec
-from scenarios.bodies import Body, body_digest, load_body
+from scenarios.bodies import Body, load_body
+from scenarios.craters import CrateredSurface, cratered_surface, shape_digest
 from scenarios.draw import Stream, draw_view, generator
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View
@@ -71,7 +73,8 @@ class RenderedSource:
 
     scenario: LoadedScenario
     camera: Camera
-    renderer: MitsubaRenderer
+    shape: TriangleMesh
+    renderer: BodyRenderer
     detector: Detector | None
     store: ImageStore
 
@@ -92,7 +95,10 @@ class RenderedSource:
         rng, viewpoint = generator(seed, Stream.TRUTH, trial), self.scenario.spec.viewpoint
         clear = () if viewpoint is None else viewpoint.keep_clear_px
         for _ in range(_MOST_DRAWS):
-            view = draw_view(self.scenario.spec, self.camera, rng)
+            if viewpoint is not None and viewpoint.targets:
+                view = draw_aimed_view(viewpoint, self.scenario.spec.lighting, self.camera, self.shape, rng)
+            else:
+                view = draw_view(self.scenario.spec, self.camera, rng)
             if not clear or not reach(view, self.renderer.outline_m, clear):
                 return view
         raise BoresightError(
@@ -132,13 +138,14 @@ class RealSource:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """A scenario with everything that it takes to see it."""
+    """A scenario with everything that it takes to see it; ``ground`` is the surface of a cratered body."""
 
     scenario: LoadedScenario
     camera: Camera
     body: Body
-    renderer: MitsubaRenderer
+    renderer: BodyRenderer
     source: Source
+    ground: CrateredSurface | None = None
 
 
 def believed(scenario: LoadedScenario) -> LoadedScenario:
@@ -171,7 +178,7 @@ def typical_range_m(scenario: LoadedScenario) -> float:
 def open_world(scenario: LoadedScenario, variant: str) -> World:
     """Build a scenario's world once per process; scenes do not pickle, so every worker has its own."""
     # A file that changed under the same name is another world.
-    return _built(scenario, variant, body_digest(scenario.spec.body, scenario.search_dirs), images_digest(scenario))
+    return _built(scenario, variant, shape_digest(scenario.spec, scenario.search_dirs), images_digest(scenario))
 
 
 @lru_cache(maxsize=1)
@@ -179,24 +186,29 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     spec = scenario.spec
     camera = spec.camera.camera()
     body = load_body(spec.body, scenario.search_dirs)
-    renderer = MitsubaRenderer(
-        body.mesh,
-        spec.brdf,
-        samples_per_pixel=spec.rendering.samples_per_pixel,
-        shading=spec.body.shading,
-        variant=choose_variant(variant),
-    )
+    ground = None if spec.craters is None else cratered_surface(spec.body, spec.craters, scenario.search_dirs)
+    renderer = _renderer(scenario, body.mesh, ground, variant)
     if spec.images is not None:
         images = open_images(scenario)
         source: Source = RealSource(images, spec.images.truth, spec.images.also_score, spec.images.noise_realisations)
-        return World(scenario, camera, body, renderer, source)
+        return World(scenario, camera, body, renderer, source, ground)
     if spec.viewpoint is None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
     _check_range(scenario, body.mesh, spec.viewpoint)
     detector = Detector(spec.detector) if spec.detector is not None else None
     store = ImageStore.open(scenario, variant, Stream.TRUTH, spec.viewpoint, spec.lighting)
-    source = RenderedSource(scenario, camera, renderer, detector, store)
-    return World(scenario, camera, body, renderer, source)
+    source = RenderedSource(scenario, camera, body.mesh, renderer, detector, store)
+    return World(scenario, camera, body, renderer, source, ground)
+
+
+def _renderer(
+    scenario: LoadedScenario, mesh: TriangleMesh, ground: CrateredSurface | None, variant: str
+) -> BodyRenderer:
+    spec = scenario.spec
+    samples, chosen = spec.rendering.samples_per_pixel, choose_variant(variant)
+    if ground is not None:
+        return TiledRenderer(ground, spec.brdf, samples, chosen)
+    return MitsubaRenderer(mesh, spec.brdf, samples, spec.body.shading, chosen)
 
 
 def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: ViewpointSpec) -> None:

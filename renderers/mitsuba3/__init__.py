@@ -4,11 +4,14 @@ from renderers.mitsuba3.bsdf import register_bsdfs
 from renderers.mitsuba3.llvm import LlvmSearch, find_llvm
 from renderers.mitsuba3.renderer import MitsubaRenderer
 from renderers.mitsuba3.surface import check_outside
+from renderers.mitsuba3.tiled import BodyRenderer, TiledRenderer, renderer_version
 from renderers.mitsuba3.variant import Variant, choose_variant, code_generator, gpu_status, limit_threads
 
 __all__ = [
+    "BodyRenderer",
     "LlvmSearch",
     "MitsubaRenderer",
+    "TiledRenderer",
     "Variant",
     "check_outside",
     "choose_variant",
@@ -17,4 +20,5 @@ __all__ = [
     "gpu_status",
     "limit_threads",
     "register_bsdfs",
+    "renderer_version",
 ]

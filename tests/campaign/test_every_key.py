@@ -68,6 +68,15 @@ WRONG_HEIGHTS = RENDERED.replace(
 # From so far that the egg may be 600 m or 600 km long.
 SHAPE = RENDERED.replace("body:\n", "body:\n  shape: egg.obj\n  unit: m\n").replace("range_m: 2000", "range_m: 800000")
 GRID = RENDERED.replace("body:\n", "body:\n  shape: grid.tab\n  unit: m\n  format: pds-grid\n")
+CRATERED = """
+body: {shape: sphere}
+craters:
+  {count: 40, min_diameter_m: 24, max_diameter_m: 120, edge_m: 6, known_diameter_m: 30,
+   roughness: {rms_m: 2, max_wavelength_m: 80, min_wavelength_m: 20}}
+camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
+lighting: {phase_deg: {uniform: [20, 60]}}
+viewpoint: {range_m: 2000}
+"""
 REAL = """
 body: {shape: sphere}
 camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
@@ -134,6 +143,19 @@ CHANGES: dict[str, tuple[str, str]] = {
     "body.detail.roughness.min_wavelength_m": (RENDERED, "60"),
     "body.detail.albedo.sigma": (RENDERED, "0.4"),
     "body.detail.albedo.wavelength_m": (RENDERED, "60"),
+    "craters.seed": (CRATERED, "1"),
+    "craters.count": (CRATERED, "50"),
+    "craters.min_diameter_m": (CRATERED, "30"),
+    "craters.max_diameter_m": (CRATERED, "90"),
+    "craters.exponent": (CRATERED, "1.2"),
+    "craters.depth_ratio": (CRATERED, "[0.1, 0.15]"),
+    "craters.rim_ratio": (CRATERED, "0.06"),
+    "craters.known_diameter_m": (CRATERED, "50"),
+    "craters.edge_m": (CRATERED, "5"),
+    "craters.roughness.rms_m": (CRATERED, "3"),
+    "craters.roughness.hurst": (CRATERED, "0.4"),
+    "craters.roughness.max_wavelength_m": (CRATERED, "60"),
+    "craters.roughness.min_wavelength_m": (CRATERED, "40"),
     "camera.width_px": (RENDERED, "52"),
     "camera.height_px": (RENDERED, "44"),
     "camera.fov_deg": (RENDERED, "20"),
@@ -169,6 +191,7 @@ CHANGES: dict[str, tuple[str, str]] = {
     "viewpoint.range_m": (RENDERED, "2100"),
     "viewpoint.roll_deg.uniform": (RENDERED, "[0, 10]"),
     "viewpoint.latitude_deg.uniform": (RENDERED, "[-5, 5]"),
+    "viewpoint.targets": (RENDERED, "[terminator]"),
     "viewpoint.keep_clear_px": (RENDERED, "[[0, 0, 48, 5]]"),
     "lighting.phase_deg.uniform": (RENDERED, "[30, 80]"),
     "lighting.measure": (RENDERED, "angle"),
@@ -350,6 +373,8 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
     world = open_world(scenario, variant)
     experiment = SingleImage(world, {}, seed=3)
     parts = [*lent(Shelf(scenario, file.parent / "products", 0, variant))]
+    if world.ground is not None:
+        parts.append(world.ground.rims.crest_m.tobytes())
     for trial in range(3):
         try:
             sight = world.source.sight(3, trial)

@@ -1,0 +1,160 @@
+"""Images of a cratered surface in pieces, against the same facets as one mesh, and the truth of what they show."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_craters import small_ground, small_view
+
+from renderers.mitsuba3 import MitsubaRenderer, TiledRenderer, choose_variant
+from renderers.mitsuba3.parts import Pieces
+from scenarios.craters import Rims, crater_truth
+from scenarios.craters.rims import RIM_POINTS
+from scenarios.geometry import TriangleMesh, View, project_circles
+from scenarios.spec.brdf import LambertSpec
+
+
+@pytest.fixture(scope="module")
+def renderer() -> TiledRenderer:
+    return TiledRenderer(small_ground(), LambertSpec(albedo=0.3), 4, choose_variant())
+
+
+@pytest.fixture(scope="module")
+def whole(renderer: TiledRenderer) -> MitsubaRenderer:
+    """The whole surface, fine everywhere, as one mesh for Mitsuba's own tree."""
+    ground = renderer.ground
+    facets = ground.tiling.facets(np.arange(len(ground.tiling.mesh.faces))).astype(np.int32)
+    return MitsubaRenderer(TriangleMesh(ground.vertices_m, facets), LambertSpec(albedo=0.3), 4)
+
+
+@pytest.mark.parametrize(
+    ("longitude_deg", "phase_deg", "fov_deg"), [(20.0, 50.0, 18.0), (200.0, 85.0, 18.0), (80.0, 75.0, 6.0)]
+)
+def test_pieces_give_the_image_of_the_whole_mesh(
+    renderer: TiledRenderer, whole: MitsubaRenderer, longitude_deg: float, phase_deg: float, fov_deg: float
+) -> None:
+    view = small_view(longitude_deg, phase_deg, fov_deg)
+    image, expected = renderer.render(view), whole.render(view)
+    off = np.abs(image - expected) > 1e-4
+    # Single samples at edges of facets and of shadows, and nothing else: limb and shadows are those of the fine mesh.
+    assert off.mean() < 2e-3
+    assert np.abs(image - expected).max() < 0.1
+    assert (image > 0).mean() > 0.1
+
+
+def test_few_pieces_are_made_where_little_is_seen(renderer: TiledRenderer) -> None:
+    pieces = Pieces.of(renderer.ground)
+    near = pieces.needed(small_view(fov_deg=4.0), 5.0, -0.1)
+    assert 0 < len(near) < len(pieces.tiles)
+    every = np.sort(np.concatenate(pieces.tiles))
+    assert np.array_equal(every, np.arange(len(renderer.ground.tiling.mesh.faces)))
+
+
+def test_image_does_not_depend_on_what_was_seen_before(renderer: TiledRenderer) -> None:
+    view = small_view(130.0)
+    fresh = TiledRenderer(renderer.ground, renderer.brdf, 4, renderer.variant)
+    renderer.render(small_view(10.0))
+    assert np.array_equal(fresh.render(view), renderer.render(view))
+
+
+def test_lines_of_sight_meet_what_the_whole_mesh_has(renderer: TiledRenderer, whole: MitsubaRenderer) -> None:
+    view = small_view()
+    rng = np.random.default_rng(1)
+    uv = rng.uniform([0, 0], [160, 120], (400, 2))
+    ours, theirs = renderer.surface(view, uv), whole.surface(view, uv)
+    assert np.array_equal(ours.hit, theirs.hit)
+    apart = np.linalg.norm(ours.points_body_m - theirs.points_body_m, axis=1)[ours.hit]
+    assert np.quantile(apart, 0.99) < 0.01
+    assert np.mean(ours.lit != theirs.lit) < 0.01
+
+
+class _Open:
+    """A world in which nothing hides anything."""
+
+    def __init__(self, renderer: TiledRenderer) -> None:
+        self.renderer = renderer
+
+    def surface(self, view: View, uv_px: np.ndarray) -> object:
+        return self.renderer.surface(view, np.full_like(uv_px, -1e6))
+
+    def clear(self, view: View, points_m: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        return np.ones(len(points_m), dtype=bool)
+
+
+def flat_rims(centre: np.ndarray, normal: np.ndarray, radius: np.ndarray) -> Rims:
+    """Rims of ideal craters: circles in planes."""
+    n = len(radius)
+    first = np.cross(normal, [0.0, 0.0, 1.0])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(normal, first)
+    t = np.arange(RIM_POINTS) * 2.0 * np.pi / RIM_POINTS
+    ring = np.cos(t)[:, None] * first[:, None] + np.sin(t)[:, None] * second[:, None]
+    crest = centre[:, None] + radius[:, None, None] * ring
+    return Rims(
+        np.arange(n), crest, np.zeros((n, RIM_POINTS), dtype=bool), normal, 2 * radius, 0.3 * radius, np.full(n, 0.3)
+    )
+
+
+def test_truth_of_flat_circles_is_their_projection(renderer: TiledRenderer) -> None:
+    view = small_view()
+    rng = np.random.default_rng(2)
+    towards = view.T_cam_body.camera_position_m / 2000.0
+    normal = towards + rng.normal(0.0, 0.25, (20, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    radius = rng.uniform(8.0, 30.0, 20)
+    truth = crater_truth(flat_rims(250.0 * normal, normal, radius), view, _Open(renderer))
+    ideal = project_circles(view, 250.0 * normal, normal, radius)[truth.crater]
+    assert len(truth) == 20
+    np.testing.assert_allclose(truth.ellipses.centre_px, ideal.centre_px, atol=1e-6)
+    np.testing.assert_allclose(truth.ellipses.semi_axes_px, ideal.semi_axes_px, atol=1e-6)
+    assert truth.deviation.max() < 1e-6
+    emission = np.degrees(
+        np.arccos(
+            np.einsum("ni,ni->n", normal, towards * 2000.0 - 250.0 * normal)
+            / np.linalg.norm(towards * 2000.0 - 250.0 * normal, axis=1)
+        )
+    )
+    np.testing.assert_allclose(truth.emission_deg, emission, atol=1e-6)
+    np.testing.assert_allclose(truth.incidence_deg, np.degrees(np.arccos(normal @ view.sun_dir_body)), atol=1e-6)
+
+
+def test_truth_knows_what_is_hidden_and_dark(renderer: TiledRenderer, whole: MitsubaRenderer) -> None:
+    view = small_view(phase_deg=80.0, fov_deg=18.0)
+    rims = renderer.ground.rims
+    truth = crater_truth(rims, view, renderer)
+    assert len(truth) > 5
+    assert truth.visible.min() < 0.9 < truth.visible.max()
+    assert truth.lit.min() < 0.2
+    assert truth.lit.max() == 1.0
+    # The same by the whole mesh: a point of a crest is seen where the line of sight to it ends there.
+    seen = []
+    for number in truth.crater:
+        crest = rims.crest_m[rims.crater == number][0]
+        hits = whole.surface(view, view.camera.project(view.T_cam_body.transform(crest)))
+        seen.append(np.mean(~(np.linalg.norm(hits.points_body_m - crest, axis=1) > 16.0 + 15.0)))
+    assert np.corrcoef(seen, truth.visible)[0, 1] > 0.95
+    outside = crater_truth(rims, small_view(phase_deg=80.0, fov_deg=3.0), renderer)
+    assert outside.in_frame.min() < 1.0
+
+
+def test_flags_follow_their_definition(renderer: TiledRenderer) -> None:
+    detectable = clean = 0
+    for longitude_deg in (20.0, 140.0, 260.0):
+        view = small_view(longitude_deg, phase_deg=45.0, fov_deg=11.0)
+        truth = crater_truth(renderer.ground.rims, view, renderer)
+        expected = [
+            2.0 * truth.ellipses[np.array([k])].radius_px[0] >= 12.0
+            and truth.visible[k] >= 0.9
+            and truth.in_frame[k] >= 0.95
+            and truth.lit[k] >= 0.5
+            and truth.emission_deg[k] < 60.0
+            and 20.0 <= truth.incidence_deg[k] <= 75.0
+            and truth.degradation[k] <= 0.6
+            and truth.cut[k] <= 0.25
+            for k in range(len(truth))
+        ]
+        assert truth.detectable.tolist() == expected
+        assert not (truth.clean & ~truth.detectable).any()
+        assert np.all(truth.deviation[truth.clean] <= 0.01)
+        detectable, clean = detectable + int(truth.detectable.sum()), clean + int(truth.clean.sum())
+    assert 0 < clean < detectable
