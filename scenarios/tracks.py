@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -99,6 +100,11 @@ class TrackFrame:
     R_body_inertial: FloatArray = field(default_factory=lambda: np.eye(3))
     attitude_sigma_rad: float = 0.0
     attitude_lasting_rad: float = 0.0
+
+    @property
+    def attitude_noise_rad(self) -> float:
+        """Standard deviation of what is independent from frame to frame of the error of `R_cam_body`."""
+        return math.sqrt(max(self.attitude_sigma_rad**2 - self.attitude_lasting_rad**2, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

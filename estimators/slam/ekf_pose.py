@@ -187,4 +187,4 @@ def _star_tracked(state: PoseState) -> PoseState:
 
 def _star_tracker_variance(frame: TrackFrame) -> float:
     """Return the variance of what is independent from frame to frame, rad^2."""
-    return float(max(frame.attitude_sigma_rad**2 - frame.attitude_lasting_rad**2, _LEAST_ATTITUDE_RAD**2))
+    return max(frame.attitude_noise_rad, _LEAST_ATTITUDE_RAD) ** 2

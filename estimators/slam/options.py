@@ -151,6 +151,11 @@ class SmootherOptions(AssociationOptions):
         True, description="Take derivatives by variables of the prior where they were when they entered it"
     )
     motion: bool = Field(True, description="Count predicted motions as measurements")
+    attitude: Literal["known", "noisy"] = Field(
+        "known",
+        description="Take the star tracker's attitude for true, or count what it has wrong in a frame alone as noise of"
+        " each pixel",
+    )
     prior_landmarks: int = Field(
         200,
         ge=0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar, Self
@@ -100,6 +101,7 @@ class WindowSmoother:
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         """Take the next frame in, and drop the oldest one where the window is full. Raises LostError."""
         number = len(self.journal.positions_m)
+        frame = self.weighted(frame)
         self.journal.frames[number] = frame
         if self.jury is not None:
             self.jury.admit(number, frame)
@@ -119,6 +121,17 @@ class WindowSmoother:
         if len(self.views) > self.options.lag:
             self._marginalise(problem, state, tracks)
         return estimate
+
+    def weighted(self, frame: TrackFrame) -> TrackFrame:
+        """Give pixels the noise of the star tracker as well, where that is asked for.
+
+        It moves all pixels of a frame together, which independent noise does not say, but a landmark's pixels in
+        different frames independently, which it does.
+        """
+        if self.options.attitude == "known":
+            return frame
+        shift_px = frame.attitude_noise_rad / self.journal.camera.pixel_angle_rad
+        return replace(frame, sigma_px=math.hypot(frame.sigma_px, shift_px))
 
     def _adjust(self, rule: StoppingRule) -> Adjusted:
         """Adjust the window, again as long as what is left of a pixel is too much."""

@@ -68,7 +68,7 @@ class _Closing(WindowSmoother):
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         number = len(self.journal.positions_m)
-        self.came[number] = frame
+        self.came[number] = self.weighted(frame)
         estimate = super().advance(frame)
         self.pending |= {(int(new), int(old)) for new, old in frame.again}
         if number - self.closed_at < self.loops.closure_frames or len(self.pending) < self.loops.closure_pairs:
