@@ -39,6 +39,7 @@ def make_manifest(
         "seed": campaign.seed,
         "trials": max(request.trials, int(earlier.get("trials", 0))),
         "campaign": campaign.as_written(),
+        "overrides": list(campaign.overrides),
         "files": {s.spec.name: [str(s.path), *map(str, s.search_dirs)] for s in campaign.scenarios},
         "estimators": list(campaign.labels),
         "scenarios": {s.spec.name: json.loads(canonical_json(s.spec)) for s in campaign.scenarios},

@@ -43,7 +43,8 @@ class ResolvedCampaign:
     """A campaign with its scenarios read: what the rows depend on, and nothing else.
 
     ``kernels`` are those of adjustments, '' where rows do not depend on them. ``variations`` tells, by the name of a
-    scenario, where in the campaign's grid it stands.
+    scenario, where in the campaign's grid it stands. ``overrides`` are those of the command line, which the scenarios
+    hold already.
     Equality and hash are those of the digest, so a worker can keep what it built for a campaign.
     """
 
@@ -53,6 +54,7 @@ class ResolvedCampaign:
     variant: str = ""
     kernels: str = ""
     variations: Mapping[str, Variation] = field(default_factory=dict)
+    overrides: tuple[str, ...] = ()
 
     @cached_property
     def identity(self) -> dict[str, object]:
@@ -135,7 +137,9 @@ def resolve(
         _versions(spec, entry)
         _check_sensors(entry, scenarios)
     kernels = kernel_variant() if experiment_class(spec.experiment).kernels else ""
-    return ResolvedCampaign(spec, scenarios, spec.seed if seed is None else seed, variant, kernels, variations)
+    return ResolvedCampaign(
+        spec, scenarios, spec.seed if seed is None else seed, variant, kernels, variations, tuple(overrides)
+    )
 
 
 def _scenarios(loaded: LoadedCampaign, overrides: Sequence[str]) -> Iterator[tuple[LoadedScenario, Variation | None]]:

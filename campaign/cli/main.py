@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import NoReturn
 
-from campaign.cli import bench, catalog, compare, fetch, figures, machine, runs
+from campaign.cli import bench, catalog, compare, craters, fetch, figures, machine, runs
 from scenarios.atomic import explain
 from scenarios.errors import BoresightError
 
@@ -61,6 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     runs.add_commands(commands)
     compare.add_commands(commands)
     figures.add_commands(commands)
+    craters.add_commands(commands)
     bench.add_commands(commands)
     fetch.add_commands(commands)
     machine.add_commands(commands)

@@ -57,7 +57,10 @@ class FinishedRun:
 
 
 def newest_finished(runs: Sequence[Path], name: str) -> FinishedRun | None:
-    """Return the run of a campaign that finished last among some folders; None without any."""
+    """Return the run of a campaign that finished last among some folders; None without any.
+
+    Runs with ``--set`` are of another world than the paper's, whatever campaign they began from.
+    """
     finished = []
     for path in runs:
         folder = RunFolder(path)
@@ -65,7 +68,9 @@ def newest_finished(runs: Sequence[Path], name: str) -> FinishedRun | None:
             manifest = folder.read_manifest()
         except BoresightError:
             continue
-        if manifest is not None and manifest.get("name") == name and _is_whole(folder, manifest):
+        if manifest is None or manifest.get("name") != name or manifest.get("overrides"):
+            continue
+        if _is_whole(folder, manifest):
             finished.append(FinishedRun(folder, manifest))
     return max(finished, key=lambda run: str(run.manifest["finished"]), default=None)
 

@@ -35,7 +35,7 @@ def gather(paper: Paper, runs: Path) -> tuple[dict[str, FinishedRun], list[str]]
     for name in paper_campaigns(paper):
         run = newest_finished(folders, name)
         if run is None:
-            missing.append(f"{name}: no finished run under {runs}/; to run it: boresight run {name}")
+            missing.append(f"{name}: no finished run without --set under {runs}/; to run it: boresight run {name}")
         else:
             found[name] = run
     return found, missing

@@ -128,8 +128,7 @@ class _Filter:
             self.state = self._begun(frame)
         self._take_new(frame)
         self.state = self.state.settling(self.settled_sigma)
-        position, covariance = self.state.position_m.copy(), self.state.covariance[:3, :3].copy()
-        points = self.state.points(self.camera)
+        position, covariance, points = self.state.told(self.camera)
         check_scale(covariance, points, position, self.options.uncertainty_max)
         velocity = self.state.velocity_m_s if self.started else None
         self.started = True

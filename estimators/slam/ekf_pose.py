@@ -38,8 +38,9 @@ class PoseState(FilterState):
     the left: zero but for the time between an update and `folded` (multiplicative filter). So the covariance is 12 wide
     for the camera and 9 for a landmark.
 
-    Three elements more are what the star tracker's attitude has wrong in all frames: its misalignment with the camera,
-    which averages out of no number of frames. It is seen only by its difference from what landmarks tell.
+    Three elements more are what the star tracker's attitude has wrong for long: its misalignment with the camera, which
+    averages out of no number of frames, and what grows from the first frame on, the error of the body's known rotation
+    (a random walk of the same variance). Landmarks lie still in the true body's axes, so that it is seen by them alone.
 
     Parameters
     ----------
@@ -47,10 +48,14 @@ class PoseState(FilterState):
         (3, 3) R_cam_body of the camera.
     turn_noise_rad
         Standard deviation, about each axis, of the turn between two frames that the rate does not foretell.
+    misalignment_rad
+        Standard deviation of the misalignment: what lasts of the error at the first frame, which says what the axes of
+        the body are.
     """
 
     R_camera: FloatArray
     turn_noise_rad: float
+    misalignment_rad: float
 
     CAMERA: ClassVar[int] = 15
     LANDMARK: ClassVar[int] = 9
@@ -72,7 +77,9 @@ class PoseState(FilterState):
         x = np.concatenate([position_m, np.zeros(cls.CAMERA - 3)])
         none = np.zeros(0, dtype=np.int64)
         anchors, settled = np.zeros((0, 3, 3)), np.zeros((0, 4))
-        return cls(x, covariance, none, anchors, settled, frame, frame.R_cam_body, turn_noise_rad)
+        return cls(
+            x, covariance, none, anchors, settled, frame, frame.R_cam_body, turn_noise_rad, frame.attitude_lasting_rad
+        )
 
     @property
     def velocity_m_s(self) -> FloatArray:
@@ -110,6 +117,25 @@ class PoseState(FilterState):
         by_camera[:, :, _POSITION] = -by_line
         by_camera[:, :, _TURN] = -by_line @ cross_matrix(lines) @ self.attitude.T @ left_jacobian(self.x[_TURN])
         return by_camera
+
+    def told(self, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the position (3,), its covariance and the points (n, 3) in the body's axes as it is known.
+
+        Of what lasts, the body's rotation has the share of its variance, and the rest is the misalignment's.
+        """
+        position, covariance, points = FilterState.told(self, camera)
+        grown = max(self.frame.attitude_lasting_rad**2 - self.misalignment_rad**2, 0.0)
+        if grown == 0.0:
+            return position, covariance, points
+        share = grown / self.frame.attitude_lasting_rad**2
+        to_body, lever = self.attitude.T, cross_matrix(position)
+        turn = rotation_of(-share * to_body @ self.x[_LASTING])
+        J = np.zeros((3, self.CAMERA))
+        J[:, _POSITION] = turn
+        J[:, _LASTING] = share * turn @ lever @ to_body
+        covariance = J @ self.covariance[: self.CAMERA, : self.CAMERA] @ J.T
+        covariance += grown * (1.0 - share) * lever @ lever.T
+        return turn @ position, covariance, np.asarray(points @ turn.T, dtype=np.float64)
 
     def predicted(self, frame: TrackFrame) -> PoseState:
         """Move by the displacement that comes with a frame and turn by the rate; then look at the stars.

@@ -111,6 +111,10 @@ class FilterState:
         del lines
         return -by_line
 
+    def told(self, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the position (3,), its covariance and the points (n, 3) in the body's axes as it is known."""
+        return self.position_m.copy(), self.covariance[:3, :3].copy(), self.points(camera)
+
     def predicted(self, frame: TrackFrame) -> Self:
         """Move the camera to the next frame by all that this tells beside its pixels; landmarks stand still."""
         x, covariance = self.x.copy(), self.covariance.copy()

@@ -121,7 +121,7 @@ def test_a_second_call_without_runs_leaves_no_old_figures(page, runs, tmp_path, 
     assert main(["figures", "rowell2015", "--runs", str(tmp_path), "--out", str(out)]) == 0
     assert sorted(path.name for path in out.iterdir()) == ["index.html", "mine.png", "table.csv", "table.md"]
     said = capsys.readouterr().out
-    assert said.count("no finished run") == len(paper_campaigns(PAPER))
+    assert said.count("no finished run without --set") == len(paper_campaigns(PAPER))
     assert set(pd.read_csv(out / "table.csv")["verdict"]) == {"not measured"}
 
 
@@ -157,10 +157,11 @@ def test_another_paper_is_refused(capsys):
 
 
 def test_the_newest_finished_run_is_taken_and_unfinished_ones_are_not(tmp_path):
-    def store(name, finished, trials, rows):
+    def store(name, finished, trials, rows, overrides=()):
         folder = tmp_path / name
         (folder / "rows").mkdir(parents=True)
         manifest = {"name": "c", "digest": "d", "finished": finished, "trials": trials, "scenarios": {"s": {}}}
+        manifest |= {"overrides": overrides}
         (folder / "manifest.json").write_text(json.dumps(manifest))
         pd.DataFrame({"scenario": ["s"] * rows, "trial": range(rows)}).to_parquet(folder / "rows" / "s-0.parquet")
 
@@ -168,6 +169,7 @@ def test_the_newest_finished_run_is_taken_and_unfinished_ones_are_not(tmp_path):
     store("new", "2024-02-01T00:00:00+00:00", 3, 3)
     store("continued", "2024-03-01T00:00:00+00:00", 5, 3)  # finished once, then asked for more
     store("running", None, 3, 3)
+    store("another-world", "2024-04-01T00:00:00+00:00", 3, 3, ["camera.fov_deg=20"])
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "manifest.json").write_text("{")
     found = newest_finished(run_folders(tmp_path), "c")

@@ -182,6 +182,25 @@ def test_folding_keeps_the_pose_and_refers_errors_to_it(state: PoseState) -> Non
     np.testing.assert_allclose(folded.covariance[6:9, :3], (J @ state.covariance)[:, :3], rtol=1e-6, atol=1e-9)
 
 
+def test_what_is_told_stands_in_the_axes_that_the_spacecraft_knows(state: PoseState) -> None:
+    """Without a misalignment all that lasts is the body's: with the measured attitude landmarks look the same."""
+    grown = replace(state.folded(), misalignment_rad=0.0)
+    grown = replace(grown, x=grown.x + np.eye(len(grown.x))[12] * 0.01)
+    position, covariance, points = grown.told(CAMERA)
+    known = Rotation.from_rotvec(grown.x[12:15]).as_matrix() @ grown.attitude
+    there = (grown.points(CAMERA) - grown.position_m) @ grown.attitude.T
+    np.testing.assert_allclose((points - position) @ known.T, there, atol=1e-9)
+    steps = np.full(len(grown.x), 1e-5)
+    J = differences(lambda x: replace(grown, x=x).told(CAMERA)[0], grown.x, steps)
+    J[:, 6:9] = 0.0  # a turn of the axes is itself the error: of second order
+    expected = J @ grown.covariance @ J.T
+    np.testing.assert_allclose(covariance, expected, rtol=0.02, atol=0.02 * np.abs(expected).max())
+    still = replace(state.folded(), misalignment_rad=state.frame.attitude_lasting_rad)
+    np.testing.assert_array_equal(still.told(CAMERA)[0], still.position_m)
+    half = replace(grown, misalignment_rad=np.sqrt(0.5) * grown.frame.attitude_lasting_rad)
+    np.testing.assert_allclose(half.told(CAMERA)[0], 0.5 * (position + grown.position_m), atol=0.02)
+
+
 def test_star_tracker_without_landmarks_is_consistent() -> None:
     """Attitude, rate and misalignment of 200 drawn cameras: their NEES has the mean of a chi-square of 9."""
     rng, lasting, white, frames = np.random.default_rng(5), 0.01, 0.005, 6

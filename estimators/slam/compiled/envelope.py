@@ -78,9 +78,7 @@ def factorise(values: FloatArray, shape: Envelope) -> bool:
         if not _factorise_rows(values, begin, width):
             return False
         for j in range(i + 1, shape.reach[i] + 1):
-            for row in range(3):
-                column = 3 * (j - i) + row
-                _take(values, shape.begin[j] + row * shape.width[j] + row, begin + column, width, width - column)
+            _take(values, shape.begin[j], shape.width[j], begin, width, 3 * (j - i))
     return True
 
 
@@ -88,28 +86,46 @@ def factorise(values: FloatArray, shape: Envelope) -> bool:
 def _factorise_rows(values: FloatArray, begin: int, width: int) -> bool:
     """Finish the three rows of a block in place."""
     for row in range(3):
-        at = begin + row * width
+        own = _part(values, begin + row * width, width)
         for above in range(row):
-            part = values[begin + above * width + row]
+            upper = _part(values, begin + above * width, width)
+            part = upper[row]
             for column in range(row, width):
-                values[at + column] -= part * values[begin + above * width + column]
-        pivot = values[at + row]
+                own[column] -= part * upper[column]
+        pivot = own[row]
         if not pivot > 0.0:
             return False
         root = np.sqrt(pivot)
-        values[at + row] = root
+        own[row] = root
         for column in range(row + 1, width):
-            values[at + column] /= root
+            own[column] /= root
     return True
 
 
 @kernel
-def _take(values: FloatArray, target: int, source: int, width: int, count: int) -> None:
-    """Subtract the multiples of three rows, from ``source`` on, that their first entries tell."""
-    a, b, c = values[source], values[source + width], values[source + 2 * width]
-    first, second, third = source, source + width, source + 2 * width
+def _take(values: FloatArray, target: int, target_width: int, source: int, width: int, column: int) -> None:
+    """Subtract from the three rows of a block the multiples of three finished rows that these hold from ``column`` on.
+
+    What that leaves below the diagonal is not used.
+    """
+    count = width - column
+    x = _part(values, source + column, count)
+    y = _part(values, source + width + column, count)
+    z = _part(values, source + 2 * width + column, count)
+    first = _part(values, target, count)
+    second = _part(values, target + target_width, count)
+    third = _part(values, target + 2 * target_width, count)
+    x0, y0, z0, x1, y1, z1, x2, y2, z2 = x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]
     for k in range(count):
-        values[target + k] -= a * values[first + k] + b * values[second + k] + c * values[third + k]
+        first[k] -= x0 * x[k] + y0 * y[k] + z0 * z[k]
+        second[k] -= x1 * x[k] + y1 * y[k] + z1 * z[k]
+        third[k] -= x2 * x[k] + y2 * y[k] + z2 * z[k]
+
+
+@kernel
+def _part(values: FloatArray, begin: int, count: int) -> FloatArray:
+    """Return a view of a part: its indices are seen to be positive, and so several are taken at a time."""
+    return values[begin : begin + count]
 
 
 @kernel

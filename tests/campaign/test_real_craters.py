@@ -1,0 +1,97 @@
+"""Detection in the real image of Eros, beside the gazetteer's craters; prediction on a sphere by closed forms."""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from campaign.cli import main
+from campaign.real.msi_image import open_msi, square_pixels
+from campaign.real.named_craters import NamedCrater, predict, read_gazetteer
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, TriangleMesh, View, look_at
+
+DATA = Path(os.environ.get("BORESIGHT_DATA", "/nonexistent"))
+NEEDED = [DATA / "images" / "near_msi", DATA / "spice" / "near_msi_m0126888978", DATA / "craters"]
+needs_data = pytest.mark.skipif(
+    not all(path.exists() for path in NEEDED), reason="the MSI image is absent: set BORESIGHT_DATA"
+)
+
+
+def test_a_crater_of_a_sphere_is_predicted_where_closed_forms_put_it():
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=5e3)
+    mesh = TriangleMesh(ball.vertices, ball.faces)
+    pose = look_at(np.array([200e3, 0.0, 0.0]), 0.3)
+    camera = Camera.from_fov(537, 412, np.radians(2.93))
+    view = View(camera, pose, np.array([0.6, 0.8, 0.0]))
+    craters = [
+        NamedCrater("near", np.radians(10.0), np.radians(20.0), 800.0),
+        NamedCrater("behind", np.radians(10.0), np.radians(170.0), 800.0),
+        NamedCrater("dark", np.radians(0.0), np.radians(-50.0), 800.0),
+    ]
+    found = predict(craters, mesh, view)
+    assert found.names == ("near", "dark")
+    assert found.lit.tolist() == [True, False]
+    point = 5e3 * craters[0].direction
+    uv = camera.project(pose.rotation @ point + pose.translation_m)
+    np.testing.assert_allclose(found.ellipses.centre_px[0], uv, atol=0.1)
+    line = pose.camera_position_m - point
+    cosine = craters[0].direction @ line / np.linalg.norm(line)
+    longer = 400.0 * camera.fx_px / np.linalg.norm(line)
+    np.testing.assert_allclose(found.ellipses.semi_axes_px[0], [longer, longer * cosine], rtol=0.02)
+
+
+def test_square_pixels_show_the_same_directions():
+    """An image that is the row's slope in the stored camera is the row's slope in the square one."""
+    stored = Camera(60, 30, 1000.0, 500.0, 30.0, 15.0)
+    rows = np.indices((30, 60))[0] + 0.5
+    image, square = square_pixels(((rows - 15.0) / 500.0).astype(np.float32), stored)
+    assert (square.width_px, square.height_px, square.fx_px, square.fy_px) == (60, 60, 1000.0, 1000.0)
+    expected = (np.indices((60, 60))[0] + 0.5 - square.cy_px) / square.fy_px
+    np.testing.assert_allclose(image[12:-12], expected[12:-12], atol=1e-5)
+
+
+@needs_data
+def test_the_sun_of_the_real_image_stands_where_its_label_says():
+    """Phase angle 96.45 deg, and SUN_SC_POSITION_VECTOR runs from the Sun to the spacecraft."""
+    real = open_msi()
+    toward_camera = real.view.T_cam_body.camera_position_m
+    cosine = real.view.sun_dir_body @ toward_camera / np.linalg.norm(toward_camera)
+    assert np.degrees(np.arccos(cosine)) == pytest.approx(96.45, abs=1.5)
+
+
+@needs_data
+def test_named_craters_are_found_in_the_real_image(tmp_path, capsys):
+    assert main(["craters", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    with (tmp_path / "detections.csv").open() as file:
+        names = {row["name"] for row in csv.DictReader(file)} - {""}
+    assert {"Cupid", "Valentine", "Leander"} <= names
+    for name in names:
+        assert f"{name}: expected at" in said
+    assert {path.name for path in tmp_path.iterdir()} >= {"detections.png", "stages.png", "detections.pdf"}
+
+
+@needs_data
+def test_the_gazetteer_is_read():
+    table = {crater.name: crater for crater in read_gazetteer()}
+    assert len(table) == 37
+    assert table["Psyche"].diameter_m == 4800.0
+
+
+def test_a_gazetteer_that_is_none_is_named(tmp_path):
+    folder = tmp_path / "craters"
+    folder.mkdir()
+    (folder / "eros_named_craters_iau.csv").write_text("name,lat_deg\nPsyche,31.6\n")
+    with pytest.raises(BoresightError, match=r"eros_named_craters_iau.csv: a row is not name, lat_deg"):
+        read_gazetteer([tmp_path])
+
+
+def test_an_image_that_is_not_there_is_named(tmp_path, capsys):
+    assert main(["craters", str(tmp_path / "no.lbl")]) == 2
+    assert "no.lbl" in capsys.readouterr().err
