@@ -1,9 +1,4 @@
-"""Whether estimators know how wrong they are, and how far they stay from what their observations allow.
-
-The error e of a pose weighed by the covariance P of its estimator, NEES = e^T P^-1 e, is chi-square with 6 degrees of
-freedom where P is true (Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking and
-Navigation, 2001, section 5.4). A covariance that is too small gives more than 6.
-"""
+"""Whether estimators know how wrong they are, and how far they stay from what their observations allow."""
 
 from __future__ import annotations
 
@@ -13,25 +8,32 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from reports.clusters import clusters_of
 from reports.grid import NO_VALUE, Grid, number, value_of
-from reports.paired import share_of
 from reports.records import Record, find
 from reports.run_data import RunData, select
 from reports.statistics import MEAN, MEDIAN, FloatArray, Measured, measure
+from reports.weighed import NEES, Judged, judged_pair, weighed_errors, weighed_label
 
 CONSISTENCY = "consistency"
 """Stage of the records that hold a covariance or a bound against the errors."""
 
-NEES = "nees"
-DEGREES = 6
 BAND, INSIDE, RATIO = "mean if consistent", "share within 95 %", "RMS ratio"
 ERRORS = {"position": "position_error_m", "attitude": "attitude_error_deg"}
 FORETOLD = {f"{what}_over_sigma": f"{what}_sigma" for what in ERRORS}
 BOUNDED = {f"{what}_over_bound": f"{what}_bound" for what in ERRORS}
 _UNITS = {"position": "m", "attitude": "deg"}
+
+
+_NOTE = (
+    "NEES: the squared error weighed by the estimator's own covariance; NIS: the squared innovation weighed by what the"
+    " filter foretells of it. Where covariances are true, 95 % of the means of as many trials lie in the band; a mean"
+    " above it tells a covariance that is too small. Within 95 %: share of the trials inside the central 95 % of the"
+    " distribution. RMS error over the one that the covariance foretells, and over the Cramer-Rao bound of the"
+    " estimator's own observations: 1 is all that they allow. The covariance of the paper's method, which uses no"
+    " prior, is that bound itself, under the covariances that its data base gives the landmarks."
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,31 +56,28 @@ class _Subject:
 def consistency_records(run: RunData) -> list[Record]:
     """Hold every covariance and every bound against the errors; nothing of estimators that give neither."""
     records: list[Record] = []
-    for scenario, estimator in run.posed_pairs() if NEES in run.rows else ():
+    kinds = list(weighed_errors(run))
+    posed = set(run.posed_pairs()) if NEES in run.rows else set()
+    for scenario, estimator in run.pairs():
         own = select(run.rows, scenario, estimator)
         rows = own[own["status"] == "ok"]
         subject = _Subject(scenario, estimator, rows, clusters_of(run, rows), len(own))
-        records += [*_nees_records(subject), *_ratio_records(subject)]
+        for kind in kinds:
+            found = judged_pair(run, kind, scenario, estimator)
+            records += [] if found is None else _judged_records(subject, kind.name, found)
+        if (scenario, estimator) in posed:
+            records += _ratio_records(subject)
     return records
 
 
-def consistent_mean(n: int) -> tuple[float, float]:
-    """Bound the mean of ``n`` independent NEES of a true covariance at the 95 % level."""
-    return float(chi2.ppf(0.025, DEGREES * n)) / n, float(chi2.ppf(0.975, DEGREES * n)) / n
-
-
-def _nees_records(subject: _Subject) -> Iterator[Record]:
-    known = subject.rows[NEES].notna().to_numpy()
-    nees = subject.rows[NEES].to_numpy(dtype=np.float64)[known]
-    clusters = subject.clusters[known]
-    if not len(nees):
-        return
-    for statistic, measured in zip((MEAN, MEDIAN), measure(nees, clusters, (MEAN, MEDIAN)), strict=True):
-        yield subject.record(NEES, statistic.name, measured, len(nees))
-    band = Measured(float(DEGREES), *consistent_mean(len(np.unique(clusters))))
-    yield subject.record(NEES, BAND, band, len(nees))
-    low, high = consistent_mean(1)
-    yield subject.record(NEES, INSIDE, share_of((nees >= low) & (nees <= high)), len(nees))
+def _judged_records(subject: _Subject, name: str, found: Judged) -> Iterator[Record]:
+    for statistic, measured in (
+        (MEAN.name, found.mean),
+        (MEDIAN.name, found.median),
+        (BAND, found.band),
+        (INSIDE, found.inside),
+    ):
+        yield subject.record(name, statistic, measured, found.n)
 
 
 def _ratio_records(subject: _Subject) -> Iterator[Record]:
@@ -107,29 +106,28 @@ def rms_ratio(errors: FloatArray, sigmas: FloatArray, clusters: NDArray[np.gener
 
 def consistency_grid(records: Sequence[Record]) -> Grid | None:
     """Tabulate what estimators say of their own errors, and their bounds; None where none says anything."""
-    subjects = dict.fromkeys((r.scenario, r.estimator) for r in records if r.stage == CONSISTENCY)
+    own = [r for r in records if r.stage == CONSISTENCY]
+    lines = dict.fromkeys((r.scenario, r.estimator, r.measure) for r in own if r.statistic == BAND)
+    told = {(scenario, estimator) for scenario, estimator, _ in lines}
+    lines |= dict.fromkeys((r.scenario, r.estimator, "") for r in own if (r.scenario, r.estimator) not in told)
     heads = (
-        "scenario", "estimator", "NEES mean [95 %]", "band", "within 95 %", "position, RMS over foretold",
+        "scenario", "estimator", "weighed", "mean [95 %]", "band", "within 95 %", "position, RMS over foretold",
         "attitude, RMS over foretold", "position, RMS over bound", "attitude, RMS over bound",
     )  # fmt: skip
 
-    def cells(scenario: str, estimator: str) -> tuple[str, ...]:
+    def cells(scenario: str, estimator: str, kind: str) -> tuple[str, ...]:
         def get(measure: str, statistic: str) -> Record | None:
-            key = {"scenario": scenario, "estimator": estimator, "stage": CONSISTENCY}
-            return find(records, **key, measure=measure, statistic=statistic)
+            return find(own, scenario=scenario, estimator=estimator, measure=measure, statistic=statistic)
 
-        band = get(NEES, BAND)
+        band = get(kind, BAND)
         ends = NO_VALUE if band is None else f"{number(band.low)} to {number(band.high)}"
-        ratios = (value_of(get(name, RATIO), interval=True) for name in (*FORETOLD, *BOUNDED))
-        mean, inside = (value_of(get(NEES, name), interval=True) for name in (MEAN.name, INSIDE))
-        return (scenario, estimator, mean, ends, inside, *ratios)
+        what = NO_VALUE if band is None else f"{weighed_label(kind)} ({number(band.value)} expected)"
+        posed = kind in ("", NEES)
+        ratios = (value_of(get(name, RATIO) if posed else None, interval=True) for name in (*FORETOLD, *BOUNDED))
+        mean, inside = (value_of(get(kind, name), interval=True) for name in (MEAN.name, INSIDE))
+        return (scenario, estimator, what, mean, ends, inside, *ratios)
 
-    note = (
-        "NEES: the squared error of the pose weighed by the estimator's own covariance, in the mean 6 where that is"
-        " true (95 % of the means of as many trials lie in the band), more where it is too small. RMS error over the"
-        " one that the covariance foretells, and over the Cramer-Rao bound of the estimator's own observations: 1 is"
-        " all that they allow. The covariance of the paper's method, which uses no prior, is that bound itself, under"
-        " the covariances that its data base gives the landmarks."
-    )
-    rows = tuple(cells(*subject) for subject in subjects)
-    return Grid("Covariance and bound", heads, rows, frozenset({0, 1}), note) if rows else None
+    rows = tuple(cells(*line) for line in lines)
+    grid = Grid("Covariance and bound", heads, rows, frozenset({0, 1, 2}), _NOTE)
+    empty = {i for i in range(6, len(heads)) if all(row[i] == NO_VALUE for row in rows)}
+    return grid.keep(*(head for i, head in enumerate(heads) if i not in empty)) if rows else None

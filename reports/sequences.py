@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from reports.clusters import clusters_of, pooled_scenarios, pools
 from reports.comparison import ComparedValue
 from reports.comparison_tables import comparison_grid
+from reports.consistency import consistency_grid
 from reports.contrasts import RATIO
 from reports.designs import design_grids
 from reports.figures.revolutions import draw_revolutions
@@ -55,6 +56,7 @@ def sequence_grids(records: Sequence[Record], compared: Sequence[ComparedValue],
         *ratio_grids(shown),
         *sign_grids(shown, run),
         sequence_grid(shown),
+        consistency_grid(shown),
         vision_grid(shown),
         *design_grids(run),
         diagnostic_grid(shown),

@@ -199,6 +199,7 @@ def _circumstances(path: Path | None) -> Record:
         "image": "",
         "range_m": None if path is None else float(np.linalg.norm(path.poses[-1].translation_m)),
         "phase_deg": None,
+        "latitude_deg": None,
     }
 
 

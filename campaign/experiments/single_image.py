@@ -203,11 +203,13 @@ class SingleImage:
 def _circumstances(observation: Observation, sight: Sight) -> Record:
     """Describe a trial as far as no estimator can change it."""
     true = sight.view.T_cam_body
+    x, y, z = true.camera_position_m
     prior = pose_error(observation.frames[0].prior_T_cam_body, true)
     return {
         **{f"prior_{name}": value for name, value in prior.items()},
         "image": sight.image_name,
         "range_m": float(np.linalg.norm(true.translation_m)),
+        "latitude_deg": float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
         "phase_deg": float(np.degrees(sight.view.phase_angle_rad)),
     }
 

@@ -67,6 +67,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("image", pa.string(), "file name of a real image; empty when rendered"),
         Column("range_m", pa.float64(), "true distance of the camera from the body's origin"),
         Column("phase_deg", pa.float64(), "true phase angle at the body's origin"),
+        Column("latitude_deg", pa.float64(), "true latitude of the camera in the body frame, about its z axis"),
         Column("error_after_1_m", pa.float64(), "of a sequence: position error at the frame that ends revolution 1"),
         Column("error_after_2_m", pa.float64(), "the same of revolution 2"),
         *_landmark_errors("root mean square over all frames of a sequence and"),

@@ -34,9 +34,15 @@ class Health:
         self.refused = 0
 
     def diagnostics(self) -> dict[str, float]:
-        """Return the mean squared normalised innovation, of which 1 is expected, and how many pixels were refused."""
-        mean = {"innovation": self.total / self.measurements} if self.measurements else {}
-        return {**mean, "refused_pixels": float(self.refused)}
+        """Return the mean squared normalised innovation, its degrees of freedom, and how many pixels were refused."""
+        refused = {"refused_pixels": float(self.refused)}
+        if not self.measurements:
+            return refused
+        return {
+            "innovation": self.total / self.measurements,
+            "innovation_degrees": float(self.measurements),
+            **refused,
+        }
 
     def judge(self, tracks: IndexArray, fit: BoolArray) -> None:
         """Note which tracks (n,) a gate believed in a frame.

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from reports.compare.consistency import claims_grid, claims_table
 from reports.compare.figures import comparison_figures
 from reports.compare.grids import contrast_grid, contrast_table, subject_grid, subject_table
 from reports.compare.subjects import RunComparison
@@ -27,7 +28,7 @@ class ComparisonFiles:
 
 
 def write_comparison(found: RunComparison, folder: Path, command: str = "") -> ComparisonFiles:
-    """Write ``compare.md``, ``subjects.csv``, ``differences.csv`` and the figures of a comparison.
+    """Write ``compare.md``, ``subjects.csv``, ``differences.csv``, ``consistency.csv`` and the figures of a comparison.
 
     Raises
     ------
@@ -36,6 +37,7 @@ def write_comparison(found: RunComparison, folder: Path, command: str = "") -> C
     """
     grids = tuple(comparison_grids(found))
     tables = {"subjects.csv": subject_table(found), "differences.csv": contrast_table(found)}
+    tables |= {"consistency.csv": claims_table(found)}
     figures = list(comparison_figures(found))
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -57,6 +59,9 @@ def comparison_grids(found: RunComparison) -> Iterator[Grid]:
     differences = contrast_grid(found)
     if differences is not None:
         yield differences
+    claims = claims_grid(found)
+    if claims is not None:
+        yield claims
 
 
 def notes(found: RunComparison) -> Iterator[str]:

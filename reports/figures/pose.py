@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from reports.figures.style import (
     BLUE,
@@ -37,6 +39,7 @@ _PANELS = (
 _CURVE_POINTS = 2000
 _LEGEND_INSIDE = 8
 _LINE_IN = 0.17
+_FAR_APART = 8.0
 
 
 @styled
@@ -132,7 +135,11 @@ def _thinned(ascending: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
 
 @styled
 def draw_cumulative_errors(
-    estimators: Mapping[str, tuple[pd.DataFrame, int]], title: str, credit_lines: Sequence[str] = ()
+    estimators: Mapping[str, tuple[pd.DataFrame, int]],
+    title: str,
+    credit_lines: Sequence[str] = (),
+    panels: Mapping[str, str] = MappingProxyType({column: label for column, label, _, _ in _PANELS}),
+    colours: Mapping[str, str] | None = None,
 ) -> Figure:
     """Draw the share of all trials whose error is below a bound, so that failures lower the curve.
 
@@ -144,29 +151,51 @@ def draw_cumulative_errors(
         Printed above the panels.
     credit_lines
         Credits of real images.
+    panels
+        Columns of the errors, with what stands on their axes.
+    colours
+        Of the curves by their labels; by default one after the other, grey for the prior.
     """
-    below = len(estimators) > _LEGEND_INSIDE
-    figure, panels = new_figure(2, height_in=3.4 + (_LINE_IN * -(-len(estimators) // 2) if below else 0.0))
-    for axes, (column, label, _, _) in zip(panels, _PANELS, strict=True):
+    far_apart = any(_far_apart([_finite(errors[column]) for errors, _ in estimators.values()]) for column in panels)
+    below = len(estimators) > _LEGEND_INSIDE or len(panels) == 1 or far_apart
+    lines = -(-len(estimators) // 2) if below else 0
+    figure, places = new_figure(len(panels), 3.75 * max(len(panels), 1.5), 3.4 + _LINE_IN * lines)
+    for axes, (column, label) in zip(places, panels.items(), strict=True):
         samples = {name: np.sort(_finite(errors[column])) for name, (errors, _) in estimators.items()}
         limit = float(shared_edges(list(samples.values()))[-1])
         for i, (name, sample) in enumerate(samples.items()):
             n = estimators[name][1]
             shown, share = _thinned(sample[sample <= limit], n)
+            own = GREY if name == "prior" else SERIES_COLOURS[i % len(SERIES_COLOURS)]
             axes.step(
                 np.concatenate([[0.0], shown, [limit]]),
                 np.append(share, share[-1]),
                 where="post",
-                color=GREY if name == "prior" else SERIES_COLOURS[i % len(SERIES_COLOURS)],
+                color=own if colours is None else colours[name],
                 linestyle=LINE_STYLES[i % len(LINE_STYLES)],
                 linewidth=1.6,
                 label=f"{name} ({len(sample)} of {n} ok)",
             )
         axes.set(xlabel=label, ylabel="share of all trials", xlim=(0, limit), ylim=(0, 1.02))
+        _spread(axes, list(samples.values()), limit)
     if below:
-        figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        figure.legend(*places[-1].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     else:
-        panels[1].legend(loc="lower right")
+        places[-1].legend(loc="lower right")
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
     return figure
+
+
+def _far_apart(samples: Sequence[FloatArray]) -> bool:
+    """Whether the best curve would lie upon a linear ordinate."""
+    medians = [float(np.median(sample)) for sample in samples if len(sample)]
+    return bool(medians) and 0.0 < _FAR_APART * min(medians) < max(medians)
+
+
+def _spread(axes: Axes, samples: Sequence[FloatArray], limit: float) -> None:
+    """Choose a logarithmic abscissa for curves that are far apart."""
+    low = min((float(np.quantile(sample, 0.02)) for sample in samples if len(sample)), default=0.0)
+    if _far_apart(samples) and low > 0.0:
+        axes.set(xscale="log", xlim=(low, limit))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -8,15 +8,14 @@ from stored_runs import RunBuilder, pose_error
 from reports.consistency import (
     BAND,
     INSIDE,
-    NEES,
     RATIO,
     consistency_grid,
     consistency_records,
-    consistent_mean,
     rms_ratio,
 )
 from reports.records import find
 from reports.run_data import read_run
+from reports.weighed import NEES, consistent_mean, judge, weighed_errors
 
 TRIALS = 400
 
@@ -83,14 +82,15 @@ def test_what_is_not_told_is_not_tabulated(builder):
 def test_the_table_has_a_line_and_no_invented_bound(builder):
     grid = consistency_grid(consistency_records(store(builder, 1.0)))
     [row] = grid.rows
-    assert row[grid.columns.index("position, RMS over bound")] == "-"
+    assert "position, RMS over bound" not in grid.columns
     assert row[grid.columns.index("band")] == "5.66 to 6.34"
 
 
 def test_the_band_holds_the_means_of_many_samples():
     """Against drawn sums of squares: 95 % of the means of 50 lie in the band."""
     means = (np.random.default_rng(2).normal(size=(4000, 50, 6)) ** 2).sum(axis=2).mean(axis=1)
-    low, high = consistent_mean(50)
+    band = consistent_mean(300, 6)
+    low, high = band.low, band.high
     assert np.mean((means > low) & (means < high)) == pytest.approx(0.95, abs=0.015)
     assert kstest(50 * means, chi2(300).cdf).pvalue > 1e-3
 
@@ -104,3 +104,44 @@ def test_the_interval_of_a_ratio_is_that_of_resampled_ratios():
     draws = rng.integers(0, 500, (4000, 500))
     ratios = np.sqrt((error[draws] ** 2).mean(axis=1) / (sigma[draws] ** 2).mean(axis=1))
     assert (found.low, found.high) == pytest.approx(tuple(np.percentile(ratios, [2.5, 97.5])), abs=0.01)
+
+
+def test_the_nis_is_held_against_its_degrees_of_freedom():
+    """Drawn chi-squares of 40 to 400 degrees: the mean lies in the band, and 95 % of the trials in theirs."""
+    rng = np.random.default_rng(13)
+    degrees = rng.integers(40, 400, 3000)
+    found = judge(rng.chisquare(degrees) / degrees, degrees.astype(float), 1, np.arange(3000))
+    assert found.band.value == 1.0
+    assert found.band.low < found.mean.value < found.band.high
+    assert found.inside.value == pytest.approx(0.95, abs=0.012)
+    # Weighed by degrees the mean is chi-square of them all; by trials its spread is at least that.
+    assert found.band.high - found.band.low == pytest.approx(2 * 1.96 * np.sqrt(2 / degrees.sum()), rel=0.01)
+
+
+def test_realisations_of_one_image_widen_the_band():
+    ratios = np.full(40, 6.0)
+    alone, shared = (judge(ratios, ratios, 6, np.arange(40) // n) for n in (1, 4))
+    assert shared.band.high - 6 == pytest.approx(2 * (alone.band.high - 6), rel=0.1)
+
+
+def test_sequences_are_judged_after_whole_revolutions(builder):
+    """Positions of three axes: one estimator tells its errors truly, one of half their size, one nothing."""
+    rng = np.random.default_rng(3)
+    nothing = {f"{prefix}{name}": np.nan for prefix in ("", "prior_") for name in pose_error(np.zeros(3), 0)}
+    for label, scale in (("true", 1.0), ("bold", 2.0), ("silent", np.nan)):
+        for trial in range(300):
+            key = {"trial": trial, "scenario": "rock", "estimator": label}
+            builder.add("rows", **key, **nothing, status="ok", reason="", image="", n_landmarks=9, nees=np.nan)
+            for angle in (0.0, 180.0, 360.0):
+                nees = float(np.sum((scale * rng.normal(size=3)) ** 2))
+                builder.add("epochs", **key, frame=int(angle), anomaly_deg=angle, position_error_m=1.0, nees=nees,
+                            landmark_rmse_m=1.0, settled_landmark_rmse_m=1.0)  # fmt: skip
+    run = read_run(builder.write(scenarios={"rock": {}}, estimators=["true", "bold", "silent"]))
+    assert [kind.name for kind in weighed_errors(run)] == ["nees_after_1"]
+    grid = consistency_grid(consistency_records(run))
+    assert [row[1] for row in grid.rows] == ["bold", "true"]
+    records = {r.estimator: r for r in consistency_records(run) if r.statistic == "mean"}
+    assert records["true"].value == pytest.approx(3.0, abs=0.4)
+    assert records["bold"].value == pytest.approx(12.0, abs=1.6)
+    assert grid.rows[0][2] == "NEES of the position after 1 revolution (3.00 expected)"
+    assert len(grid.columns) == 6, "columns of poses are left out"

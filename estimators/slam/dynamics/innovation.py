@@ -21,10 +21,11 @@ class InnovationTest:
         self.total = 0.0
         self.measurements = 0
 
-    @property
-    def mean(self) -> float | None:
-        """Of all frames so far; 1 is expected."""
-        return self.total / self.measurements if self.measurements else None
+    def diagnostics(self) -> dict[str, float]:
+        """Return the mean over all frames so far, of which 1 is expected, and its degrees of freedom."""
+        if not self.measurements:
+            return {}
+        return {"innovation": self.total / self.measurements, "innovation_degrees": float(self.measurements)}
 
     def add(self, rise: float, measurements: int) -> None:
         """Take the next frame's rise in; raise LostError where the last frames are far above expectation."""

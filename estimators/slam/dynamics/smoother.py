@@ -69,9 +69,8 @@ class _Smoother:
         gm, radiation = forces.gm_m3_s2, float(np.linalg.norm(forces.radiation_m_s2))
         ratio, factor = (self.window.parameters_m / length).tolist()
         ratio_sigma, factor_sigma = (self.parameter_sigmas_m / length).tolist()
-        innovation = self.innovation.mean
         return {
-            **({} if innovation is None else {"innovation": innovation}),
+            **self.innovation.diagnostics(),
             "iterations_per_frame": self.iterations / max(self.count - 1, 1),
             "gm_m3_s2": ratio * gm,
             "gm_sigma_m3_s2": ratio_sigma * gm,

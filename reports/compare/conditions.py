@@ -1,0 +1,139 @@
+"""Errors of a comparison against the conditions of their trials: in bins, each with its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from reports.compare.metrics import BORESIGHT, LATERAL, Metric
+from reports.compare.trials import CONDITIONS
+from reports.figures.curves import Points
+from reports.paired import share_of
+from reports.statistics import MEDIAN, FloatArray, measure
+
+ATTITUDE = "attitude_error_deg"
+SUCCESS = "success"
+RADIAL, TRANSVERSE = "radial_error_m", "transverse_error_m"
+_LABELS: Mapping[str, str] = {
+    "range_m": "range, m",
+    "phase_deg": "phase angle, deg",
+    "latitude_deg": "latitude of the camera, deg",
+    "n_landmarks": "landmarks used",
+    "prior": "error of the prior",
+    "anomaly_deg": "anomaly, deg",
+    "distance_m": "distance to the body, m",
+    LATERAL: "across boresight, m",
+    BORESIGHT: "along boresight, m",
+    ATTITUDE: "attitude, deg",
+    SUCCESS: "success, %",
+    RADIAL: "radial, m",
+    TRANSVERSE: "transverse, m",
+}
+OWN_BINS = "n_landmarks"
+_BIN_TRIALS = 20
+_MOST_BINS = 8
+_FRAMES = 60
+_FEWEST = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Split:
+    """What is drawn against conditions.
+
+    Parameters
+    ----------
+    tables
+        Label of each line to its rows: conditions, errors, ``failed`` and ``cluster``.
+    errors, conditions
+        Columns that are known and, of conditions, differ between trials.
+    """
+
+    tables: Mapping[str, pd.DataFrame]
+    errors: tuple[str, ...]
+    conditions: tuple[str, ...]
+
+
+def label_of(name: str, metric: Metric) -> str:
+    """Name a condition or an error, with its unit."""
+    if name == "value":
+        return metric.axis
+    return f"{_LABELS[name]}, {metric.unit}" if name == "prior" else _LABELS[name]
+
+
+def split_of_trials(tables: Mapping[str, pd.DataFrame], metric: Metric) -> Split:
+    """Choose what the trials of single images tell."""
+    components = (LATERAL, BORESIGHT, ATTITUDE)
+    errors = components if metric.name in components else ("value", *components)
+    return _split(tables, errors, (*CONDITIONS, "prior"))
+
+
+def frames_of(epochs: pd.DataFrame) -> pd.DataFrame:
+    """Prepare the frames of sequences: at most 60 of each, evenly spread, which depend on each other anyway."""
+    stride = max(1, int(epochs["frame"].max() + 1) // _FRAMES)
+    kept = epochs[epochs["frame"] % stride == 0]
+    distance = np.linalg.norm(kept[[f"true_{axis}_m" for axis in "xyz"]].to_numpy(dtype=np.float64), axis=1)
+    return kept.assign(
+        value=kept["position_error_m"],
+        **{RADIAL: kept["radial_m"].abs(), TRANSVERSE: np.hypot(kept["along_m"], kept["cross_m"])},
+        distance_m=distance,
+        failed=False,
+    )
+
+
+def split_of_frames(tables: Mapping[str, pd.DataFrame]) -> Split:
+    """Choose what the frames of sequences tell; success belongs to whole sequences."""
+    return _split(tables, ("value", RADIAL, TRANSVERSE), ("anomaly_deg", "distance_m", "n_landmarks"))
+
+
+def _split(tables: Mapping[str, pd.DataFrame], errors: Sequence[str], conditions: Sequence[str]) -> Split:
+    whole = pd.concat(tables.values())
+    known = [name for name in errors if whole[name].notna().any()]
+    success = [SUCCESS] if whole["failed"].any() else []
+    return Split(tables, (*known, *success), tuple(name for name in conditions if _varies(whole[name])))
+
+
+def _varies(values: pd.Series) -> bool:
+    known = values.dropna().to_numpy(dtype=np.float64)
+    return len(known) > 0 and float(np.ptp(known)) > 1e-6 * max(float(np.abs(known).max()), 1e-12)
+
+
+def edges_of(tables: Sequence[pd.DataFrame], condition: str) -> FloatArray:
+    """Choose edges of bins (b + 1,) that hold as many rows each of the tables together."""
+    longest = max(int(table.loc[table[condition].notna(), "cluster"].nunique()) for table in tables)
+    bins = int(np.clip(longest // _BIN_TRIALS, 1, _MOST_BINS))
+    values = pd.concat([table[condition].dropna() for table in tables])
+    return np.unique(np.quantile(values.to_numpy(dtype=np.float64), np.linspace(0.0, 1.0, bins + 1)))
+
+
+def binned(split: Split, error: str, condition: str) -> Iterator[tuple[str, Points]]:
+    """Yield the line of every subject whose condition differs between trials: medians, or rates of success, in bins.
+
+    Each stands at the median of its condition; bins of fewer than five independent trials are left out. Bins are the
+    same for all, but those of landmarks, of which one estimator may use many more than another.
+    """
+    varying = {label: table for label, table in split.tables.items() if _varies(table[condition])}
+    for label, table in varying.items():
+        edges = edges_of([table] if condition == OWN_BINS else list(varying.values()), condition)
+        known = table[table[condition].notna() & (table[error].notna() if error != SUCCESS else True)]
+        place = np.clip(np.searchsorted(edges, known[condition].to_numpy(), side="right") - 1, 0, len(edges) - 2)
+        found = [_point(own, error, condition) for _, own in known.groupby(place)]
+        points = np.array([point for point in found if point is not None])
+        if len(points):
+            yield label, Points(points[:, 0], points[:, 1], points[:, 2:])
+
+
+def _point(rows: pd.DataFrame, error: str, condition: str) -> tuple[float, float, float, float] | None:
+    clusters: NDArray[np.generic] = rows["cluster"].to_numpy()
+    if len(np.unique(clusters)) < _FEWEST:
+        return None
+    if error == SUCCESS:
+        found, scale = share_of(~rows["failed"].to_numpy(dtype=bool), clusters), 100.0
+    else:
+        found, scale = measure(rows[error].to_numpy(dtype=np.float64), clusters, (MEDIAN,))[0], 1.0
+    if found.value is None or found.low is None or found.high is None:
+        return None
+    return float(rows[condition].median()), scale * found.value, scale * found.low, scale * found.high

@@ -1,0 +1,43 @@
+"""What the figures of a comparison share."""
+
+from __future__ import annotations
+
+from reports.compare.factors import ESTIMATOR
+from reports.compare.subjects import RunComparison, Subject
+from reports.figures.style import GREY, SERIES_COLOURS
+from reports.records import CONTROL
+
+
+def colours(found: RunComparison) -> dict[tuple[str, ...], str]:
+    """Give each subject a colour: that of its estimator where each is of one, else one of its own; grey the control."""
+    keys = [one.estimator or found.label(one.names) for one in found.subjects]
+    named = [key for key in dict.fromkeys(keys) if key != CONTROL]
+    own = {key: SERIES_COLOURS[i % len(SERIES_COLOURS)] for i, key in enumerate(named)}
+    return {one.names: own.get(key, GREY) for one, key in zip(found.subjects, keys, strict=True)}
+
+
+def credits_of(found: RunComparison) -> list[str]:
+    """Credit lines of all runs, each once."""
+    return list(dict.fromkeys(line for run in found.runs for line in run.manifest.credits))
+
+
+def groups(found: RunComparison) -> dict[str, dict[str, Subject]]:
+    """Gather the subjects that differ in the estimator alone: name of the group, and label to subject.
+
+    Where estimators are pooled, all subjects are one group.
+    """
+    gathered: dict[str, dict[str, Subject]] = {}
+    for one in found.subjects:
+        named = dict(zip(found.factors, one.names, strict=True))
+        if ESTIMATOR not in found.factors:
+            gathered.setdefault("", {})[found.label(one.names)] = one
+            continue
+        label = named.pop(ESTIMATOR)
+        kept = [level for factor, level in named.items() if factor in found.varied]
+        gathered.setdefault(", ".join(kept), {})[label] = one
+    return gathered
+
+
+def titled(found: RunComparison, what: str, group: str) -> str:
+    """Write the title of a figure of one group."""
+    return ", ".join(filter(None, (what, group, found.shared if ESTIMATOR in found.varied else "")))

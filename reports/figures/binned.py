@@ -1,0 +1,81 @@
+"""Errors against conditions: a row of panels for each error, a column for each condition."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+from reports.figures.curves import Points
+from reports.figures.style import LINE_STYLES, add_credits, grid_figure, styled
+
+_FEW_DECADES = 100.0
+Panels = Mapping[tuple[str, str], Mapping[str, Points]]
+"""Lines by the labels of their error and their condition."""
+
+
+@styled
+def draw_binned(panels: Panels, colours: Mapping[str, str], title: str, credit_lines: Sequence[str] = ()) -> Figure:
+    """Draw binned curves with their intervals.
+
+    Parameters
+    ----------
+    panels
+        A full grid of them; an error whose label ends in % has a linear ordinate, the others have a logarithmic one.
+    colours
+        Of the lines by their labels, in the order of the legend.
+    title
+        Printed above the panels.
+    credit_lines
+        Credits of real images.
+    """
+    errors, conditions = (list(dict.fromkeys(key[i] for key in panels)) for i in (0, 1))
+    size = {"width_in": max(4.5, 0.4 + 2.35 * len(conditions)), "height_in": 1.1 + 1.75 * len(errors)}
+    figure, places = grid_figure(len(errors), len(conditions), **size)
+    lines = list(colours)
+    for row, error in zip(places, errors, strict=True):
+        for axes, condition in zip(row, conditions, strict=True):
+            for label, points in panels[error, condition].items():
+                _draw(axes, points, colours[label], LINE_STYLES[lines.index(label) % len(LINE_STYLES)])
+        _share_ordinate(list(row), error)
+    for axes, condition in zip(places[-1], conditions, strict=True):
+        axes.set_xlabel(condition)
+    looks: list[dict[str, Any]] = [
+        {"color": colours[label], "linestyle": LINE_STYLES[i % len(LINE_STYLES)]} for i, label in enumerate(lines)
+    ]
+    handles = [Line2D([], [], marker="o", markersize=3, **look) for look in looks]
+    figure.legend(handles, lines, loc="outside lower center", ncols=min(4, len(lines)))
+    figure.suptitle(title, fontsize=9.5)
+    add_credits(figure, credit_lines)
+    return figure
+
+
+def _draw(axes: Axes, points: Points, colour: str, style: str | tuple[int, tuple[int, ...]]) -> None:
+    axes.errorbar(
+        points.x, points.y, yerr=np.abs(points.low_high.T - points.y), color=colour, linestyle=style, marker="o",
+        markersize=3, linewidth=1.2, elinewidth=0.9, capsize=2,
+    )  # fmt: skip
+
+
+def _share_ordinate(row: Sequence[Axes], error: str) -> None:
+    """Give the panels of a row one ordinate, told at the first."""
+    low = min(axes.dataLim.y0 for axes in row)
+    high = max(axes.dataLim.y1 for axes in row)
+    for axes in row:
+        axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        if error.endswith("%"):
+            axes.set_ylim(max(low - 0.06 * (high - low) - 0.5, -2.0), 102.0)
+        elif low > 0.0:
+            axes.set_yscale("log")
+            axes.set_ylim(low / 1.15, high * 1.15)
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)))
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axes.yaxis.set_minor_formatter(NullFormatter())
+        if axes is not row[0]:
+            axes.tick_params(labelleft=False)
+    row[0].set_ylabel(error)
