@@ -41,6 +41,15 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
         "error_px",
         "sigma_px",
     ),
+    "crater_matches": (
+        *_KEY,
+        "view_deg",
+        "sun_deg",
+        "n_common",
+        "n_correct",
+        "n_wrong",
+        "n_missed",
+    ),
     "epochs": (*_KEY, "frame", "anomaly_deg", "position_error_m", "landmark_rmse_m", "settled_landmark_rmse_m"),
 }
 
@@ -143,6 +152,8 @@ class RunData:
         Of sequences: the errors of every frame.
     vision
         Of sequences of images: what the vision layer found in every frame.
+    crater_matches
+        Of pairs of images: how many craters were matched.
     """
 
     folder: Path
@@ -155,6 +166,7 @@ class RunData:
     timings: pd.DataFrame
     epochs: pd.DataFrame = field(default_factory=pd.DataFrame)
     vision: pd.DataFrame = field(default_factory=pd.DataFrame)
+    crater_matches: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     def pairs(self) -> list[tuple[str, str]]:
         """List (scenario, estimator) in the order in which the rows name them."""

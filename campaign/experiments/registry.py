@@ -65,6 +65,7 @@ _KINDS: Mapping[str, str] = MappingProxyType(
         "single-image": "campaign.experiments.single_image:SingleImage",
         "landmark-database": "campaign.experiments.landmark_database:DatabaseTrials",
         "pose-convergence": "campaign.experiments.pose_convergence:PoseConvergence",
+        "crater-matching": "campaign.experiments.crater_matching:CraterMatching",
         "sequence": "campaign.experiments.sequence:SequenceTrials",
     }
 )

@@ -113,6 +113,17 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("error_px", pa.float64(), "RMS over the others of the error of a coordinate"),
         Column("sigma_px", pa.float64(), "what the vision layer tells estimators of that error"),
     ),
+    "crater_matches": (
+        *_key(),
+        Column("view_deg", pa.float64(), "angle between the directions to the two cameras"),
+        Column("sun_deg", pa.float64(), "angle between the two directions of the Sun"),
+        Column("n_first", pa.int64(), "detections in the first image"),
+        Column("n_second", pa.int64(), "detections in the second image"),
+        Column("n_common", pa.int64(), "craters of the truth that are detected in both"),
+        Column("n_correct", pa.int64(), "matches that join two detections of one of them"),
+        Column("n_wrong", pa.int64(), "the other matches"),
+        Column("n_missed", pa.int64(), "craters in both without a correct match"),
+    ),
     "landmarks": (
         *_key(),
         Column("landmark", pa.int64(), "index in the landmark data base"),

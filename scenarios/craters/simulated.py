@@ -43,8 +43,8 @@ class DetectionErrors:
     ----------
     centre_px, centre_radii
         Standard deviation of a coordinate of the centre, and its part that grows with the radius.
-    axes
-        Standard deviation of the logarithm of a semi-axis.
+    axes_px, axes_ratio
+        Standard deviation of a semi-axis, and of its logarithm.
     recall
         Probability that a visible crater is detected.
     false_share
@@ -57,7 +57,8 @@ class DetectionErrors:
 
     centre_px: float = 0.35
     centre_radii: float = 0.04
-    axes: float = 0.05
+    axes_px: float = 0.0
+    axes_ratio: float = 0.05
     recall: float = 0.8
     false_share: float = 0.05
     least_radius_px: float = 6.0
@@ -138,7 +139,8 @@ def detect_simulated(
 def _disturbed(rims: Ellipses, errors: DetectionErrors, rng: np.random.Generator) -> Ellipses:
     sigma = np.hypot(errors.centre_px, errors.centre_radii * rims.radius_px)
     centre = rims.centre_px + sigma[:, None] * rng.normal(size=(len(rims), 2))
-    axes = rims.semi_axes_px * np.exp(errors.axes * rng.normal(size=(len(rims), 2)))
+    axes = rims.semi_axes_px * np.exp(errors.axes_ratio * rng.normal(size=(len(rims), 2)))
+    axes = np.maximum(axes + errors.axes_px * rng.normal(size=(len(rims), 2)), 0.5)
     swapped = axes[:, 1] > axes[:, 0]
     angle = np.where(swapped, rims.angle_rad + 0.5 * np.pi, rims.angle_rad) % np.pi
     return Ellipses(centre, np.where(swapped[:, None], axes[:, ::-1], axes), angle)

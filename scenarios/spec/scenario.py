@@ -10,6 +10,7 @@ from scenarios.spec.base import SpecModel
 from scenarios.spec.body import BodySpec
 from scenarios.spec.brdf import BrdfSpec, LambertSpec
 from scenarios.spec.camera import CameraSpec, DetectorSpec, RenderingSpec
+from scenarios.spec.crater_pairs import CraterPairsSpec
 from scenarios.spec.craters import CratersSpec
 from scenarios.spec.images import ImageSetSpec
 from scenarios.spec.onboard import OnboardSpec
@@ -23,10 +24,11 @@ NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
 class ScenarioSpec(SpecModel):
     """What the YAML says. Its digest is part of every result's key.
 
-    Images are either rendered from a ``viewpoint`` or read from ``images``; a ``sequence`` has tracks in their place.
+    Images are either rendered from a ``viewpoint`` or read from ``images``; a ``sequence`` has tracks in their place,
+    and ``crater_pairs`` have detections of craters.
     """
 
-    alternatives: ClassVar = (("viewpoint", "images", "sequence"),)
+    alternatives: ClassVar = (("viewpoint", "images", "sequence", "crater_pairs"),)
     prose: ClassVar = frozenset({"name", "description"})
     own: ClassVar = frozenset({"name", "description"})
 
@@ -47,6 +49,7 @@ class ScenarioSpec(SpecModel):
     lighting: LightingSpec = LightingSpec()
     images: ImageSetSpec | None = Field(None, description="Real images, instead of viewpoint")
     sequence: SequenceSpec | None = Field(None, description="Tracks along an orbit, instead of viewpoint")
+    crater_pairs: CraterPairsSpec | None = Field(None, description="Detections in two looks, instead of viewpoint")
     pose_error: PoseErrorSpec = PAPER_POSE_ERROR
     sensors: SensorsSpec = Field(SensorsSpec(), description="What is measured beside the image")
     onboard: OnboardSpec = Field(OnboardSpec(), description="What the spacecraft believes, where it is wrong")

@@ -27,10 +27,12 @@ from campaign.products import Shelf
 from campaign.world import open_world
 from estimators.slam.registry import sequence_estimator_class
 from renderers.mitsuba3 import choose_variant
+from scenarios.bodies import load_body
+from scenarios.craters.pairs import draw_pair, population
 from scenarios.errors import BoresightError
 from scenarios.geometry import View, look_at
 from scenarios.load import LoadedScenario, load_scenario
-from scenarios.sequences import draw_sequence
+from scenarios.sequences import MeshGround, draw_sequence
 from scenarios.spec.base import SpecModel
 from scenarios.spec.scenario import ScenarioSpec
 
@@ -48,6 +50,17 @@ lighting: {phase_deg: {uniform: [20, 60]}}
 viewpoint: {range_m: 2000}
 """
 LENS = RENDERED.replace("fov_deg: 18.3}", "fov_deg: 18.3, distortion: {k1: 1.5}}")
+PAIRS = """
+body: {shape: contact-binary}
+camera: {width_px: 256, height_px: 256, fov_deg: 3}
+crater_pairs:
+  range_m: 4000
+  view_deg: {uniform: [0, 20]}
+  sun_deg: {uniform: [0, 30]}
+  aim_sigma_m: 5
+  craters: {count: 400, min_diameter_m: 8, max_diameter_m: 60}
+  errors: {height_m: 0.3, least_radius_px: 4}
+"""
 OREN_NAYAR = RENDERED + "brdf: {kind: oren-nayar}\n"
 HAPKE = RENDERED + "brdf: {kind: hapke, c: 0.4}\n"
 MCEWEN = RENDERED + "brdf: {kind: mcewen}\n"
@@ -224,6 +237,25 @@ CHANGES: dict[str, tuple[str, str]] = {
     "onboard.rotation_error_deg.uniform": (RENDERED, "[1, 1]"),
     "onboard.rotation_error_deg.normal": (RENDERED, "1"),
     "sensors.altimeter.sigma_m": (ALTIMETER, "3"),
+    "crater_pairs.range_m": (PAIRS, "4100"),
+    "crater_pairs.view_deg.uniform": (PAIRS, "[5, 20]"),
+    "crater_pairs.sun_deg.uniform": (PAIRS, "[5, 30]"),
+    "crater_pairs.emission_deg.uniform": (PAIRS, "[5, 30]"),
+    "crater_pairs.incidence_deg.uniform": (PAIRS, "[30, 60]"),
+    "crater_pairs.aim_sigma_m": (PAIRS, "9"),
+    "crater_pairs.craters.count": (PAIRS, "500"),
+    "crater_pairs.craters.min_diameter_m": (PAIRS, "9"),
+    "crater_pairs.craters.max_diameter_m": (PAIRS, "50"),
+    "crater_pairs.craters.exponent": (PAIRS, "2"),
+    "crater_pairs.craters.seed": (PAIRS, "1"),
+    "crater_pairs.errors.centre_px": (PAIRS, "1"),
+    "crater_pairs.errors.centre_radii": (PAIRS, "0.1"),
+    "crater_pairs.errors.axes_px": (PAIRS, "0.5"),
+    "crater_pairs.errors.axes_ratio": (PAIRS, "0.1"),
+    "crater_pairs.errors.recall": (PAIRS, "0.5"),
+    "crater_pairs.errors.false_share": (PAIRS, "0.5"),
+    "crater_pairs.errors.least_radius_px": (PAIRS, "6"),
+    "crater_pairs.errors.height_m": (PAIRS, "2"),
     "sequence.sphere_radius_m": (SEQUENCE, "170"),
     "sequence.orbit.radius_m": (SEQUENCE, "800"),
     "sequence.orbit.normal_body": (SEQUENCE, "[0, 1, 1]"),
@@ -370,6 +402,8 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
     scenario = load_scenario(str(file), overrides)
     if scenario.spec.sequence is not None:
         return sequence_fingerprint(scenario)
+    if scenario.spec.crater_pairs is not None:
+        return pairs_fingerprint(scenario)
     world = open_world(scenario, variant)
     experiment = SingleImage(world, {}, seed=3)
     parts = [*lent(Shelf(scenario, file.parent / "products", 0, variant))]
@@ -418,6 +452,22 @@ def sequence_fingerprint(scenario: LoadedScenario) -> str:
             arrays += [frame.again, frame.R_body_inertial, np.float64(frame.attitude_sigma_rad)]
             arrays += [frame.R_cam_body, frame.tracks, frame.uv_px, frame.motion_m, frame.motion_covariance_m2]
         parts += [array.tobytes() for array in arrays]
+    return hashlib.sha256(b"|".join(parts)).hexdigest()
+
+
+def pairs_fingerprint(scenario: LoadedScenario) -> str:
+    """Hash what two pairs of looks show to a matcher, and their truth."""
+    spec = scenario.spec
+    ground = MeshGround(load_body(spec.body, scenario.search_dirs).mesh)
+    craters = population(ground, spec.crater_pairs.craters)
+    parts: list[bytes] = []
+    for trial in range(2):
+        pair = draw_pair(spec.crater_pairs, spec.pose_error, spec.camera.camera(), ground, craters, (3, trial))
+        for one in (pair.first, pair.second):
+            rims, pose = one.detections.ellipses, one.frame.prior_T_cam_body
+            arrays = [one.detections.crater, rims.centre_px, rims.semi_axes_px, rims.angle_rad, pose.rotation]
+            arrays += [pose.translation_m, one.frame.sun_dir_cam, one.view.T_cam_body.translation_m]
+            parts += [array.tobytes() for array in arrays]
     return hashlib.sha256(b"|".join(parts)).hexdigest()
 
 

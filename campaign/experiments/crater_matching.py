@@ -1,0 +1,199 @@
+"""The crater-matching experiment: two looks at craters, each matcher on the same detections, scored by the truth."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from campaign.experiments.registry import Bench, Record, Records
+from campaign.products import BuiltProduct, Shelf
+from campaign.resolve import ResolvedCampaign
+from campaign.score import no_consistency, no_pose_error
+from estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
+from estimators.craters.registry import crater_matcher_class
+from scenarios.beliefs import believed_spec
+from scenarios.bodies import load_body
+from scenarios.craters.pairs import CraterLook, CraterPair, draw_pair, population
+from scenarios.craters.simulated import NO_CRATER, PlaneCraters
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera
+from scenarios.load import LoadedScenario
+from scenarios.sequences.ground import MeshGround
+from scenarios.spec.crater_pairs import CraterPairsSpec
+from scenarios.spec.world import PoseErrorSpec
+
+
+@dataclass(frozen=True, eq=False)
+class CraterMatching:
+    """Trials of one scenario with a set of labelled matchers; all see the same two images.
+
+    Parameters
+    ----------
+    name
+        Of the scenario.
+    spec, pose_error
+        Its sections of these.
+    camera
+        An ideal pinhole: rims come after the correction of a lens.
+    ground, known
+        The body, and the a priori shape.
+    craters
+        Of the body.
+    matchers
+        Label to matcher.
+    seed
+        Seed of the campaign.
+    """
+
+    name: str
+    spec: CraterPairsSpec
+    pose_error: PoseErrorSpec
+    camera: Camera
+    ground: MeshGround
+    known: MeshGround
+    craters: PlaneCraters
+    matchers: Mapping[str, CraterMatcher]
+    seed: int
+
+    kind: ClassVar[str] = "crater-matching"
+    version: ClassVar[int] = 1
+    block_trials: ClassVar[int] = 20
+    kernels: ClassVar[bool] = False
+
+    @classmethod
+    def method_version(cls, name: str) -> int:
+        """Return the version of a matcher."""
+        return crater_matcher_class(name).version
+
+    @classmethod
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+        """Refuse wrong options and a missing section; there is nothing to build."""
+        del shelf
+        _section(scenario)
+        _matchers(campaign)
+        return []
+
+    @classmethod
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> CraterMatching:
+        """Load the shapes, draw the craters and build the matchers."""
+        del bench
+        section, spec = _section(scenario), scenario.spec
+        ground = MeshGround(load_body(spec.body, scenario.search_dirs).mesh)
+        return cls(
+            spec.name,
+            section,
+            spec.pose_error,
+            spec.camera.camera().pinhole,
+            ground,
+            MeshGround(load_body(believed_spec(spec).body, scenario.search_dirs).mesh),
+            population(ground, section.craters),
+            _matchers(campaign),
+            campaign.seed,
+        )
+
+    def run(self, trials: range) -> Records:
+        """Run trials, in the order of trials and matchers."""
+        records: Records = {}
+        for trial in trials:
+            pair = draw_pair(self.spec, self.pose_error, self.camera, self.ground, self.craters, (self.seed, trial))
+            for label, matcher in self.matchers.items():
+                key: Record = {"trial": trial, "scenario": self.name, "estimator": label}
+                for table, added in self._judged(matcher, pair).items():
+                    records.setdefault(table, []).extend({**key, **record} for record in added)
+        return records
+
+    def _judged(self, matcher: CraterMatcher, pair: CraterPair) -> Records:
+        """Let a matcher work and score what it returns: records without their key, whatever goes wrong."""
+        first, second = (self._image(number, look) for number, look in enumerate((pair.first, pair.second)))
+        started = time.perf_counter()
+        try:
+            matches = matcher.match(first, second, self.known)
+            seconds = time.perf_counter() - started
+            check_matches(matches, first, second)
+        except Exception:  # noqa: BLE001  a matcher's fault is a result, recorded with its trace
+            reason = "the matcher raised or returned rubbish: see the table tracebacks"
+            row: Record = {**_circumstances(pair), "status": "error", "reason": reason, "n_landmarks": 0}
+            return {"rows": [row], "tracebacks": [{"traceback": traceback.format_exc()}]}
+        row = {
+            **_circumstances(pair),
+            "status": "failed" if matches.reason else "ok",
+            "reason": matches.reason,
+            "n_landmarks": len(matches.pairs),
+        }
+        return {
+            "rows": [row],
+            "crater_matches": [score_matches(matches, pair)],
+            "timings": [{"stage": "matching", "seconds": seconds}],
+        }
+
+    def _image(self, number: int, look: CraterLook) -> CraterImage:
+        rims = look.detections.ellipses
+        return CraterImage(number, look.frame, self.camera, CraterDetections(rims, np.ones(len(rims))))
+
+
+def score_matches(matches: CraterMatches, pair: CraterPair) -> Record:
+    """Count correct, wrong and missed matches of a pair by which crater each detection is."""
+    one, other = pair.first.detections.crater, pair.second.detections.crater
+    common = np.intersect1d(one[one != NO_CRATER], other[other != NO_CRATER])
+    here, there = one[matches.pairs[:, 0]], other[matches.pairs[:, 1]]
+    correct = int(np.sum((here == there) & (here != NO_CRATER)))
+    return {
+        "view_deg": pair.view_deg,
+        "sun_deg": pair.sun_deg,
+        "n_first": len(one),
+        "n_second": len(other),
+        "n_common": len(common),
+        "n_correct": correct,
+        "n_wrong": len(matches.pairs) - correct,
+        "n_missed": len(common) - correct,
+    }
+
+
+def check_matches(matches: CraterMatches, first: CraterImage, second: CraterImage) -> None:
+    """Refuse matches that break the contract.
+
+    Raises
+    ------
+    BoresightError
+        If they name a detection that there is not, or one twice, or there are none and no reason.
+    """
+    sizes = [len(image.detections.ellipses) for image in (first, second)]
+    pairs = matches.pairs
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or len(matches.score) != len(pairs):
+        raise BoresightError(f"matches need (k, 2) pairs and (k,) scores, not {pairs.shape} and {matches.score.shape}")
+    if len(pairs) and (pairs.min() < 0 or (pairs >= sizes).any()):
+        raise BoresightError(f"matches name a detection that there is not: the images have {sizes}")
+    if any(len(np.unique(column)) < len(column) for column in pairs.T):
+        raise BoresightError("matches name a detection twice")
+    if len(pairs) == 0 and not matches.reason:
+        raise BoresightError("there are no matches, and no reason why")
+
+
+def _circumstances(pair: CraterPair) -> Record:
+    """Fill the columns of a row that no matcher can change, or that a pair of images has no number for."""
+    errors = no_pose_error()
+    return {
+        **errors,
+        **{f"prior_{name}": None for name in errors},
+        **no_consistency(),
+        "image": "",
+        "range_m": float(np.linalg.norm(pair.first.view.T_cam_body.translation_m)),
+        "phase_deg": float(np.degrees(pair.first.view.phase_angle_rad)),
+    }
+
+
+def _section(scenario: LoadedScenario) -> CraterPairsSpec:
+    if scenario.spec.crater_pairs is None:
+        raise BoresightError(f"{scenario.path}: crater_pairs: missing, but the experiment crater-matching needs it")
+    return scenario.spec.crater_pairs
+
+
+def _matchers(campaign: ResolvedCampaign) -> dict[str, CraterMatcher]:
+    return {
+        entry.label: crater_matcher_class(entry.name).from_options(entry.options) for entry in campaign.spec.estimators
+    }

@@ -1,0 +1,172 @@
+"""What a report tells of matching craters: correct, wrong and missed by how far two looks differ."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from reports.figures.matching import ShareCurve, draw_shares
+from reports.grid import NO_VALUE, Grid, value_of
+from reports.measures import Record, unit_of
+from reports.run_data import RunData
+from reports.statistics import MEDIAN, Measured, cluster_interval, measure
+
+FloatArray = NDArray[np.float64]
+Drawn = tuple[str, Figure, str, str]
+"""Stem of the file, the figure, its caption and its description."""
+
+RECALL, WRONG, SECONDS = "matching_recall_share", "matching_wrong_share", "matching_seconds"
+MATCHING = "matching"
+_VIEWS = ((0.0, 10.0), (10.0, 20.0), (0.0, 20.0), (20.0, 30.0), (30.0, 90.0))
+_SUNS = ((0.0, 10.0), (10.0, 30.0), (0.0, 30.0), (30.0, 50.0), (50.0, 60.0), (60.0, 90.0))
+_DRAWN = (0.0, 20.0)
+_NOTE = (
+    "Recall: correct matches over the craters of the truth that both images detect. Wrong: over all matches. Intervals"
+    " are 95 % bootstrap intervals over pairs of images; a pair that a mode rejects has missed all its craters."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Cell:
+    """Ranges of the two angles, deg."""
+
+    view: tuple[float, float]
+    sun: tuple[float, float]
+
+    @property
+    def stage(self) -> str:
+        return f"{MATCHING}, views {_span(self.view)}, Suns {_span(self.sun)}"
+
+    def of(self, table: pd.DataFrame) -> pd.DataFrame:
+        """Select the pairs of images in both ranges."""
+        inside = table["view_deg"].between(*self.view) & table["sun_deg"].between(*self.sun)
+        return table[inside]
+
+
+def matching_records(run: RunData) -> list[Record]:
+    """Measure recall, share of wrong matches and time of each matcher, scenario and cell of angles."""
+    if run.crater_matches.empty:
+        return []
+    timed = run.timings[run.timings["stage"] == MATCHING]
+    table = run.crater_matches.merge(timed, on=["trial", "scenario", "estimator"], how="left")
+    return [
+        record
+        for (scenario, estimator), own in table.groupby(["scenario", "estimator"], sort=False)
+        for cell in _cells(run, own)
+        for record in _measured(str(scenario), str(estimator), cell, cell.of(own))
+    ]
+
+
+def matching_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
+    """Tabulate each scenario: a line for each cell of angles and matcher."""
+    return [
+        _grid(str(scenario), own, records, run) for scenario, own in run.crater_matches.groupby("scenario", sort=False)
+    ]
+
+
+def matching_figures(records: Sequence[Record], run: RunData) -> Iterator[Drawn]:
+    """Draw recall and wrong share: along the Sun's angle, or along a campaign's grid."""
+    if run.manifest.grid is not None:
+        axis = run.manifest.grid.axes[0]
+        places = {variation.name: variation.levels[axis.name] for variation in run.manifest.grid.scenarios}
+        curves = _curves(records, [(name, level, _everything().stage) for name, level in places.items()])
+        label = axis.label or axis.name
+        yield ("matching-" + axis.name, draw_shares(curves, label), f"Matching by {label}.", f"Recall by {label}.")
+        return
+    for scenario in dict.fromkeys(run.crater_matches["scenario"]):
+        cells = [_Cell(_DRAWN, sun) for sun in _SUNS if sun != (0.0, 30.0)]
+        curves = _curves(records, [(scenario, _span(cell.sun), cell.stage) for cell in cells])
+        caption = f"Matching by the angle between the directions of the Sun, views {_span(_DRAWN)} apart, {scenario}."
+        label = "angle between the directions of the Sun"
+        yield f"matching-{scenario}", draw_shares(curves, label), caption, caption
+
+
+def _cells(run: RunData, own: pd.DataFrame) -> list[_Cell]:
+    """List the cells that hold pairs of images; one for all in a grid of scenarios."""
+    if run.manifest.grid is not None:
+        return [_everything()]
+    cells = [_Cell(view, sun) for view in _VIEWS for sun in _SUNS]
+    return [cell for cell in cells if len(cell.of(own))]
+
+
+def _everything() -> _Cell:
+    return _Cell((0.0, 90.0), (0.0, 90.0))
+
+
+def _measured(scenario: str, estimator: str, cell: _Cell, pairs: pd.DataFrame) -> Iterator[Record]:
+    correct, wrong, common = (pairs[name].to_numpy(float) for name in ("n_correct", "n_wrong", "n_common"))
+    trials = pairs["trial"].to_numpy()
+    for name, part, whole in ((RECALL, correct, common), (WRONG, wrong, correct + wrong)):
+        found = _share(part, whole, trials)
+        yield Record(
+            scenario, estimator, cell.stage, "", name, unit_of(name), "share", found.value, found.low, found.high,
+            int(part.sum()), int(whole.sum()),
+        )  # fmt: skip
+    seconds = pairs["seconds"].dropna().to_numpy(float)
+    found = measure(seconds, trials[pairs["seconds"].notna().to_numpy()], (MEDIAN,))[0]
+    yield Record(
+        scenario, estimator, cell.stage, "", SECONDS, "s", MEDIAN.name, found.value, found.low, found.high,
+        len(seconds), len(pairs),
+    )  # fmt: skip
+
+
+def _share(part: FloatArray, whole: FloatArray, trials: NDArray[np.generic]) -> Measured:
+    """Return 100 sum(part) / sum(whole) with its interval; no value where there is nothing to share."""
+    if whole.sum() == 0.0:
+        return Measured(None)
+    bounds = cluster_interval(np.column_stack([part, whole]), trials, _percent)
+    return Measured(100.0 * float(part.sum() / whole.sum()), *bounds)
+
+
+def _percent(sums: FloatArray) -> FloatArray:
+    return np.asarray(100.0 * sums[:, 0] / np.maximum(sums[:, 1], 1.0))
+
+
+def _grid(scenario: str, own: pd.DataFrame, records: Sequence[Record], run: RunData) -> Grid:
+    rows = []
+    for cell in _cells(run, own):
+        for estimator in dict.fromkeys(own["estimator"]):
+            here = {
+                r.measure: r for r in records if (r.scenario, r.estimator, r.stage) == (scenario, estimator, cell.stage)
+            }
+            pairs = cell.of(own[own["estimator"] == estimator])
+            totals = [int(pairs[name].sum()) for name in ("n_common", "n_correct", "n_wrong", "n_missed")]
+            shares = [value_of(here.get(name), interval=True) for name in (RECALL, WRONG)]
+            time = here.get(SECONDS)
+            angles = (_span(cell.view), _span(cell.sun))
+            cells = (len(pairs), *totals)
+            seconds = NO_VALUE if time is None else value_of(time)
+            rows.append((*angles, str(estimator), *map(str, cells), *shares, seconds))
+    heads = (
+        "views apart", "Suns apart", "mode", "image pairs", "craters in both", "correct", "wrong", "missed",
+        "recall, %", "wrong, %", "median time",
+    )  # fmt: skip
+    return Grid(f"Matching, {scenario}", heads, tuple(rows), frozenset({0, 1, 2}), _NOTE)
+
+
+def _curves(records: Sequence[Record], places: Sequence[tuple[str, str, str]]) -> list[ShareCurve]:
+    """Gather a curve for each matcher over (scenario, label, stage)."""
+    known = {(r.scenario, r.estimator, r.stage, r.measure): r for r in records if r.measure in (RECALL, WRONG)}
+    curves = []
+    for estimator in dict.fromkeys(r.estimator for r in records if r.measure == RECALL):
+        labels = [(s, label, stage) for s, label, stage in places if (s, estimator, stage, RECALL) in known]
+        values = {
+            name: np.array([_bounded(known[(s, estimator, stage, name)]) for s, _, stage in labels]).reshape(-1, 3)
+            for name in (RECALL, WRONG)
+        }
+        curves.append(ShareCurve(estimator, tuple(label for _, label, _ in labels), values[RECALL], values[WRONG]))
+    return curves
+
+
+def _bounded(record: Record) -> tuple[float, float, float]:
+    value = np.nan if record.value is None else record.value
+    return (value, value if record.low is None else record.low, value if record.high is None else record.high)
+
+
+def _span(bounds: tuple[float, float]) -> str:
+    return f"{bounds[0]:g} to {bounds[1]:g} deg"

@@ -1,0 +1,137 @@
+"""Two looks at one place of a body: where the cameras and the Sun stand, and what is detected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.craters.simulated import (
+    DetectionErrors,
+    PlaneCraters,
+    SimulatedDetections,
+    detect_simulated,
+    draw_craters,
+    in_view,
+    raised,
+)
+from scenarios.draw import Stream, degrade, generator, prior_covariance
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Pose, View, look_at
+from scenarios.observation import Frame
+from scenarios.sequences.ground import MeshGround
+from scenarios.spec.crater_pairs import CraterPairsSpec, PlaneCratersSpec
+from scenarios.spec.world import PoseErrorSpec
+
+FloatArray = NDArray[np.float64]
+
+_MOST_DRAWS = 2000
+_LIMITS_DEG = (60.0, 20.0, 75.0)  # largest emission, least and largest incidence at which a crater is detected
+_SECOND_DEG = (55.0, 15.0, 70.0)  # the same of the place that both look at
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CraterLook:
+    """One of the two looks: the true view, what is detected in it, and what the spacecraft knows."""
+
+    view: View
+    detections: SimulatedDetections
+    frame: Frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CraterPair:
+    """Two looks, and how far they differ, deg."""
+
+    first: CraterLook
+    second: CraterLook
+    view_deg: float
+    sun_deg: float
+
+
+def population(ground: MeshGround, spec: PlaneCratersSpec) -> PlaneCraters:
+    """Draw the craters of a body: the same for the same seed."""
+    radii = (0.5 * spec.min_diameter_m, 0.5 * spec.max_diameter_m)
+    return draw_craters(ground, spec.count, radii, spec.exponent, np.random.default_rng(spec.seed))
+
+
+def draw_pair(
+    spec: CraterPairsSpec,
+    pose_error: PoseErrorSpec,
+    camera: Camera,
+    ground: MeshGround,
+    craters: PlaneCraters,
+    address: tuple[int, int],
+) -> CraterPair:
+    """Draw the pair of a trial; ``address`` is the seed and the number of the trial.
+
+    Raises
+    ------
+    BoresightError
+        If no two looks as different as asked for have their place in the light.
+    """
+    views, angles = _views(spec, camera, ground, generator(address[0], Stream.TRUTH, address[1]))
+    noise, priors = (generator(address[0], stream, address[1]) for stream in (Stream.LANDMARKS, Stream.POSE_ERROR))
+    errors = DetectionErrors(**spec.errors.model_dump())
+    real = raised(craters, errors.height_m, noise)  # one height in both looks
+    looks = []
+    for number, view in enumerate(views):
+        visible = in_view(craters, ground, view, _LIMITS_DEG)
+        found = detect_simulated(real, visible, view, errors, noise)
+        looks.append(CraterLook(view, found, _frame(view, pose_error, priors, float(number))))
+    return CraterPair(looks[0], looks[1], *angles)
+
+
+def turned(direction: FloatArray, angle_rad: float, azimuth_rad: float) -> FloatArray:
+    """Turn a unit vector (3,) by an angle, towards an azimuth about it."""
+    first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
+    first /= np.linalg.norm(first)
+    across = np.cos(azimuth_rad) * first + np.sin(azimuth_rad) * np.cross(direction, first)
+    return np.asarray(np.cos(angle_rad) * direction + np.sin(angle_rad) * across)
+
+
+def _views(
+    spec: CraterPairsSpec, camera: Camera, ground: MeshGround, rng: np.random.Generator
+) -> tuple[tuple[View, View], tuple[float, float]]:
+    """Draw places and directions until both looks have the place in sight and in the light."""
+    angles = (float(spec.view_deg.draw(rng)), float(spec.sun_deg.draw(rng)))
+    for _ in range(_MOST_DRAWS):
+        points, normals = ground.sample(1, rng)
+        place, normal = points[0], normals[0]
+        one = turned(normal, np.radians(spec.emission_deg.draw(rng)), rng.uniform(0.0, 2.0 * np.pi))
+        other = turned(one, np.radians(angles[0]), rng.uniform(0.0, 2.0 * np.pi))
+        sun = turned(normal, np.radians(spec.incidence_deg.draw(rng)), rng.uniform(0.0, 2.0 * np.pi))
+        later = turned(sun, np.radians(angles[1]), rng.uniform(0.0, 2.0 * np.pi))
+        emission, incidence = np.degrees(np.arccos(np.clip([other @ normal, later @ normal], -1.0, 1.0)))
+        above = (place + 1.0 * normal)[None]
+        seen = all(ground.in_sight(above, normal[None], place + spec.range_m * d)[0] for d in (one, other))
+        if seen and emission < _SECOND_DEG[0] and _SECOND_DEG[1] < incidence < _SECOND_DEG[2]:
+            aims = place + rng.normal(0.0, spec.aim_sigma_m, (2, 3))
+            views = [
+                _look(camera, place + spec.range_m * towards, aim, light, rng)
+                for towards, aim, light in zip((one, other), aims, (sun, later), strict=True)
+            ]
+            return (views[0], views[1]), angles
+    raise BoresightError(
+        f"crater_pairs: no place of the body is in sight and in the light of two looks {angles[0]:.3g} deg apart with"
+        f" Suns {angles[1]:.3g} deg apart, in {_MOST_DRAWS} draws: make view_deg or sun_deg smaller"
+    )
+
+
+def _look(camera: Camera, position_m: FloatArray, aim_m: FloatArray, sun: FloatArray, rng: np.random.Generator) -> View:
+    rotation = look_at(position_m - aim_m, float(rng.uniform(-np.pi, np.pi))).rotation
+    return View(camera, Pose(rotation, -rotation @ position_m), sun)
+
+
+def _frame(view: View, pose_error: PoseErrorSpec, rng: np.random.Generator, time_s: float) -> Frame:
+    """Make what the spacecraft knows; there are no pixels: the image is black."""
+    true, camera = view.T_cam_body, view.camera
+    range_m = float(np.linalg.norm(true.translation_m))
+    return Frame(
+        np.zeros((camera.height_px, camera.width_px), dtype=np.float32),
+        true.rotate(view.sun_dir_body),
+        degrade(true, pose_error, camera, rng),
+        prior_covariance(pose_error, range_m, camera),
+        time_s,
+    )

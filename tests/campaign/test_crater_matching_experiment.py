@@ -1,0 +1,149 @@
+"""The crater-matching experiment: scores against hand counts, reproducible rows, and wrong input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from campaign.experiments.crater_matching import CraterMatching, check_matches, score_matches
+from campaign.experiments.registry import Bench
+from campaign.resolve import resolve
+from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
+from reports.crater_matching import RECALL, WRONG, matching_grids, matching_records
+from reports.run_data import read_run
+from scenarios.craters.pairs import CraterLook, CraterPair
+from scenarios.craters.simulated import NO_CRATER, SimulatedDetections
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Ellipses, Pose, View
+from scenarios.observation import Frame
+
+_SCENARIO = """name: tiny-pairs
+body: {shape: contact-binary}
+camera: {width_px: 256, height_px: 256, fov_deg: 3}
+crater_pairs:
+  range_m: 4000
+  view_deg: {uniform: [0, 20]}
+  sun_deg: {uniform: [0, 30]}
+  aim_sigma_m: 5
+  craters: {count: 300, min_diameter_m: 8, max_diameter_m: 60}
+  errors: {height_m: 0.3, least_radius_px: 4}
+pose_error:
+  position_cam_m: {normal: [2, 2, 2]}
+  attitude: {rotation_vector_deg: {normal: [0.005, 0.005, 0.005]}}
+"""
+_CAMPAIGN = """name: tiny-matching
+experiment: crater-matching
+scenarios: [tiny-pairs.yaml]
+estimators: [vote, hybrid]
+trials: 6
+seed: 5
+"""
+
+
+@pytest.fixture(scope="module")
+def campaign_file(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("matching")
+    (folder / "tiny-pairs.yaml").write_text(_SCENARIO)
+    (folder / "tiny-matching.yaml").write_text(_CAMPAIGN)
+    return folder / "tiny-matching.yaml"
+
+
+def _opened(path: Path, run: Path) -> CraterMatching:
+    campaign = resolve(str(path))
+    return CraterMatching.open(campaign, campaign.scenarios[0], Bench(run, 1, keep_images=False))
+
+
+def test_trials_depend_on_their_number_alone(campaign_file, tmp_path) -> None:
+    experiment = _opened(campaign_file, tmp_path)
+    together, alone = experiment.run(range(4)), experiment.run(range(3, 4))
+    last = [record for record in together["crater_matches"] if record["trial"] == 3]
+    assert last == alone["crater_matches"]
+    assert {record["estimator"] for record in last} == {"vote", "hybrid"}
+    for record in together["crater_matches"]:
+        assert record["n_common"] == record["n_correct"] + record["n_missed"]
+        assert 0.0 <= record["view_deg"] <= 20.0
+    found = [record for record in together["crater_matches"] if record["estimator"] == "vote"]
+    assert sum(record["n_correct"] for record in found) > 0.8 * sum(record["n_common"] for record in found) > 10
+
+
+def _pair(first: list[int], second: list[int]) -> CraterPair:
+    camera = Camera.from_fov(100, 100, 0.1)
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, 1e3]))
+    frame = Frame(np.zeros((100, 100), np.float32), np.array([0.0, 0.0, -1.0]), pose, np.eye(6))
+    view = View(camera, pose, np.array([0.0, 0.0, -1.0]))
+    rims = Ellipses(np.full((9, 2), 50.0), np.full((9, 2), 5.0), np.zeros(9))
+    looks = [
+        CraterLook(view, SimulatedDetections(rims[: len(crater)], np.array(crater)), frame)
+        for crater in (first, second)
+    ]
+    return CraterPair(looks[0], looks[1], 3.0, 4.0)
+
+
+def _matches(*pairs: tuple[int, int], reason: str = "") -> CraterMatches:
+    return CraterMatches(np.array(pairs, dtype=np.int64).reshape(-1, 2), np.ones(len(pairs)), reason)
+
+
+def test_matches_are_counted_as_by_hand() -> None:
+    pair = _pair([7, 3, NO_CRATER, 5, 9], [3, 7, NO_CRATER, 8, 5])
+    scored = score_matches(_matches((0, 1), (1, 3), (2, 2), (3, 4)), pair)
+    assert {name: scored[name] for name in ("n_common", "n_correct", "n_wrong", "n_missed")} == {
+        "n_common": 3, "n_correct": 2, "n_wrong": 2, "n_missed": 1,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("matches", "said"), [
+    (_matches((0, 9)), "name a detection that there is not"),
+    (_matches((0, 1), (0, 2)), "name a detection twice"),
+    (_matches(), "no reason why"),
+    (CraterMatches(np.zeros((1, 2), np.int64), np.zeros(2)), "need \\(k, 2\\) pairs"),
+])  # fmt: skip
+def test_matches_that_break_the_contract_are_refused(matches, said) -> None:
+    pair = _pair([1, 2, 3], [1, 2, 3])
+    images = [
+        CraterImage(k, look.frame, look.view.camera, CraterDetections(look.detections.ellipses, np.ones(3)))
+        for k, look in enumerate((pair.first, pair.second))
+    ]
+    with pytest.raises(BoresightError, match=said):
+        check_matches(matches, *images)
+
+
+def test_a_run_is_stored_and_reported_with_shares_of_its_counts(campaign_file, tmp_path) -> None:
+    from campaign.cli import main
+
+    out = tmp_path / "run"
+    assert main(["run", str(campaign_file), "--out", str(out), "--jobs", "1"]) == 0
+    run = read_run(out)
+    table = run.crater_matches[run.crater_matches["estimator"] == "vote"]
+    records = matching_records(run)
+    near = [r for r in records if r.estimator == "vote" and r.stage == "matching, views 0 to 20 deg, Suns 0 to 30 deg"]
+    recall, wrong = (next(r for r in near if r.measure == name) for name in (RECALL, WRONG))
+    assert recall.value == pytest.approx(100.0 * table["n_correct"].sum() / table["n_common"].sum())
+    assert wrong.n == int(table["n_correct"].sum() + table["n_wrong"].sum())
+    assert recall.low <= recall.value <= recall.high
+    assert len(matching_grids(records, run)) == 1
+    assert (out / "report" / "matching-tiny-pairs.png").exists()
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    (("view_deg: {uniform: [0, 20]}", "view_deg: {uniform: [0, 95]}"), "view_deg .* is not within"),
+    (("crater_pairs:", "crater_pair:"), "crater_pair"),
+    (("range_m: 4000", "range_m: -1"), "range_m"),
+])  # fmt: skip
+def test_a_wrong_section_is_one_clear_error(campaign_file, tmp_path, change, said) -> None:
+    (tmp_path / "tiny-pairs.yaml").write_text(_SCENARIO.replace(*change))
+    (tmp_path / "tiny-matching.yaml").write_text(_CAMPAIGN)
+    with pytest.raises(BoresightError, match=said):
+        resolve(str(tmp_path / "tiny-matching.yaml"))
+
+
+def test_a_scenario_without_pairs_and_an_unknown_matcher_are_refused(campaign_file, tmp_path) -> None:
+    (tmp_path / "tiny-matching.yaml").write_text(_CAMPAIGN.replace("tiny-pairs.yaml", "quickstart"))
+    campaign = resolve(str(tmp_path / "tiny-matching.yaml"))
+    with pytest.raises(BoresightError, match="crater_pairs: missing"):
+        CraterMatching.prepare(campaign, campaign.scenarios[0], None)  # type: ignore[arg-type]
+    (tmp_path / "other.yaml").write_text(_CAMPAIGN.replace("vote", "coin").replace("tiny-matching", "other"))
+    (tmp_path / "tiny-pairs.yaml").write_text(_SCENARIO)
+    with pytest.raises(BoresightError, match="'coin' is unknown; there are: context"):
+        resolve(str(tmp_path / "other.yaml"))
