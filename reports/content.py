@@ -12,6 +12,7 @@ from reports.comparison import ComparedClaim, ComparedValue, compare, compare_cl
 from reports.comparison_tables import claim_grid, comparison_grid
 from reports.consistency import consistency_grid, consistency_records
 from reports.contrasts import ratio_records, reduction_records
+from reports.crater_matching import matching_grids, matching_records
 from reports.derived import derived_records
 from reports.designs import design_grids
 from reports.detection import outlier_grid, outlier_records
@@ -59,6 +60,8 @@ class Content:
         failures = failure_grid(self.run)
         if not self.run.epochs.empty:
             return [*sequence_grids(self.records, self.compared, self.run), *([] if failures is None else [failures])]
+        if not self.run.crater_matches.empty:
+            return [*matching_grids(self.records, self.run), *([] if failures is None else [failures])]
         if self.run.manifest.grid is not None:
             return [*design_grids(self.run), *([] if failures is None else [failures])]
         optional = (
@@ -106,7 +109,8 @@ def read_content(folder: Path) -> Content:
     derived = derived_records(run, comparison.radius_m) if comparison and comparison.radius_m else ()
     reductions = tuple(reduction_records(run, comparison)) if comparison else ()
     beside = (*paired_records(run), *ratio_records(run), *consistency_records(run))
-    records = (*measure_run(run), *vision_records(run), *derived, *reductions, *outlier_records(run), *beside)
+    vision = (*vision_records(run), *matching_records(run))
+    records = (*measure_run(run), *vision, *derived, *reductions, *outlier_records(run), *beside)
     compared, claims = beside_published(run, records, comparison) if comparison else ((), ())
     return Content(run, records, comparison, compared, claims, tuple(notes(run, comparison)))
 

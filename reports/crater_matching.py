@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from reports.figures.matching import ShareCurve, draw_shares
 from reports.grid import NO_VALUE, Grid, value_of
-from reports.measures import Record, unit_of
+from reports.records import Record, unit_of
 from reports.run_data import RunData
 from reports.statistics import MEDIAN, Measured, cluster_interval, measure
 

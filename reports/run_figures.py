@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from reports.content import Content
+from reports.crater_matching import matching_figures
 from reports.design_figures import design_figures
 from reports.detection import DEFINITIONS, Detection, area, detections, roc_curve
 from reports.figures import (
@@ -39,6 +40,10 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
     one_at_a_time = run.manifest.grid is not None and run.manifest.grid.design == "one-at-a-time"
     if not run.epochs.empty and not one_at_a_time:
         for stem, figure, caption, alt in sequence_figures(run):
+            yield NamedFigure(file_stem(stem), figure, caption, alt)
+        return
+    if not run.crater_matches.empty:
+        for stem, figure, caption, alt in matching_figures(content.records, run):
             yield NamedFigure(file_stem(stem), figure, caption, alt)
         return
     if run.manifest.grid is not None:
