@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from campaign.image_store import store_is_on, store_switched
 from campaign.machine import cores
 from campaign.request import RunRequest
 from campaign.resolve import ResolvedCampaign, resolve
-from campaign.runner import run_campaign
+from campaign.runner import Listener, run_campaign
 from campaign.store import RunFolder
 from campaign.world import trial_limit
 from renderers.mitsuba3 import choose_variant
@@ -30,6 +31,11 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     run = commands.add_parser("run", help="run a campaign, or continue it where it stopped")
     run.add_argument("name", help="a campaign from the list, or a YAML file")
     run.add_argument("--trials", type=positive, help="trials of each scenario (default: what the campaign says)")
+    run.add_argument(
+        "--until", metavar="CONDITION",
+        help='stop when every 95 %% interval is narrow enough, for example "ci(position_error_m, median) < 0.5" or'
+        ' "... < 5 %%"; --trials stays the most',
+    )  # fmt: skip
     run.add_argument("--jobs", type=positive, default=cores(), help="worker processes (default: the cores)")
     run.add_argument("--seed", type=_not_negative, help="seed (default: what the campaign says)")
     run.add_argument("--out", type=Path, help="run folder (default: runs/NAME-DIGEST)")
@@ -69,6 +75,7 @@ def _run(arguments: argparse.Namespace) -> int:
     variant = choose_variant(arguments.variant)
     campaign = resolve(arguments.name, arguments.overrides, arguments.seed, variant.name)
     trials = _trials(campaign, arguments.trials)
+    runner = _runner(campaign, arguments.until)
     out = console()
     request = RunRequest(
         out=arguments.out or RUNS / f"{campaign.spec.name}-{campaign.digest[:8]}",
@@ -81,9 +88,22 @@ def _run(arguments: argparse.Namespace) -> int:
     if variant.advice:
         out.print(variant.advice)
     with store_switched(store_is_on() and not arguments.no_store), ProgressListener(out) as listener:
-        folder = run_campaign(campaign, request, listener)
+        folder = runner(campaign, request, listener)
     _print_report(folder)
     return 3 if (folder.table("rows")["status"] == "error").any() else 0
+
+
+def _runner(
+    campaign: ResolvedCampaign, until: str | None
+) -> Callable[[ResolvedCampaign, RunRequest, Listener], RunFolder]:
+    """Choose how to run: all trials, or until a condition holds, which is checked before anything runs."""
+    if until is None:
+        return run_campaign
+    # Imported here: scipy.stats takes a third of the start-up, and most commands need none of it.
+    from campaign.until import parse_until, run_until
+
+    condition = parse_until(until, campaign.spec.experiment)
+    return lambda own, request, listener: run_until(own, request, condition, listener)
 
 
 def _trials(campaign: ResolvedCampaign, asked: int | None) -> int:

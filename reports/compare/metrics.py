@@ -96,6 +96,11 @@ def metric_names(run: RunData) -> list[str]:
     return list(dict.fromkeys([*names, *sorted(reported)]))
 
 
+def names_before_a_run(experiment: str) -> tuple[str, ...]:
+    """List the metrics that are sure to be told of an experiment of this kind before it has run."""
+    return ("position_error_m", *SEQUENCE_COLUMNS) if experiment == "sequence" else _POSED
+
+
 def _default(known: Sequence[str], run: RunData) -> str:
     after = [name for name in known if _AFTER.fullmatch(name)]
     if run.epochs.empty or not after:
