@@ -1,0 +1,260 @@
+"""Motion under a field: adaptive steps of scipy for the truth, fixed ones with variational equations for a filter.
+
+Both are Dormand and Prince's method of eighth order (DOP853) with the coefficients of scipy. Fixed steps end at each
+time that is asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import DOP853, solve_ivp
+
+from scenarios.errors import BoresightError
+from scenarios.orbits.field import Field, FlatField, differentiate
+from scenarios.orbits.jit import kernel
+
+FloatArray = NDArray[np.float64]
+
+LONGEST_STEP_S = 1800.0
+"""Of the fixed steps: a tenth of Eros's rotation, whose harmonics are what changes fastest at 200 km."""
+
+_TOLERANCE = 1e-12
+
+
+class OrbitLostError(BoresightError):
+    """An orbit leads into the body."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pushes:
+    """Acceleration that is constant over pieces of time, inertial axes.
+
+    Parameters
+    ----------
+    edges_s
+        (P + 1,) ascending, from 0 to the end of the motion or later.
+    push_m_s2
+        (P, 3).
+    """
+
+    edges_s: FloatArray
+    push_m_s2: FloatArray
+
+    @classmethod
+    def none(cls, end_s: float) -> Pushes:
+        """One piece without any."""
+        return cls(np.array([0.0, max(end_s, 1.0)]), np.zeros((1, 3)))
+
+    def piece(self, times_s: FloatArray) -> NDArray[np.int64]:
+        """(n,) piece that each time is in; an edge belongs to the piece that it ends."""
+        found = np.searchsorted(self.edges_s, times_s, side="left") - 1
+        return np.clip(found, 0, len(self.push_m_s2) - 1)
+
+
+def travelled(field: Field, state: FloatArray, times_s: FloatArray, pushes: Pushes) -> FloatArray:
+    """(T, 6) states at (T,) ascending times from the state (6,) at time 0, m and m/s, by scipy's adaptive steps.
+
+    Raises
+    ------
+    OrbitLostError
+        If the orbit comes nearer the origin than the field's reference radius.
+    """
+    length, speed = float(np.linalg.norm(state[:3])), float(np.linalg.norm(state[3:]))
+    unit = np.repeat([length, speed], 3)
+    found, now = np.empty((len(times_s), 6)), state / unit
+    time = length / speed
+    piece = pushes.piece(times_s)
+
+    def height(_: float, y: FloatArray) -> float:
+        return float(np.linalg.norm(y[:3]) - field.harmonics.radius_m / length)
+
+    height.terminal = True  # type: ignore[attr-defined]  # how solve_ivp is told to stop there
+    for p, push in enumerate(pushes.push_m_s2):
+        begin, end = pushes.edges_s[p : p + 2]
+        rows = np.flatnonzero(piece == p)
+
+        def change(t: float, y: FloatArray, push: FloatArray = push) -> FloatArray:
+            pull = field.acceleration(time * t, length * y[:3]) + push
+            return np.concatenate([y[3:], pull * time / speed])
+
+        at, place = np.unique(np.append(times_s[rows], end) / time, return_inverse=True)
+        options = {"t_eval": at, "events": height, "rtol": _TOLERANCE, "atol": _TOLERANCE}
+        solved = solve_ivp(change, (begin / time, end / time), now, "DOP853", **options)
+        if solved.status != 0:
+            raise OrbitLostError(
+                f"it leads into the body within {end / 86400.0:.3g} days: raise orbit.radius_m or lower the forces"
+            )
+        found[rows] = solved.y[:, place[:-1]].T * unit
+        now = solved.y[:, -1]
+        if not (piece > p).any():
+            break
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flight:
+    """States with derivatives; by pushes of pieces that have not begun they are zero.
+
+    Parameters
+    ----------
+    states
+        (T, 6) m and m/s.
+    by_state
+        (T, 6, 6) state transition matrix from the epoch.
+    by_parameters
+        (T, 6, p) derivatives by the field's parameters.
+    by_pushes
+        (T, 6, 3 P).
+    """
+
+    states: FloatArray
+    by_state: FloatArray
+    by_parameters: FloatArray
+    by_pushes: FloatArray
+
+
+def flight(field: Field, state: FloatArray, times_s: FloatArray, pushes: Pushes) -> Flight:
+    """Follow an orbit with its derivatives in fixed steps.
+
+    Derivatives by a push are integrated while it acts. From its end on they are those by the state at the epoch that
+    has the same effect, ``Phi^-1 Gamma`` there.
+
+    Raises
+    ------
+    OrbitLostError
+        If the orbit comes nearer the origin than the field's reference radius, or goes beyond all bounds.
+    """
+    flat, p = field.flat, field.parameters
+    stages = DOP853.n_stages
+    tableau = (
+        np.ascontiguousarray(DOP853.A[:stages, :stages]),
+        np.array(DOP853.B),
+        np.array(DOP853.C[:stages]),
+    )
+    seen, ended = _fly(
+        flat, np.array(state), np.array(times_s), pushes.edges_s, pushes.push_m_s2, LONGEST_STEP_S, *tableau
+    )
+    if not (np.isfinite(seen).all() and np.isfinite(ended).all()):
+        raise OrbitLostError("the orbit leads into the body or beyond all bounds")
+    return Flight(seen[:, :, 0], seen[:, :, 1:7], seen[:, :, 7 : 7 + p], _by_pushes(seen, ended, pushes, times_s))
+
+
+def _by_pushes(seen: FloatArray, ended: FloatArray, pushes: Pushes, times_s: FloatArray) -> FloatArray:
+    """(T, 6, 3 P): what each push has done, by what it did at its own end."""
+    pieces = len(pushes.push_m_s2)
+    scale = np.repeat([1.0, np.linalg.norm(ended[0, :3, 0]) / np.linalg.norm(ended[0, 3:, 0])], 3)
+    transition = ended[:, :, 1:7] * scale[:, None] / scale
+    at_epoch = np.linalg.solve(transition, ended[:, :, -3:] * scale[:, None]) / scale[:, None]
+    found = np.zeros((len(seen), 6, pieces, 3))
+    piece = pushes.piece(times_s)
+    for p in range(pieces):
+        later = piece > p
+        if p < len(at_epoch):
+            found[later, :, p] = seen[later, :, 1:7] @ at_epoch[p]
+        now = piece == p
+        found[now, :, p] = seen[now, :, -3:]
+    return found.reshape(len(seen), 6, 3 * pieces)
+
+
+@kernel
+def _fly(
+    field: FlatField,
+    state: FloatArray,
+    times: FloatArray,
+    edges: FloatArray,
+    pushes: FloatArray,
+    longest: float,
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return (T, 6, n) at the times and (P', 6, n) at the ends of the pieces before the last time."""
+    columns = 1 + 6 + 2 + field.parts.shape[1] + 3
+    y = np.zeros((6, columns))
+    for i in range(6):
+        y[i, 0], y[i, 1 + i] = state[i], 1.0
+    seen, ended = np.empty((len(times), 6, columns)), np.empty((len(pushes), 6, columns))
+    slopes = np.empty((len(b), 6, columns))
+    work = np.empty((2, field.tide.shape[2]))
+    now, row = 0.0, 0
+    for p in range(len(pushes)):
+        last = p == len(pushes) - 1
+        while row < len(times) and (times[row] <= edges[p + 1] or last):
+            y = _advance(field, y, now, times[row], pushes[p], longest, a, b, c, slopes, work)
+            now = times[row]
+            seen[row] = y
+            row += 1
+        y = _advance(field, y, now, edges[p + 1], pushes[p], longest, a, b, c, slopes, work)
+        now = edges[p + 1]
+        ended[p] = y
+        y[:, columns - 3 :] = 0.0
+        if row == len(times):
+            return seen, ended[: p + 1].copy()
+    return seen, ended
+
+
+@kernel
+def _advance(
+    field: FlatField,
+    start: FloatArray,
+    begin: float,
+    end: float,
+    push: FloatArray,
+    longest: float,
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+    slopes: FloatArray,
+    work: FloatArray,
+) -> FloatArray:
+    """Integrate from one time to another in equal steps."""
+    y = start.copy()
+    if end <= begin:
+        return y
+    steps = int(np.ceil((end - begin) / longest))
+    h = (end - begin) / steps
+    at = np.empty_like(y)
+    for step in range(steps):
+        t = begin + step * h
+        for i in range(len(b)):
+            at[:] = y
+            for j in range(i):
+                if a[i, j] != 0.0:
+                    _add(at, slopes[j], h * a[i, j])
+            if not _slope(field, t + c[i] * h, at, push, work, slopes[i]):
+                y[:] = np.nan
+                return y
+        for i in range(len(b)):
+            _add(y, slopes[i], h * b[i])
+    return y
+
+
+@kernel
+def _add(total: FloatArray, added: FloatArray, factor: float) -> None:
+    """Add a multiple of a table."""
+    for i in range(total.shape[0]):
+        for j in range(total.shape[1]):
+            total[i, j] += factor * added[i, j]
+
+
+@kernel
+def _slope(field: FlatField, time: float, y: FloatArray, push: FloatArray, work: FloatArray, out: FloatArray) -> bool:
+    """Fill ``out`` with the time derivative of states and derivatives; False inside the reference radius."""
+    if not y[0, 0] ** 2 + y[1, 0] ** 2 + y[2, 0] ** 2 > field.radius_m**2:
+        return False
+    columns, count = y.shape[1], 2 + field.parts.shape[1]
+    tide, by = np.empty((3, 3)), np.empty((3, count))
+    differentiate(field, time, y[:3, 0].copy(), work, tide, by)
+    for i in range(3):
+        for k in range(columns):
+            out[i, k] = y[3 + i, k]
+        out[3 + i, 0] = by[i, 0] + field.light_m_s2[i] + push[i]
+        for k in range(1, columns):
+            out[3 + i, k] = tide[i, 0] * y[0, k] + tide[i, 1] * y[1, k] + tide[i, 2] * y[2, k]
+        for k in range(count):
+            out[3 + i, 7 + k] += by[i, k]
+        out[3 + i, columns - 3 + i] += 1.0
+    return True

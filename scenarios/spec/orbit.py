@@ -1,0 +1,116 @@
+"""Orbit section: weeks of images of craters from an orbit about a small body, radiometric data, and what is known."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from scenarios.spec.base import SpecModel
+
+Vector = tuple[float, float, float]
+
+
+class ArcSpec(SpecModel):
+    """A Keplerian orbit at the epoch, and for how long it is followed; inertial axes are the body's at the epoch."""
+
+    semi_major_axis_m: float = Field(200_000.0, gt=0, description="NEAR's of March 2000 in Cheng et al. (2003)")
+    eccentricity: float = Field(0.02, ge=0, lt=1)
+    inclination_deg: float = Field(65.0, ge=0, le=180, description="To the body's equator")
+    node_deg: float = Field(90.0, description="Right ascension of the ascending node")
+    pericentre_deg: float = Field(0.0, description="From the node to the pericentre")
+    anomaly_deg: float = Field(0.0, description="Mean anomaly at the epoch")
+    days: float = Field(20.5, gt=0, le=365, description="Length of the arc with data")
+    predicted_days: float = Field(3.0, ge=0, le=60, description="How long the orbit is predicted beyond it")
+
+
+class AsteroidSpec(SpecModel):
+    """Gravity and rotation of the scenario's body; it turns about its z axis."""
+
+    gm_m3_s2: float = Field(4.463e5, gt=0, description="Gravity parameter; that of Eros")
+    gravity_degree: int = Field(
+        12, ge=0, le=16, description="Degree of the harmonics, those of the shape at one density; 0 for a point"
+    )
+    rotation_h: float = Field(5.27, gt=0, description="Period of the rotation")
+
+
+class SunEarthSpec(SpecModel):
+    """Directions, the same for the whole arc, and solar radiation pressure on a ball without shadows."""
+
+    sun_dir: Vector = Field((0.77, 0.0, 0.64), description="Towards the Sun, inertial axes")
+    sun_distance_au: float = Field(1.6, gt=0)
+    earth_dir: Vector = Field((0.9, -0.35, 0.25), description="Towards the Earth, inertial axes")
+    area_to_mass_m2_kg: float = Field(0.02, ge=0, description="Of the spacecraft")
+    reflectivity: float = Field(1.3, ge=1, le=2, description="1 where all light is absorbed, 2 where it is thrown back")
+    noise_share: float = Field(
+        0.0, ge=0, lt=1, description="Standard deviation of a coordinate of what nothing models, in solar pressures"
+    )
+    noise_days: float = Field(1.0, gt=0, description="Time over which that changes: its autocorrelation falls to 1 / e")
+
+    @model_validator(mode="after")
+    def _directions(self) -> Self:
+        for name in ("sun_dir", "earth_dir"):
+            if not any(getattr(self, name)):
+                raise ValueError(f"{name} is zero: give a direction")
+        return self
+
+
+class CraterSightingSpec(SpecModel):
+    """Images and the craters that detection and matching find in them: line and pixel with their errors."""
+
+    images: int = Field(963, ge=2, le=5000, description="Spread at random over the arc; 963 in Cheng et al. (2003)")
+    craters: int = Field(1600, ge=4, le=20_000, description="Craters on the whole body, uniform over its area")
+    per_image: float = Field(9.6, gt=0, description="Mean number that is found in an image, where as many are in view")
+    per_image_shape: float = Field(
+        1.3, gt=0, description="Shape of the gamma law of that number's mean: at 1.3 half the images have 7 or fewer"
+    )
+    emission_max_deg: float = Field(60.0, gt=0, le=90, description="Largest emission angle of a crater that is found")
+    incidence_max_deg: float = Field(75.0, gt=0, le=90, description="Largest incidence angle of the same")
+    margin_px: float = Field(12.0, ge=0, description="Its centre lies so far from the frame's edge at least")
+    noise_px: float = Field(0.7, gt=0, description="Standard deviation of a coordinate of its centre")
+    wrong_share: float = Field(0.01, ge=0, lt=1, description="Sightings that carry the number of another crater near")
+    wrong_within_px: float = Field(60.0, gt=0, description="How near it would have been in the image, as a scale")
+    merged_share: float = Field(0.0, ge=0, lt=1, description="Craters that share their number with a neighbour")
+
+
+class PointingSpec(SpecModel):
+    """Errors of attitude and camera; each is drawn once a trial, that of the attitude for each image."""
+
+    attitude_urad: float = Field(100.0, gt=0, description="Of an image's attitude about each camera axis, 1 sigma")
+    misalignment_urad: float = Field(200.0, ge=0, description="Of the camera's mounting about each axis, 1 sigma")
+    focal_error: float = Field(0.0, ge=0, lt=0.1, description="Of the focal length, relative, 1 sigma")
+
+
+class RadiometrySpec(SpecModel):
+    """Range and Doppler from the Earth; light time and the station's own motion are taken as corrected."""
+
+    interval_h: float = Field(1.0, gt=0, description="Time between two records")
+    range_sigma_m: float = Field(10.0, gt=0)
+    range_rate_sigma_m_s: float = Field(2e-4, gt=0)
+    range_bias_sigma_m: float = Field(50.0, ge=0, description="Of the bias that all ranges of a trial share")
+
+
+class OrbitKnowledgeSpec(SpecModel):
+    """What is known before the data; each error is drawn from its deviation once a trial."""
+
+    position_m: float = Field(1000.0, gt=0, description="Length of the error of the position at the epoch")
+    gm_sigma: float = Field(1e-3, ge=0, lt=1, description="Of GM, relative")
+    light_sigma: float = Field(0.1, ge=0, lt=1, description="Of the size of solar pressure, relative")
+    density_sigma: float = Field(
+        0.01, ge=0, lt=1, description="Of true gravity coefficients of degree 2 to 4 about those of one density, relative"
+    )
+    shape_degree: int | None = Field(
+        None, ge=2, le=34, description="The a priori shape as spherical harmonics to this degree; left out: the truth"
+    )
+
+
+class OrbitSpec(SpecModel):
+    """Orbit determination by craters: the world and what is known of it."""
+
+    arc: ArcSpec = ArcSpec()
+    asteroid: AsteroidSpec = AsteroidSpec()
+    light: SunEarthSpec = SunEarthSpec()
+    sightings: CraterSightingSpec = CraterSightingSpec()
+    pointing: PointingSpec = PointingSpec()
+    radiometry: RadiometrySpec | None = Field(RadiometrySpec(), description="null for optical data alone")
+    knowledge: OrbitKnowledgeSpec = OrbitKnowledgeSpec()
