@@ -37,6 +37,13 @@ class Stream(IntEnum):
     ROTATION = 14
     RANGES = 15
     REVISIT = 16
+    ORBIT_CRATERS = 32
+    ORBIT_IMAGES = 33
+    ORBIT_SIGHTINGS = 34
+    ORBIT_POINTING = 35
+    ORBIT_RADIOMETRY = 36
+    ORBIT_FORCES = 37
+    ORBIT_KNOWLEDGE = 38
 
 
 def generator(seed: int, stream: Stream, trial: int) -> np.random.Generator:

@@ -1,9 +1,4 @@
-"""The contract of orbit determination: images of numbered landmarks and radiometric records in, an orbit out.
-
-Times are seconds after the epoch. Inertial axes have their origin in the body's centre of mass and do not turn; body
-axes have the same origin and turn about their z axis. What comes out of a crater data base (its picture-sequence and
-landmark files) and what a simulation draws is handed over in the same form.
-"""
+"""The contract of orbit determination: `OrbitData` in, an orbit with its covariance out."""
 
 from __future__ import annotations
 
@@ -14,212 +9,22 @@ from typing import ClassVar, Literal, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
-from scenarios.geometry import Camera
-from scenarios.orbits.field import Field
+from scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, Radiometry
+
+__all__ = [
+    "Knowledge",
+    "LandmarkFile",
+    "Orbit",
+    "OrbitData",
+    "OrbitEstimate",
+    "OrbitEstimator",
+    "Pictures",
+    "Radiometry",
+]
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pictures:
-    """The picture-sequence file: when each image was taken, where the camera pointed and which landmarks it shows.
-
-    Parameters
-    ----------
-    times_s
-        (I,) of the exposures, ascending.
-    R_cam_inertial
-        (I, 3, 3) attitude as the star tracker and the camera's nominal mounting tell it.
-    image, landmark
-        (K,) of each sighting: row of ``times_s``, and number of the landmark. No number twice in an image.
-    uv_px
-        (K, 2) where it was seen: column and row.
-    """
-
-    times_s: FloatArray
-    R_cam_inertial: FloatArray
-    image: IndexArray
-    landmark: IndexArray
-    uv_px: FloatArray
-
-    def __post_init__(self) -> None:
-        images, sightings = len(self.times_s), len(self.image)
-        shapes = (self.R_cam_inertial.shape, self.landmark.shape, self.uv_px.shape)
-        if shapes != ((images, 3, 3), (sightings,), (sightings, 2)):
-            raise BoresightError(
-                f"pictures: {images} times and {sightings} sightings do not go with attitudes {shapes[0]},"
-                f" numbers {shapes[1]} and pixels {shapes[2]}"
-            )
-        if not all(np.isfinite(part).all() for part in (self.times_s, self.R_cam_inertial, self.uv_px)):
-            raise BoresightError("pictures: times, attitudes and pixels must be finite numbers")
-        if np.any(np.diff(self.times_s) < 0.0):
-            raise BoresightError("pictures: times must ascend: sort the picture sequence by time")
-        if sightings and (self.image.min() < 0 or self.image.max() >= images):
-            raise BoresightError(f"pictures: a sighting names image {int(self.image.max())} of {images}")
-        pairs = np.stack([self.image, self.landmark], axis=1)
-        found, counts = np.unique(pairs, axis=0, return_counts=True)
-        if len(found) < len(pairs):
-            image, number = found[np.argmax(counts > 1)]
-            raise BoresightError(f"pictures: landmark {number} stands twice in image {image}: keep one of the two")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LandmarkFile:
-    """The landmark-location file: each number once, with its a priori position.
-
-    Parameters
-    ----------
-    numbers
-        (L,) distinct.
-    positions_body_m
-        (L, 3).
-    sigma_m
-        (L,) standard deviation of each coordinate; what is infinite is free.
-    """
-
-    numbers: IndexArray
-    positions_body_m: FloatArray
-    sigma_m: FloatArray
-
-    def __post_init__(self) -> None:
-        n = len(self.numbers)
-        if self.positions_body_m.shape != (n, 3) or self.sigma_m.shape != (n,):
-            raise BoresightError(
-                f"landmarks: {n} numbers do not go with positions {self.positions_body_m.shape}"
-                f" and deviations {self.sigma_m.shape}"
-            )
-        if not np.isfinite(self.positions_body_m).all() or not np.all(self.sigma_m > 0.0):
-            raise BoresightError("landmarks: positions must be finite and deviations above 0")
-        found, counts = np.unique(self.numbers, return_counts=True)
-        if len(found) < n:
-            raise BoresightError(
-                f"landmarks: number {found[np.argmax(counts > 1)]} stands twice: each has one position"
-            )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Radiometry:
-    """Range and Doppler along a fixed direction; either may be missing (NaN) at a time.
-
-    Parameters
-    ----------
-    earth_dir
-        (3,) unit vector from the body to the Earth, inertial axes.
-    times_s
-        (N,) ascending.
-    range_m
-        (N,) distance from the station less that of the body's centre, with a bias that is the same in all.
-    range_rate_m_s
-        (N,) likewise of the velocity, without a bias.
-    range_sigma_m, range_rate_sigma_m_s, range_bias_sigma_m
-        Standard deviations of the noise and of the bias.
-    """
-
-    earth_dir: FloatArray
-    times_s: FloatArray
-    range_m: FloatArray
-    range_rate_m_s: FloatArray
-    range_sigma_m: float
-    range_rate_sigma_m_s: float
-    range_bias_sigma_m: float
-
-    def __post_init__(self) -> None:
-        n = len(self.times_s)
-        if self.range_m.shape != (n,) or self.range_rate_m_s.shape != (n,) or self.earth_dir.shape != (3,):
-            raise BoresightError(
-                f"radiometry: {n} times do not go with ranges {self.range_m.shape}, rates {self.range_rate_m_s.shape}"
-                f" and a direction {self.earth_dir.shape}"
-            )
-        if not np.isfinite(self.times_s).all() or np.any(np.diff(self.times_s) < 0.0):
-            raise BoresightError("radiometry: times must be finite and ascend")
-        if not min(self.range_sigma_m, self.range_rate_sigma_m_s) > 0.0 or self.range_bias_sigma_m < 0.0:
-            raise BoresightError("radiometry: deviations must be above 0, that of the bias at least 0")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Knowledge:
-    """What is known before, and how well; standard deviations are of one coordinate.
-
-    Parameters
-    ----------
-    camera
-        A pinhole, as it is known.
-    field
-        Forces as they are known.
-    state
-        (6,) position, m, and velocity, m/s, at the epoch, inertial axes.
-    position_sigma_m, velocity_sigma_m_s
-        Of the state.
-    noise_px
-        Of a sighting's coordinate.
-    attitude_sigma_rad
-        Of each image's attitude about each camera axis.
-    misalignment_sigma_rad
-        Of the camera's mounting, the same in all images.
-    focal_sigma
-        Of the focal length, relative; 0 where it is certain.
-    gm_sigma, light_sigma
-        Of GM and of the size of sunlight, relative.
-    coefficient_sigma
-        Of each normalised gravity coefficient of a degree that is estimated.
-    noise_m_s2, noise_time_s
-        Of what accelerates and is not modelled: standard deviation of a coordinate, and the time over which it changes
-        (its autocorrelation falls to 1 / e); 0 where there is nothing.
-    """
-
-    camera: Camera
-    field: Field
-    state: FloatArray
-    position_sigma_m: float
-    velocity_sigma_m_s: float
-    noise_px: float
-    attitude_sigma_rad: float
-    misalignment_sigma_rad: float
-    focal_sigma: float
-    gm_sigma: float
-    light_sigma: float
-    coefficient_sigma: float
-    noise_m_s2: float
-    noise_time_s: float
-
-    def __post_init__(self) -> None:
-        if self.state.shape != (6,) or not np.isfinite(self.state).all():
-            raise BoresightError("the state before must be 6 finite numbers: position, m, and velocity, m/s")
-        if not min(self.position_sigma_m, self.velocity_sigma_m_s, self.noise_px, self.attitude_sigma_rad) > 0.0:
-            raise BoresightError("deviations of position, velocity, pixels and attitude must be above 0")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OrbitData:
-    """All that orbit determination sees.
-
-    Parameters
-    ----------
-    knowledge, pictures, landmarks
-        As above; every number in ``pictures`` has a line in ``landmarks``.
-    radiometry
-        None where there is none.
-    wanted_s
-        (E,) times at which the orbit is asked for, ascending and from 0 on; later than the last image for a prediction.
-    """
-
-    knowledge: Knowledge
-    pictures: Pictures
-    landmarks: LandmarkFile
-    radiometry: Radiometry | None
-    wanted_s: FloatArray
-
-    def __post_init__(self) -> None:
-        unknown = np.setdiff1d(self.pictures.landmark, self.landmarks.numbers)
-        if len(unknown):
-            raise BoresightError(f"landmarks: number {unknown[0]} is seen in a picture, but has no position")
-        times = [self.wanted_s, self.pictures.times_s]
-        times += [] if self.radiometry is None else [self.radiometry.times_s]
-        if any(len(some) and some[0] < 0.0 for some in times) or np.any(np.diff(self.wanted_s) < 0.0):
-            raise BoresightError("times must ascend from the epoch, 0, on")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

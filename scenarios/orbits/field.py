@@ -16,6 +16,9 @@ from scenarios.orbits.solid import Table, derivative, index, outer_harmonics, te
 
 FloatArray = NDArray[np.float64]
 
+_TIDE_DEGREE = 4
+"""Of the potential whose second derivatives variations follow: the rest changes them by 1e-8 at 200 km about Eros."""
+
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2))
 """Second derivatives; the sixth follows from Laplace's equation."""
 
@@ -23,7 +26,8 @@ _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2))
 class FlatField(NamedTuple):
     """A field as the kernels take it; tables of V and W come as (2, ..., terms).
 
-    ``pull`` (2, 3, t1) and ``tide`` (2, 5, t2) are first and second derivatives of the potential, ``parts``
+    ``pull`` (2, 3, t1) and ``tide`` (2, 5, t2) are first and second derivatives of the potential, the latter to a lower
+    degree, ``parts``
     (2, K, 3, t3) the pull of each coefficient that derivatives are taken by; all in units of ``unit`` = GM / R^2.
     """
 
@@ -89,16 +93,25 @@ class Field:
         """The field as the kernels take it."""
         potential = self.harmonics.flat
         pull = [derivative(potential, axis) for axis in range(3)]
+        coarse = self.harmonics.truncated(_TIDE_DEGREE).flat
         return FlatField(
             self.harmonics.gm_m3_s2 / self.harmonics.radius_m**2,
             self.harmonics.radius_m,
             _stacked(pull),
-            _stacked([derivative(pull[i], j) for i, j in _PAIRS]),
+            _stacked([derivative(derivative(coarse, i), j) for i, j in _PAIRS]),
             self._parts(),
             np.ascontiguousarray(self.rotation.R_body_inertial, dtype=np.float64),
             float(self.rotation.rate_rad_s),
             np.array(self.light_m_s2, dtype=np.float64),
         )
+
+    @cached_property
+    def _room(self) -> FloatArray:
+        return self.work()
+
+    def work(self) -> FloatArray:
+        """Return room for `accelerate` and `differentiate`."""
+        return np.empty((2, max(self.flat.pull.shape[2], self.flat.tide.shape[2], self.flat.parts.shape[3])))
 
     def _parts(self) -> FloatArray:
         if not self.by_degree:
@@ -113,9 +126,8 @@ class Field:
 
     def acceleration(self, time_s: float, position_m: FloatArray) -> FloatArray:
         """(3,) m/s2 at a position (3,) in inertial axes."""
-        work = np.empty((2, self.flat.pull.shape[2]))
         out = np.empty(3)
-        accelerate(self.flat, time_s, np.ascontiguousarray(position_m, dtype=np.float64), work, out)
+        accelerate(self.flat, time_s, np.ascontiguousarray(position_m, dtype=np.float64), self._room, out)
         return out
 
 
@@ -158,7 +170,7 @@ def differentiate(
     """Fill ``tide`` (3, 3) and ``by_parameters`` (3, 2 + K) with derivatives of the acceleration.
 
     By the position, by the ratio of GM, the factor on sunlight and the coefficients. ``work`` is (2, terms) of the
-    tide's degree.
+    higher degree of pull and tide.
     """
     R = turned(field, time)
     x = R[0, 0] * position[0] + R[0, 1] * position[1] + R[0, 2] * position[2]

@@ -178,7 +178,7 @@ def _fly(
         y[i, 0], y[i, 1 + i] = state[i], 1.0
     seen, ended = np.empty((len(times), 6, columns)), np.empty((len(pushes), 6, columns))
     slopes = np.empty((len(b), 6, columns))
-    work = np.empty((2, field.tide.shape[2]))
+    work = np.empty((2, max(field.pull.shape[2], field.tide.shape[2], field.parts.shape[3])))
     now, row = 0.0, 0
     for p in range(len(pushes)):
         last = p == len(pushes) - 1

@@ -16,8 +16,8 @@ class ArcSpec(SpecModel):
 
     semi_major_axis_m: float = Field(200_000.0, gt=0, description="NEAR's of March 2000 in Cheng et al. (2003)")
     eccentricity: float = Field(0.02, ge=0, lt=1)
-    inclination_deg: float = Field(65.0, ge=0, le=180, description="To the body's equator")
-    node_deg: float = Field(90.0, description="Right ascension of the ascending node")
+    inclination_deg: float = Field(37.0, ge=0, le=180, description="To the body's equator")
+    node_deg: float = Field(60.0, description="Right ascension of the ascending node")
     pericentre_deg: float = Field(0.0, description="From the node to the pericentre")
     anomaly_deg: float = Field(0.0, description="Mean anomaly at the epoch")
     days: float = Field(20.5, gt=0, le=365, description="Length of the arc with data")
@@ -29,7 +29,10 @@ class AsteroidSpec(SpecModel):
 
     gm_m3_s2: float = Field(4.463e5, gt=0, description="Gravity parameter; that of Eros")
     gravity_degree: int = Field(
-        12, ge=0, le=16, description="Degree of the harmonics, those of the shape at one density; 0 for a point"
+        8, ge=2, le=16, description="Degree of the harmonics: those of the shape at one density, and anomalies"
+    )
+    anomaly_sigma: float = Field(
+        1e-3, ge=0, lt=1, description="Of what normalised coefficients of degree 2 and 3 have beside those of one density"
     )
     rotation_h: float = Field(5.27, gt=0, description="Period of the rotation")
 
@@ -37,9 +40,9 @@ class AsteroidSpec(SpecModel):
 class SunEarthSpec(SpecModel):
     """Directions, the same for the whole arc, and solar radiation pressure on a ball without shadows."""
 
-    sun_dir: Vector = Field((0.77, 0.0, 0.64), description="Towards the Sun, inertial axes")
-    sun_distance_au: float = Field(1.6, gt=0)
-    earth_dir: Vector = Field((0.9, -0.35, 0.25), description="Towards the Earth, inertial axes")
+    sun_dir: Vector = Field((0.6, 0.0, 0.8), description="Towards the Sun, inertial axes")
+    sun_distance_au: float = Field(1.75, gt=0)
+    earth_dir: Vector = Field((0.75, -0.45, 0.48), description="Towards the Earth, inertial axes")
     area_to_mass_m2_kg: float = Field(0.02, ge=0, description="Of the spacecraft")
     reflectivity: float = Field(1.3, ge=1, le=2, description="1 where all light is absorbed, 2 where it is thrown back")
     noise_share: float = Field(
@@ -96,12 +99,7 @@ class OrbitKnowledgeSpec(SpecModel):
     position_m: float = Field(1000.0, gt=0, description="Length of the error of the position at the epoch")
     gm_sigma: float = Field(1e-3, ge=0, lt=1, description="Of GM, relative")
     light_sigma: float = Field(0.1, ge=0, lt=1, description="Of the size of solar pressure, relative")
-    density_sigma: float = Field(
-        0.01, ge=0, lt=1, description="Of true gravity coefficients of degree 2 to 4 about those of one density, relative"
-    )
-    shape_degree: int | None = Field(
-        None, ge=2, le=34, description="The a priori shape as spherical harmonics to this degree; left out: the truth"
-    )
+    shape_degree: int = Field(34, ge=2, le=34, description="Of the a priori shape, as spherical harmonics of the radius")
 
 
 class OrbitSpec(SpecModel):

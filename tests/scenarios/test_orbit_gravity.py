@@ -99,10 +99,10 @@ def test_harmonics_pull_as_the_package_polyhedral_gravity(lump):
 
 def test_derivatives_are_central_differences(lump):
     spin = UniformRotation(Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix(), 3e-4)
-    field = Field(homogeneous(lump, GM, 6, 16_000.0), spin, np.array([1e-8, 2e-8, -3e-8]), by_degree=3)
+    field = Field(homogeneous(lump, GM, 4, 16_000.0), spin, np.array([1e-8, 2e-8, -3e-8]), by_degree=3)
     place, time = np.array([50_000.0, -20_000.0, 10_000.0]), 5_000.0
     tide, by = np.empty((3, 3)), np.empty((3, field.parameters))
-    differentiate(field.flat, time, place, np.empty((2, field.flat.tide.shape[2])), tide, by)
+    differentiate(field.flat, time, place, field.work(), tide, by)
     for j in range(3):
         step = 10.0 * np.eye(3)[j]
         difference = (field.acceleration(time, place + step) - field.acceleration(time, place - step)) / 20.0

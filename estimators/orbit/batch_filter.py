@@ -1,0 +1,240 @@
+"""The batch filter: an arc that grows, wrong sightings edited, split numbers, a solution accepted or not."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.options import parse_options
+from estimators.orbit.arc import Arc, Solution
+from estimators.orbit.contract import Orbit, OrbitEstimate
+from estimators.orbit.model import Model, Unknowns, fly, measurements, motion_by_shared
+from estimators.orbit.options import OrbitOptions
+from estimators.orbit.parameters import Layout
+from estimators.orbit.solve import Adjusted, Robust
+from scenarios.orbits.data import OrbitData
+from scenarios.orbits.motion import OrbitLostError
+
+FloatArray = NDArray[np.float64]
+
+_DAY_S = 86_400.0
+_LEAST_SQUARES = Robust(np.inf, 1.0)
+_RAYLEIGH_MEDIAN = 1.17741
+_COARSE, _FINE = 1.0, 0.02
+_MOST_SCALES = 4
+_MOST_EDITS = 4
+_LEAST_SIGHTINGS = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """A solution of the whole arc, and how it came about."""
+
+    solution: Solution
+    arc: Arc
+    adjusted: Adjusted
+    splits: int
+    steps: int
+
+    @property
+    def edited_share(self) -> float:
+        """Share of all sightings that do not count."""
+        return 1.0 - len(self.arc.rows) / len(self.solution.kept)
+
+    @property
+    def chi_square(self) -> float:
+        """Of each degree of freedom."""
+        linear, measured = self.adjusted.linear, self.arc.measured
+        free = 2 * len(measured.image) + len(linear.passes.residuals) - 3 * measured.count
+        return 2.0 * linear.cost / max(free, 1)
+
+
+@dataclass(frozen=True)
+class BatchFilter:
+    """Orbit determination by weighted least squares over a whole arc."""
+
+    options: OrbitOptions = field(default_factory=OrbitOptions)
+
+    name: ClassVar[str] = "batch-filter"
+    version: ClassVar[int] = 1
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> BatchFilter:
+        """Build from a campaign's options."""
+        return cls(parse_options(OrbitOptions, options, cls.name))
+
+    def determine(self, data: OrbitData) -> OrbitEstimate:
+        """Solve; where a solution is rejected, begin anew with the orbit that it has, and smaller steps."""
+        began = time.perf_counter()
+        if len(data.pictures.image) < _LEAST_SIGHTINGS:
+            reason = f"{len(data.pictures.image)} sightings are too few: at least {_LEAST_SIGHTINGS} are needed"
+            return OrbitEstimate("failed", None, reason, seconds=time.perf_counter() - began)
+        layout = Layout.of(data, self.options)
+        solution, growth = Solution.begin(data, layout), self.options.growth
+        reason, attempts = "", 0
+        for attempts in (1, 2):
+            try:
+                fit = self._fit(data, layout, solution, growth)
+            except (OrbitLostError, np.linalg.LinAlgError) as error:
+                reason, growth = f"the orbit diverged: {error}", 1.0 + 0.5 * (growth - 1.0)
+                continue
+            reason = self._rejected(fit)
+            if not reason:
+                diagnostics = {**_diagnostics(layout, fit), "attempts": float(attempts)}
+                return OrbitEstimate(
+                    "ok", _orbit(data, layout, fit), "", diagnostics, time.perf_counter() - began
+                )
+            solution = replace(Solution.begin(data, layout), x=fit.solution.x)
+            growth = 1.0 + 0.5 * (growth - 1.0)
+        return OrbitEstimate("failed", None, reason, {"attempts": float(attempts)}, time.perf_counter() - began)
+
+    def _fit(self, data: OrbitData, layout: Layout, solution: Solution, growth: float) -> _Fit:
+        """Let the arc grow; on the whole of it split, edit and adjust by least squares."""
+        end, steps = float(data.pictures.times_s[-1]), 0
+        for until in _ends(self.options.first_days * _DAY_S, growth, end):
+            arc = Arc.until(data, layout, self.options, solution, until)
+            if len(arc.rows) < _LEAST_SIGHTINGS:
+                continue
+            solution, adjusted, taken = self._loosely(arc, solution)
+            steps += taken
+        splits = 0
+        scale = _scale(adjusted)
+        if self.options.split:
+            solution, splits = arc.split(solution, scale)
+            arc = Arc.until(data, layout, self.options, solution, end)
+        solution, adjusted, taken = self._loosely(arc, solution)
+        steps += taken
+        for _ in range(_MOST_EDITS):
+            kept = self._near(data, layout, solution)
+            changed = int((kept != solution.kept).sum())
+            solution = replace(solution, kept=kept)
+            arc = Arc.until(data, layout, self.options, solution, end)
+            solution, adjusted = arc.adjusted(solution, _LEAST_SQUARES, (self.options.iterations, _FINE))
+            steps += adjusted.steps
+            if changed <= 1e-3 * len(kept):
+                break
+        return _Fit(solution, arc, adjusted, splits, steps)
+
+    def _loosely(self, arc: Arc, solution: Solution) -> tuple[Solution, Adjusted, int]:
+        """Adjust by Huber's loss, its scale what the residuals are like, until that is what is expected."""
+        scale, steps = _scale_before(arc, solution), 0
+        for _ in range(_MOST_SCALES):
+            robust = Robust(self.options.huber_sigma, scale)
+            solution, adjusted = arc.adjusted(solution, robust, (self.options.iterations, _COARSE))
+            steps += adjusted.steps
+            found = _scale(adjusted)
+            if found > 0.7 * scale:
+                break
+            scale = found
+        return solution, adjusted, steps
+
+    def _near(self, data: OrbitData, layout: Layout, solution: Solution) -> NDArray[np.bool_]:
+        """(K,): sightings of landmarks with a place that lie within the limit."""
+        lengths = _lengths(data, layout, solution)
+        return np.asarray(np.nan_to_num(lengths, nan=np.inf) <= self.options.edit_sigma)
+
+    def _rejected(self, fit: _Fit) -> str:
+        """Tell why a solution cannot be believed; '' where it can."""
+        if not fit.adjusted.converged:
+            return f"rejected: the adjustment did not converge in {self.options.iterations} steps"
+        if fit.edited_share > self.options.edited_max:
+            return f"rejected: {100.0 * fit.edited_share:.3g} % of the sightings do not agree with the solution"
+        if fit.chi_square > self.options.chi_square_max:
+            return f"rejected: the residuals are too large, chi-square {fit.chi_square:.3g} a degree of freedom"
+        return ""
+
+
+def _ends(first_s: float, growth: float, last_s: float) -> list[float]:
+    """Ends of the arcs, the last of which is the whole."""
+    ends = [first_s]
+    while ends[-1] < last_s:
+        ends.append(ends[-1] * growth)
+    # An arc that is all but the whole is left out.
+    while len(ends) > 1 and ends[-2] > last_s / 1.3:
+        ends.pop()
+    return [*ends[:-1], last_s]
+
+
+def _scale(adjusted: Adjusted) -> float:
+    """Robust scale of the residuals, in their sigmas; 1 at least."""
+    return max(1.0, float(np.median(adjusted.linear.lengths)) / _RAYLEIGH_MEDIAN)
+
+
+def _scale_before(arc: Arc, solution: Solution) -> float:
+    """Return the same before any step."""
+    unknowns = arc.unknowns(solution)
+    residuals = arc.model.sightings(unknowns, arc.model.fly(unknowns.x)).residuals
+    lengths = np.linalg.norm(residuals, axis=1) / arc.measured.sigma_px
+    return max(1.0, float(np.median(lengths)) / _RAYLEIGH_MEDIAN)
+
+
+def _residuals(data: OrbitData, layout: Layout, solution: Solution) -> tuple[FloatArray, FloatArray]:
+    """(K, 2) seen less predicted, px, and (K,) sigmas, of all sightings; NaN where a landmark has no place."""
+    placed = np.isfinite(solution.points[:, 0])[solution.numbering]
+    end = float(data.pictures.times_s[-1])
+    measured, rows = measurements(data, end, solution.numbering, placed, with_radiometry=False)
+    model = Model(layout, measured)
+    points = np.nan_to_num(solution.points)
+    found = model.sightings(Unknowns(solution.x, solution.tilts, points), model.fly(solution.x))
+    residuals, sigma = np.full((len(placed), 2), np.nan), np.ones(len(placed))
+    residuals[rows] = np.where(found.in_front[:, None], found.residuals, np.nan)
+    sigma[rows] = measured.sigma_px
+    return residuals, sigma
+
+
+def _lengths(data: OrbitData, layout: Layout, solution: Solution) -> FloatArray:
+    """(K,) lengths of all residuals in their sigmas."""
+    residuals, sigma = _residuals(data, layout, solution)
+    return np.asarray(np.linalg.norm(residuals, axis=1) / sigma)
+
+
+def _orbit(data: OrbitData, layout: Layout, fit: _Fit) -> Orbit:
+    """Tell the solution in the units of the contract, and where it leads."""
+    x, covariance = fit.solution.x, fit.adjusted.covariance(layout.size)
+    flown = fly(layout, x, data.wanted_s)
+    motion = motion_by_shared(layout, x, flown, slice(0, 3))
+    scale = layout.state_sigma
+    residuals, _ = _residuals(data, layout, fit.solution)
+    used = np.zeros(len(residuals), dtype=bool)
+    used[fit.arc.rows] = True
+    listed = data.landmarks.numbers
+    numbers = np.full(len(fit.solution.points), -1, dtype=np.int64)
+    numbers[: len(listed)] = listed
+    numbers[fit.solution.numbering] = data.pictures.landmark
+    placed = fit.arc.landmarks
+    return Orbit(
+        state=layout.state(x),
+        covariance=np.asarray(covariance[:6, :6] * np.outer(scale, scale)),
+        positions_m=flown.states[:, :3],
+        velocities_m_s=flown.states[:, 3:],
+        position_covariances_m2=np.asarray(motion @ covariance @ np.swapaxes(motion, 1, 2)),
+        numbers=numbers[placed],
+        points_body_m=fit.solution.points[placed],
+        residuals_px=residuals,
+        used=used,
+    )
+
+
+def _diagnostics(layout: Layout, fit: _Fit) -> dict[str, float]:
+    x, linear = fit.solution.x, fit.adjusted.linear
+    added = dict(zip(layout.forces.tolist(), layout.force_sigma[layout.forces] * x[layout.part("forces")], strict=True))
+    passes = linear.passes.residuals
+    return {
+        "chi_square_per_freedom": fit.chi_square,
+        "residual_rms_px": float(np.sqrt(np.mean(linear.sightings.residuals**2))),
+        "radiometric_rms_sigma": float(np.sqrt(np.mean(passes**2))) if len(passes) else 0.0,
+        "edited_share": fit.edited_share,
+        "split_numbers": float(fit.splits),
+        "landmarks": float(fit.arc.measured.count),
+        "steps": float(fit.steps),
+        "gm_ratio": 1.0 + float(added.get(0, 0.0)),
+        "solar_pressure_ratio": 1.0 + float(added.get(1, 0.0)),
+        "misalignment_urad": 1e6 * float(np.linalg.norm(layout.mounting(x))),
+        "focal_ratio": 1.0 + layout.focal(x),
+        "range_bias_m": layout.bias_m(x),
+    }

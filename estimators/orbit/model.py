@@ -1,0 +1,234 @@
+"""Residuals of all measurements with their derivatives, at a set of unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from estimators.orbit.parameters import Layout
+from scenarios.orbits.data import OrbitData, Radiometry
+from scenarios.orbits.motion import Flight, flight
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+_NEAREST_M = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unknowns:
+    """Shared unknowns ``x`` (n,), pan and tilt of each image (I, 2) rad, landmarks (L, 3) m, body axes."""
+
+    x: FloatArray
+    tilts: FloatArray
+    points: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """What an arc has to be fitted to; sightings in the order of their landmarks.
+
+    Parameters
+    ----------
+    times_s, R_cam_inertial, R_body_inertial
+        (I,), (I, 3, 3) and (I, 3, 3) of the images.
+    image, point
+        (K,) rows of image and landmark of each sighting; ``point`` ascends.
+    uv_px
+        (K, 2).
+    sigma_px
+        (K,) of a coordinate, with what the roll of the camera, which is no unknown, adds to it.
+    count
+        Number of landmarks.
+    radiometry
+        Of the arc, or None.
+    """
+
+    times_s: FloatArray
+    R_cam_inertial: FloatArray
+    R_body_inertial: FloatArray
+    image: IndexArray
+    point: IndexArray
+    uv_px: FloatArray
+    sigma_px: FloatArray
+    count: int
+    radiometry: Radiometry | None
+
+    @cached_property
+    def begin(self) -> IndexArray:
+        """(L + 1,) where the sightings of each landmark begin."""
+        return np.searchsorted(self.point, np.arange(self.count + 1)).astype(np.int64)
+
+    @cached_property
+    def epochs_s(self) -> FloatArray:
+        """Times at which the orbit is needed, ascending."""
+        return np.unique(self.times_s if self.radiometry is None else np.r_[self.times_s, self.radiometry.times_s])
+
+    @cached_property
+    def image_epoch(self) -> IndexArray:
+        """(I,) place of each image's time in ``epochs_s``."""
+        return np.searchsorted(self.epochs_s, self.times_s).astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """Residuals seen less predicted, px, and derivatives of the prediction, px by unit.
+
+    Parameters
+    ----------
+    residuals
+        (K, 2).
+    by_image
+        (K, 2, 7) by the camera's inertial position, its rotation about its axes, and the relative focal length.
+    by_point
+        (K, 2, 3) by the landmark.
+    in_front
+        (K,) whether the landmark lies before the camera.
+    """
+
+    residuals: FloatArray
+    by_image: FloatArray
+    by_point: FloatArray
+    in_front: BoolArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Passes:
+    """Residuals of ranges and rates in their sigmas, (M,), and derivatives of the prediction by ``x``, (M, n)."""
+
+    residuals: FloatArray
+    by_shared: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Predicts the measurements of an arc."""
+
+    layout: Layout
+    measured: Measurements
+
+    def fly(self, x: FloatArray) -> Flight:
+        """Follow the orbit over the arc."""
+        return fly(self.layout, x, self.measured.epochs_s)
+
+    def shared(self, x: FloatArray, flown: Flight) -> FloatArray:
+        """(I, 7, n): derivatives of each camera's position, rotation and focal length by the shared unknowns."""
+        layout, known = self.layout, self.layout.knowledge
+        found = np.zeros((len(self.measured.times_s), 7, layout.size))
+        found[:, :3] = motion_by_shared(layout, x, flown, slice(0, 3))[self.measured.image_epoch]
+        mounting = layout.part("mounting")
+        if mounting.stop > mounting.start:
+            found[:, 3:6, mounting] = known.misalignment_sigma_rad * np.eye(3)
+        found[:, 6, layout.part("focal")] = known.focal_sigma
+        return found
+
+    def sightings(self, unknowns: Unknowns, flown: Flight) -> Sightings:
+        """Predict where each landmark is seen."""
+        measured, layout = self.measured, self.layout
+        image, camera = measured.image, layout.knowledge.camera
+        focal = 1.0 + layout.focal(unknowns.x)
+        turns = self.attitudes(unknowns)
+        positions = flown.states[measured.image_epoch, :3]
+        R_body_inertial = measured.R_body_inertial[image]
+        inertial = np.einsum("kji,kj->ki", R_body_inertial, unknowns.points[measured.point]) - positions[image]
+        x, y, z = np.einsum("kij,kj->ik", turns[image], inertial)
+        in_front = z > _NEAREST_M
+        z = np.where(in_front, z, _NEAREST_M)
+        across, down = focal * camera.fx_px * x / z, focal * camera.fy_px * y / z
+        by_cam = np.zeros((len(z), 2, 3))
+        by_cam[:, 0, 0], by_cam[:, 0, 2] = focal * camera.fx_px / z, -across / z
+        by_cam[:, 1, 1], by_cam[:, 1, 2] = focal * camera.fy_px / z, -down / z
+        by_inertial = by_cam @ turns[image]
+        by_image = np.empty((len(z), 2, 7))
+        by_image[:, :, :3] = -by_inertial
+        by_image[:, :, 3:6] = np.cross(np.stack([x, y, z], -1)[:, None], by_cam)
+        by_image[:, 0, 6], by_image[:, 1, 6] = across / focal, down / focal
+        by_point = by_inertial @ np.swapaxes(R_body_inertial, 1, 2)
+        seen = measured.uv_px - [camera.cx_px, camera.cy_px]
+        return Sightings(seen - np.stack([across, down], -1), by_image, by_point, in_front)
+
+    def attitudes(self, unknowns: Unknowns) -> FloatArray:
+        """(I, 3, 3) R_cam_inertial: an image's own error, the mounting, what is reported."""
+        tilts = np.column_stack([unknowns.tilts, np.zeros(len(unknowns.tilts))])
+        mounting = Rotation.from_rotvec(self.layout.mounting(unknowns.x)).as_matrix()
+        return np.asarray(Rotation.from_rotvec(tilts).as_matrix() @ mounting @ self.measured.R_cam_inertial)
+
+    def passes(self, x: FloatArray, flown: Flight) -> Passes:
+        """Predict ranges and rates."""
+        layout, radio = self.layout, self.measured.radiometry
+        if radio is None:
+            return Passes(np.zeros(0), np.zeros((0, layout.size)))
+        rows = np.searchsorted(self.measured.epochs_s, radio.times_s)
+        states = flown.states[rows]
+        motion = motion_by_shared(layout, x, flown, slice(0, 6))[rows]
+        by_range = -np.einsum("i,nip->np", radio.earth_dir, motion[:, :3])
+        by_rate = -np.einsum("i,nip->np", radio.earth_dir, motion[:, 3:])
+        by_range[:, layout.part("bias")] = layout.bias_sigma_m
+        ranges = radio.range_m - (layout.bias_m(x) - states[:, :3] @ radio.earth_dir)
+        rates = radio.range_rate_m_s + states[:, 3:] @ radio.earth_dir
+        residuals = np.r_[ranges / radio.range_sigma_m, rates / radio.range_rate_sigma_m_s]
+        by = np.vstack([by_range / radio.range_sigma_m, by_rate / radio.range_rate_sigma_m_s])
+        there = np.isfinite(residuals)
+        return Passes(residuals[there], by[there])
+
+
+def fly(layout: Layout, x: FloatArray, times_s: FloatArray) -> Flight:
+    """Follow the orbit of some unknowns."""
+    end = float(times_s[-1]) if len(times_s) else 1.0
+    return flight(layout.field_at(x), layout.state(x), times_s, layout.pushes(x, end))
+
+
+def motion_by_shared(layout: Layout, x: FloatArray, flown: Flight, rows: slice) -> FloatArray:
+    """(T, rows, n): derivatives of the state by the shared unknowns."""
+    found = np.zeros((len(flown.states), rows.stop - rows.start, layout.size))
+    found[:, :, layout.part("state")] = flown.by_state[:, rows] * layout.state_sigma
+    by_forces = flown.by_parameters[:, rows][:, :, layout.forces]
+    found[:, :, layout.part("forces")] = by_forces * layout.force_scale(x)
+    if layout.pieces:
+        found[:, :, layout.part("pushes")] = flown.by_pushes[:, rows] * layout.knowledge.noise_m_s2
+    return found
+
+
+def measurements(
+    data: OrbitData, until_s: float, numbering: IndexArray, kept: BoolArray, with_radiometry: bool
+) -> tuple[Measurements, IndexArray]:
+    """Take what there is up to a time: also the rows of ``data.pictures`` that each sighting came from.
+
+    Parameters
+    ----------
+    numbering
+        (K,) row of the landmark of every sighting of the data.
+    kept
+        (K,) which of them to take.
+    """
+    pictures, known = data.pictures, data.knowledge
+    images = int(np.searchsorted(pictures.times_s, until_s, side="right"))
+    rows = np.flatnonzero(kept & (pictures.image < images))
+    rows = rows[np.argsort(numbering[rows], kind="stable")]
+    off_axis = np.linalg.norm(pictures.uv_px[rows] - [known.camera.cx_px, known.camera.cy_px], axis=1)
+    radio = data.radiometry if with_radiometry else None
+    if radio is not None:
+        n = int(np.searchsorted(radio.times_s, until_s, side="right"))
+        radio = replace(
+            radio, times_s=radio.times_s[:n], range_m=radio.range_m[:n], range_rate_m_s=radio.range_rate_m_s[:n]
+        )
+    times = pictures.times_s[:images]
+    return (
+        Measurements(
+            times_s=times,
+            R_cam_inertial=pictures.R_cam_inertial[:images],
+            R_body_inertial=known.field.rotation.at(times),
+            image=pictures.image[rows],
+            point=numbering[rows],
+            uv_px=pictures.uv_px[rows],
+            sigma_px=np.hypot(known.noise_px, known.attitude_sigma_rad * off_axis / np.sqrt(2.0)),
+            count=int(numbering.max(initial=-1)) + 1,
+            radiometry=radio,
+        ),
+        rows,
+    )

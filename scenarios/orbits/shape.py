@@ -1,0 +1,128 @@
+"""A shape as spherical harmonics of its radius: the a priori shape of Cheng et al. (2003), of degree 2 to 34."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from scenarios.geometry import TriangleMesh
+from scenarios.orbits.harmonics import normalisation
+from scenarios.orbits.solid import solid_harmonics
+
+FloatArray = NDArray[np.float64]
+
+_STEP_DEG = 2.0
+_MARCHES = 256
+_BISECTIONS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class StarShape:
+    """A surface with one radius in each direction, kept in a table over latitude and longitude.
+
+    Parameters
+    ----------
+    radii_m
+        (91, 181) at every second degree: latitudes from -90 on, longitudes from 0 to 360.
+    rms_m
+        Deviation of the radii from those that it was fitted to.
+    """
+
+    radii_m: FloatArray
+    rms_m: float
+
+    def radius(self, directions: FloatArray) -> FloatArray:
+        """(...,) m in directions (..., 3) of any length."""
+        x, y, z = np.moveaxis(np.asarray(directions, dtype=np.float64), -1, 0)
+        latitude = (np.degrees(np.arctan2(z, np.hypot(x, y))) + 90.0) / _STEP_DEG
+        longitude = np.degrees(np.arctan2(y, x)) % 360.0 / _STEP_DEG
+        return np.asarray(map_coordinates(self.radii_m, [latitude, longitude], order=1, mode="nearest"))
+
+    def intersect(self, origins_m: FloatArray, directions: FloatArray) -> FloatArray:
+        """(n, 3) where rays (n, 3) first meet the shape; where one misses it, the surface below its nearest point."""
+        reach = float(self.radii_m.max())
+        middle = -np.einsum("ni,ni->n", origins_m, directions)
+        near, far = np.maximum(middle - reach, 0.0), middle + reach
+        marks = near[:, None] + (far - near)[:, None] * np.linspace(0.0, 1.0, _MARCHES)
+        inside = self._height(origins_m, directions, marks) < 0.0
+        first = np.argmax(inside, axis=1)
+        low = np.take_along_axis(marks, np.maximum(first - 1, 0)[:, None], 1)
+        high = np.take_along_axis(marks, first[:, None], 1)
+        for _ in range(_BISECTIONS):
+            half = 0.5 * (low + high)
+            below = self._height(origins_m, directions, half) < 0.0
+            low, high = np.where(below, low, half), np.where(below, half, high)
+        missed = ~inside.any(axis=1)
+        points = origins_m + np.where(missed, middle, high[:, 0])[:, None] * directions
+        points[missed] *= (self.radius(points[missed]) / np.linalg.norm(points[missed], axis=1))[:, None]
+        return points
+
+    def _height(self, origins_m: FloatArray, directions: FloatArray, marks: FloatArray) -> FloatArray:
+        points = origins_m[:, None] + marks[..., None] * directions[:, None]
+        return np.asarray(np.linalg.norm(points, axis=2) - self.radius(points))
+
+    def mesh(self) -> TriangleMesh:
+        """Return a closed mesh through the table."""
+        return _lattice_mesh(self.radii_m)
+
+
+def fitted(mesh: TriangleMesh, degree: int) -> StarShape:
+    """Fit harmonics to the radii of a mesh's vertices, each weighted by the area about it as seen from the origin."""
+    radii = np.linalg.norm(mesh.vertices_m, axis=1)
+    unit = mesh.vertices_m / radii[:, None]
+    weights, basis = _solid_angles(mesh, len(radii)), _basis(unit, degree)
+    heavy = basis * weights[:, None]
+    found = np.linalg.solve(heavy.T @ basis, heavy.T @ radii)
+    rms = np.sqrt(np.average((basis @ found - radii) ** 2, weights=weights))
+    latitudes, longitudes = _lattice()
+    table = _basis(_directions(latitudes[:, None], longitudes[None, :]).reshape(-1, 3), degree) @ found
+    return StarShape(table.reshape(len(latitudes), len(longitudes)), float(rms))
+
+
+def _basis(unit: FloatArray, degree: int) -> FloatArray:
+    """(n, (degree + 1)^2) normalised surface harmonics."""
+    c, s = solid_harmonics(unit, degree)
+    orders = np.concatenate([np.arange(n + 1) for n in range(degree + 1)])
+    scale = normalisation(degree)[:, None]
+    return np.asarray(np.concatenate([c / scale, (s / scale)[orders > 0]]).T)
+
+
+def _lattice() -> tuple[FloatArray, FloatArray]:
+    """Latitudes and longitudes of the table, rad."""
+    rows, columns = round(180.0 / _STEP_DEG), round(360.0 / _STEP_DEG)
+    return np.linspace(-0.5 * np.pi, 0.5 * np.pi, rows + 1), np.linspace(0.0, 2.0 * np.pi, columns + 1)
+
+
+def _directions(latitude: FloatArray, longitude: FloatArray) -> FloatArray:
+    """(..., 3) unit vectors."""
+    parts = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)
+    return np.stack(np.broadcast_arrays(*parts), -1)
+
+
+def _solid_angles(mesh: TriangleMesh, vertices: int) -> FloatArray:
+    """(V,) a third of the solid angle of each facet that meets at a vertex; nothing where a facet looks inward."""
+    middles = mesh.corners_m.mean(axis=1)
+    angles = np.einsum("fi,fi->f", middles, mesh.area_vectors_m2) / np.linalg.norm(middles, axis=1) ** 3
+    found = np.zeros(vertices)
+    np.add.at(found, mesh.faces, np.maximum(angles, 0.0)[:, None] / 3.0)
+    return found
+
+
+def _lattice_mesh(radii: FloatArray) -> TriangleMesh:
+    """Join rows of latitude, the first and the last each in one point."""
+    latitudes, longitudes = _lattice()
+    rows, columns = len(latitudes), len(longitudes) - 1
+    unit = _directions(latitudes[1:-1, None], longitudes[None, :-1])
+    ring = (unit * radii[1:-1, :-1, None]).reshape(-1, 3)
+    poles = np.array([[0.0, 0.0, -radii[0, 0]], [0.0, 0.0, radii[-1, 0]]])
+    here = np.arange(columns)
+    there, last = (here + 1) % columns, (rows - 3) * columns
+    south, north = np.full(columns, len(ring)), np.full(columns, len(ring) + 1)
+    faces = [np.column_stack([there, here, south]), np.column_stack([last + here, last + there, north])]
+    for row in range(rows - 3):
+        a, b = row * columns + here, row * columns + there
+        faces += [np.column_stack([a, b, b + columns]), np.column_stack([a, b + columns, a + columns])]
+    return TriangleMesh(np.vstack([ring, poles]), np.concatenate(faces).astype(np.int32))

@@ -1,0 +1,124 @@
+"""A scenario's orbit section made real: body, craters, forces and what is believed of them, the same for all trials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.draw import Stream, generator
+from scenarios.geometry import Camera, TriangleMesh
+from scenarios.orbits.field import Field
+from scenarios.orbits.harmonics import Harmonics, homogeneous
+from scenarios.orbits.horizon import Horizons
+from scenarios.orbits.rotation import UniformRotation
+from scenarios.orbits.shape import StarShape, fitted
+from scenarios.sequences.ground import MeshGround
+from scenarios.sequences.propagation import SUNLIGHT_N_M2
+from scenarios.spec.orbit import OrbitSpec, SunEarthSpec
+
+FloatArray = NDArray[np.float64]
+
+_PROMINENCE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Asteroid:
+    """The true body about its centre of mass, with its craters.
+
+    Parameters
+    ----------
+    mesh
+        Its shape; the origin is the centre of mass at one density.
+    harmonics
+        Of that density, to the scenario's degree.
+    horizons
+        Of the craters' centres.
+    prominence
+        (n,) weight of each crater when some of those in view are found.
+    """
+
+    mesh: TriangleMesh
+    harmonics: Harmonics
+    horizons: Horizons
+    prominence: FloatArray
+
+    @classmethod
+    def of(cls, mesh: TriangleMesh, spec: OrbitSpec, seed: int) -> Asteroid:
+        """Centre a shape and lay craters on it."""
+        centred = about_centre_of_mass(mesh)
+        harmonics = shape_gravity(centred, spec)
+        rng = generator(seed, Stream.ORBIT_CRATERS, 0)
+        points, normals = MeshGround(centred).sample(spec.sightings.craters, rng)
+        prominence = np.exp(_PROMINENCE * rng.normal(size=len(points)))
+        return cls(centred, harmonics, Horizons.of(centred, points, normals), prominence)
+
+
+@dataclass(frozen=True, eq=False)
+class BelievedShape:
+    """The a priori shape, and the gravity that it has at one density."""
+
+    shape: StarShape
+    harmonics: Harmonics
+
+    @classmethod
+    def of(cls, asteroid: Asteroid, spec: OrbitSpec) -> BelievedShape:
+        """Fit the shape to the true one."""
+        shape = fitted(asteroid.mesh, spec.knowledge.shape_degree)
+        return cls(shape, shape_gravity(shape.mesh(), spec))
+
+
+@dataclass(frozen=True, eq=False)
+class OrbitWorld:
+    """All that the trials of a scenario share."""
+
+    spec: OrbitSpec
+    camera: Camera
+    asteroid: Asteroid
+    believed: BelievedShape
+
+    @property
+    def rotation(self) -> UniformRotation:
+        """How the body turns, which is known."""
+        return UniformRotation(np.eye(3), 2.0 * np.pi / (3600.0 * self.spec.asteroid.rotation_h))
+
+    @property
+    def light_m_s2(self) -> FloatArray:
+        """(3,) nominal solar pressure."""
+        return solar_pressure(self.spec.light)
+
+    @property
+    def coefficient_sigma(self) -> float:
+        """Of the believed gravity coefficients: anomalies, and the error of the shape, half its share of the radius."""
+        of_shape = 0.5 * self.believed.shape.rms_m / self.believed.harmonics.radius_m
+        return float(np.hypot(self.spec.asteroid.anomaly_sigma, of_shape))
+
+    def field(self, harmonics: Harmonics, light_factor: float = 1.0) -> Field:
+        """Return the forces with these harmonics."""
+        return Field(harmonics, self.rotation, self.light_m_s2 * light_factor)
+
+
+def about_centre_of_mass(mesh: TriangleMesh) -> TriangleMesh:
+    """Shift a mesh so that the origin is its centre of volume."""
+    corners = mesh.corners_m
+    volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+    centre = np.einsum("f,fi->i", volumes, corners.sum(axis=1)) / 4.0 / volumes.sum()
+    return TriangleMesh(mesh.vertices_m - centre, mesh.faces)
+
+
+def shape_gravity(mesh: TriangleMesh, spec: OrbitSpec) -> Harmonics:
+    """Return the harmonics of a shape of one density; the origin is the centre of mass, whatever the shape says."""
+    asteroid = spec.asteroid
+    radius = float(np.linalg.norm(mesh.vertices_m, axis=1).max())
+    found = homogeneous(mesh, asteroid.gm_m3_s2, asteroid.gravity_degree, radius)
+    c, s = found.c.copy(), found.s.copy()
+    c[1], s[1] = 0.0, 0.0
+    return Harmonics(found.gm_m3_s2, found.radius_m, c, s)
+
+
+def solar_pressure(light: SunEarthSpec) -> FloatArray:
+    """(3,) acceleration of a ball by sunlight, m/s2, away from the Sun (cannonball model)."""
+    sun = np.array(light.sun_dir) / np.linalg.norm(light.sun_dir)
+    size = SUNLIGHT_N_M2 * light.reflectivity * light.area_to_mass_m2_kg / light.sun_distance_au**2
+    return np.asarray(-size * sun, dtype=np.float64)
