@@ -11,7 +11,7 @@ from estimators.orbit.model import Measurements, Model, Unknowns, measurements
 from estimators.orbit.options import OrbitOptions
 from estimators.orbit.parameters import Layout
 from estimators.orbit.rays import Rays, agreeing, triangulated
-from estimators.orbit.solve import Adjusted, Prior, Robust, adjust
+from estimators.orbit.solve import Adjusted, Limits, Prior, Robust, adjust
 from scenarios.orbits.data import OrbitData
 
 FloatArray = NDArray[np.float64]
@@ -89,9 +89,7 @@ class Arc:
         landmarks = np.flatnonzero(seen >= _LEAST_SEEN)
         compact = np.full(len(solution.points), -1, dtype=np.int64)
         compact[landmarks] = np.arange(len(landmarks))
-        measured, rows = measurements(
-            data, end_s, compact[solution.numbering], here, options.radiometry == "used"
-        )
+        measured, rows = measurements(data, end_s, compact[solution.numbering], here, options.radiometry == "used")
         return cls(data, layout, options, Model(layout, measured), rows, landmarks)
 
     @property
@@ -135,7 +133,7 @@ class Arc:
             information[old] = listed.sigma_m[self.landmarks[old]] ** -2.0
         return Prior(points, information)
 
-    def adjusted(self, solution: Solution, robust: Robust, limits: tuple[int, float]) -> tuple[Solution, Adjusted]:
+    def adjusted(self, solution: Solution, robust: Robust, limits: Limits) -> tuple[Solution, Adjusted]:
         """Adjust the solution to the arc."""
         found = adjust(self.model, self.prior(), self.unknowns(solution), robust, limits)
         unknowns = found.linear.unknowns

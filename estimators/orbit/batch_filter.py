@@ -16,7 +16,7 @@ from estimators.orbit.contract import Orbit, OrbitEstimate
 from estimators.orbit.model import Model, Unknowns, fly, measurements, motion_by_shared
 from estimators.orbit.options import OrbitOptions
 from estimators.orbit.parameters import Layout
-from estimators.orbit.solve import Adjusted, Robust
+from estimators.orbit.solve import Adjusted, Limits, Robust
 from scenarios.orbits.data import OrbitData
 from scenarios.orbits.motion import OrbitLostError
 
@@ -25,10 +25,11 @@ FloatArray = NDArray[np.float64]
 _DAY_S = 86_400.0
 _LEAST_SQUARES = Robust(np.inf, 1.0)
 _RAYLEIGH_MEDIAN = 1.17741
-_COARSE, _FINE = 1.0, 0.02
+_COARSE_SHARE, _FINE = 0.01, 0.02
 _MOST_SCALES = 4
 _MOST_EDITS = 4
 _LEAST_SIGHTINGS = 20
+_SPLIT_DAYS = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,9 +87,7 @@ class BatchFilter:
             reason = self._rejected(fit)
             if not reason:
                 diagnostics = {**_diagnostics(layout, fit), "attempts": float(attempts)}
-                return OrbitEstimate(
-                    "ok", _orbit(data, layout, fit), "", diagnostics, time.perf_counter() - began
-                )
+                return OrbitEstimate("ok", _orbit(data, layout, fit), "", diagnostics, time.perf_counter() - began)
             solution = replace(Solution.begin(data, layout), x=fit.solution.x)
             growth = 1.0 + 0.5 * (growth - 1.0)
         return OrbitEstimate("failed", None, reason, {"attempts": float(attempts)}, time.perf_counter() - began)
@@ -96,17 +95,17 @@ class BatchFilter:
     def _fit(self, data: OrbitData, layout: Layout, solution: Solution, growth: float) -> _Fit:
         """Let the arc grow; on the whole of it split, edit and adjust by least squares."""
         end, steps = float(data.pictures.times_s[-1]), 0
+        splits = 0
         for until in _ends(self.options.first_days * _DAY_S, growth, end):
             arc = Arc.until(data, layout, self.options, solution, until)
             if len(arc.rows) < _LEAST_SIGHTINGS:
                 continue
             solution, adjusted, taken = self._loosely(arc, solution)
             steps += taken
-        splits = 0
-        scale = _scale(adjusted)
-        if self.options.split:
-            solution, splits = arc.split(solution, scale)
-            arc = Arc.until(data, layout, self.options, solution, end)
+            if self.options.split and until > _SPLIT_DAYS * _DAY_S:
+                solution, found = arc.split(solution, _scale(adjusted))
+                splits += found
+        arc = Arc.until(data, layout, self.options, solution, end)
         solution, adjusted, taken = self._loosely(arc, solution)
         steps += taken
         for _ in range(_MOST_EDITS):
@@ -114,7 +113,7 @@ class BatchFilter:
             changed = int((kept != solution.kept).sum())
             solution = replace(solution, kept=kept)
             arc = Arc.until(data, layout, self.options, solution, end)
-            solution, adjusted = arc.adjusted(solution, _LEAST_SQUARES, (self.options.iterations, _FINE))
+            solution, adjusted = arc.adjusted(solution, _LEAST_SQUARES, Limits(self.options.iterations, _FINE))
             steps += adjusted.steps
             if changed <= 1e-3 * len(kept):
                 break
@@ -123,9 +122,10 @@ class BatchFilter:
     def _loosely(self, arc: Arc, solution: Solution) -> tuple[Solution, Adjusted, int]:
         """Adjust by Huber's loss, its scale what the residuals are like, until that is what is expected."""
         scale, steps = _scale_before(arc, solution), 0
+        limits = Limits(self.options.iterations, 1.0, _COARSE_SHARE)
         for _ in range(_MOST_SCALES):
             robust = Robust(self.options.huber_sigma, scale)
-            solution, adjusted = arc.adjusted(solution, robust, (self.options.iterations, _COARSE))
+            solution, adjusted = arc.adjusted(solution, robust, limits)
             steps += adjusted.steps
             found = _scale(adjusted)
             if found > 0.7 * scale:
@@ -150,7 +150,7 @@ class BatchFilter:
 
 
 def _ends(first_s: float, growth: float, last_s: float) -> list[float]:
-    """Ends of the arcs, the last of which is the whole."""
+    """Return the ends of the arcs, the last of which is the whole."""
     ends = [first_s]
     while ends[-1] < last_s:
         ends.append(ends[-1] * growth)

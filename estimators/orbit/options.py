@@ -25,7 +25,7 @@ class OrbitOptions(SpecModel):
     )
     radiometry: Literal["used", "ignored"] = Field("used", description="Whether ranges and Doppler are used")
     first_days: float = Field(1.0, gt=0, le=30, description="Length of the arc that the solution begins with")
-    growth: float = Field(2.5, gt=1, le=20, description="By which an arc is longer than the one before")
+    growth: float = Field(3.0, gt=1, le=20, description="By which an arc is longer than the one before")
     edit_sigma: float = Field(4.0, gt=1, le=20, description="Sightings farther off than this are left out")
     huber_sigma: float = Field(2.0, gt=0, le=10, description="Before that, sightings farther off weigh less")
     iterations: int = Field(12, ge=1, le=100, description="Steps for one arc at most")

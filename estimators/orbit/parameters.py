@@ -51,12 +51,12 @@ class Layout:
         field = Field(known.field.harmonics, known.field.rotation, known.field.light_m_s2, options.gravity_degree)
         light = known.light_sigma if options.solar_pressure == "estimated" and np.any(field.light_m_s2) else 0.0
         sigma = np.r_[known.gm_sigma, light, np.full(field.parameters - 2, known.coefficient_sigma)]
-        edges = np.zeros(0)
+        edges: FloatArray = np.zeros(0, dtype=np.float64)
         if options.accelerations == "estimated" and known.noise_m_s2 > 0.0:
             last = [data.wanted_s[-1:], data.pictures.times_s[-1:]]
             end = float(np.concatenate(last).max(initial=1.0))
             step = known.noise_time_s * options.piece_share
-            edges = step * np.arange(int(np.ceil(end / step)) + 1)
+            edges = np.asarray(step * np.arange(int(np.ceil(end / step)) + 1), dtype=np.float64)
         bias = 0.0 if data.radiometry is None else data.radiometry.range_bias_sigma_m
         return cls(known, field, edges, sigma, bias)
 
@@ -96,7 +96,7 @@ class Layout:
         return slice(self.starts[name], self.starts[names[names.index(name) + 1]])
 
     def force_scale(self, x: FloatArray) -> FloatArray:
-        """(forces,) by which derivatives by the parameters of the field at ``x`` become derivatives by ``x``.
+        """(forces,) factors that make derivatives by the parameters of the field at ``x`` derivatives by ``x``.
 
         Those by GM and sunlight are by ratios to what they are at ``x``.
         """

@@ -82,6 +82,15 @@ class Step:
     factor: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When to end: after so many steps, or when the cost would fall by less than a tolerance and a share of itself."""
+
+    steps: int
+    tolerance: float
+    share: float = 0.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjusted:
     """Where the steps ended."""
@@ -196,38 +205,34 @@ def _solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(matrices, right))
 
 
-def adjust(
-    model: Model, prior: Prior, start: Unknowns, robust: Robust, limits: tuple[int, float]
-) -> Adjusted:
-    """Take Gauss-Newton steps, damped where they fail, until one promises less than a tolerance.
-
-    ``limits`` is the number of steps, and the decrease of the cost (half a chi-square) that is worth no further step.
+def adjust(model: Model, prior: Prior, start: Unknowns, robust: Robust, limits: Limits) -> Adjusted:
+    """Take Gauss-Newton steps, damped where they fail, until one promises too little to be worth another.
 
     Raises
     ------
     OrbitLostError
         If the orbit that it begins with leads into the body.
     """
-    most, tolerance = limits
     here, damping = linearise(model, prior, start, robust), 0.0
     step = step_from(model, prior, here, robust, damping)
-    for count in range(1, most + 1):
+    for count in range(1, limits.steps + 1):
+        little = step.promised < limits.tolerance + limits.share * here.cost
         moved = Unknowns(start.x + step.x, start.tilts + step.tilts, start.points + step.points)
         there = _tried(model, prior, moved, robust)
         if there is None or there.cost > here.cost * (1.0 + 1e-9):
-            if step.promised < tolerance:
+            if little:
                 return Adjusted(here, step, True, count)
             damping = max(_DAMPING_FIRST, 10.0 * damping)
             if damping > _MOST_DAMPING:
                 return Adjusted(here, step, False, count)
         else:
-            done = step.promised < tolerance and damping <= _DAMPING_FIRST
+            done = little and damping <= _DAMPING_FIRST
             start, here = moved, there
             damping = 0.0 if damping <= _DAMPING_FIRST else 0.1 * damping
             if done:
                 return Adjusted(here, step, True, count)
         step = step_from(model, prior, here, robust, damping)
-    return Adjusted(here, step, False, most)
+    return Adjusted(here, step, False, limits.steps)
 
 
 def _tried(model: Model, prior: Prior, unknowns: Unknowns, robust: Robust) -> Linear | None:

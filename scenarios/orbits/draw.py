@@ -119,7 +119,7 @@ def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[Field, Pushe
     for p in range(pieces):
         push[p] = sigma * now
         now = kept * now + np.sqrt(1.0 - kept**2) * rng.normal(size=3)
-    return field, Pushes(step * np.arange(pieces + 1), push)
+    return field, Pushes(step * np.arange(pieces + 1, dtype=np.float64), push)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -81,8 +81,8 @@ def travelled(field: Field, state: FloatArray, times_s: FloatArray, pushes: Push
             return np.concatenate([y[3:], pull * time / speed])
 
         at, place = np.unique(np.append(times_s[rows], end) / time, return_inverse=True)
-        options = {"t_eval": at, "events": height, "rtol": _TOLERANCE, "atol": _TOLERANCE}
-        solved = solve_ivp(change, (begin / time, end / time), now, "DOP853", **options)
+        between = (float(begin) / time, float(end) / time)
+        solved = solve_ivp(change, between, now, "DOP853", t_eval=at, events=height, rtol=_TOLERANCE, atol=_TOLERANCE)
         if solved.status != 0:
             raise OrbitLostError(
                 f"it leads into the body within {end / 86400.0:.3g} days: raise orbit.radius_m or lower the forces"

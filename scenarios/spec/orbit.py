@@ -32,7 +32,10 @@ class AsteroidSpec(SpecModel):
         8, ge=2, le=16, description="Degree of the harmonics: those of the shape at one density, and anomalies"
     )
     anomaly_sigma: float = Field(
-        1e-3, ge=0, lt=1, description="Of what normalised coefficients of degree 2 and 3 have beside those of one density"
+        1e-3,
+        ge=0,
+        lt=1,
+        description="Of normalised coefficients of degree 2 and 3, about those of one density",
     )
     rotation_h: float = Field(5.27, gt=0, description="Period of the rotation")
 
@@ -99,7 +102,9 @@ class OrbitKnowledgeSpec(SpecModel):
     position_m: float = Field(1000.0, gt=0, description="Length of the error of the position at the epoch")
     gm_sigma: float = Field(1e-3, ge=0, lt=1, description="Of GM, relative")
     light_sigma: float = Field(0.1, ge=0, lt=1, description="Of the size of solar pressure, relative")
-    shape_degree: int = Field(34, ge=2, le=34, description="Of the a priori shape, as spherical harmonics of the radius")
+    shape_degree: int = Field(
+        34, ge=2, le=34, description="Of the a priori shape, as spherical harmonics of the radius"
+    )
 
 
 class OrbitSpec(SpecModel):

@@ -14,9 +14,15 @@ from scenarios.spec.crater_pairs import CraterPairsSpec
 from scenarios.spec.craters import CratersSpec
 from scenarios.spec.images import ImageSetSpec
 from scenarios.spec.onboard import OnboardSpec
+from scenarios.spec.orbit import OrbitSpec
 from scenarios.spec.sensors import SensorsSpec
 from scenarios.spec.sequence import SequenceSpec
 from scenarios.spec.world import PAPER_POSE_ERROR, LightingSpec, PoseErrorSpec, ViewpointSpec
+
+
+def _is_none(value: object) -> bool:
+    return value is None
+
 
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
 
@@ -25,10 +31,10 @@ class ScenarioSpec(SpecModel):
     """What the YAML says. Its digest is part of every result's key.
 
     Images are either rendered from a ``viewpoint`` or read from ``images``; a ``sequence`` has tracks in their place,
-    and ``crater_pairs`` have detections of craters.
+    ``crater_pairs`` have detections of craters, and an ``orbit`` has sightings of numbered ones.
     """
 
-    alternatives: ClassVar = (("viewpoint", "images", "sequence", "crater_pairs"),)
+    alternatives: ClassVar = (("viewpoint", "images", "sequence", "crater_pairs", "orbit"),)
     prose: ClassVar = frozenset({"name", "description"})
     own: ClassVar = frozenset({"name", "description"})
 
@@ -50,6 +56,12 @@ class ScenarioSpec(SpecModel):
     images: ImageSetSpec | None = Field(None, description="Real images, instead of viewpoint")
     sequence: SequenceSpec | None = Field(None, description="Tracks along an orbit, instead of viewpoint")
     crater_pairs: CraterPairsSpec | None = Field(None, description="Detections in two looks, instead of viewpoint")
+    orbit: OrbitSpec | None = Field(
+        None,
+        # Left out of digests where it is not given: other scenarios are the same as ever.
+        exclude_if=_is_none,
+        description="Weeks of images of craters from an orbit, instead of viewpoint",
+    )
     pose_error: PoseErrorSpec = PAPER_POSE_ERROR
     sensors: SensorsSpec = Field(SensorsSpec(), description="What is measured beside the image")
     onboard: OnboardSpec = Field(OnboardSpec(), description="What the spacecraft believes, where it is wrong")
