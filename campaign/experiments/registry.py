@@ -67,6 +67,7 @@ _KINDS: Mapping[str, str] = MappingProxyType(
         "pose-convergence": "campaign.experiments.pose_convergence:PoseConvergence",
         "crater-matching": "campaign.experiments.crater_matching:CraterMatching",
         "sequence": "campaign.experiments.sequence:SequenceTrials",
+        "orbit-determination": "campaign.experiments.orbit_determination:OrbitTrials",
     }
 )
 

@@ -96,7 +96,7 @@ class Layout:
         return slice(self.starts[name], self.starts[names[names.index(name) + 1]])
 
     def force_scale(self, x: FloatArray) -> FloatArray:
-        """(forces,) factors that make derivatives by the parameters of the field at ``x`` derivatives by ``x``.
+        """Return what makes derivatives by the parameters of the field at ``x`` derivatives by ``x``, (forces,).
 
         Those by GM and sunlight are by ratios to what they are at ``x``.
         """

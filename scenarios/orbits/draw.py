@@ -44,6 +44,8 @@ class OrbitTruth:
         (K,) sightings that carry the number of another crater, merged ones aside.
     points_body_m
         (n, 3) of all craters.
+    gm_m3_s2, light_m_s2
+        True gravity parameter, and (3,) true acceleration by sunlight.
     """
 
     states: FloatArray
@@ -51,6 +53,8 @@ class OrbitTruth:
     crater: IndexArray
     wrong: BoolArray
     points_body_m: FloatArray
+    gm_m3_s2: float
+    light_m_s2: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,8 +83,16 @@ def draw_orbit(world: OrbitWorld, seed: int, trial: int) -> tuple[OrbitTruth, Or
     pictures, crater, wrong = _pictures(world, flown, pointing, seed, trial)
     landmarks = _landmarks(world, knowledge, pictures)
     data = OrbitData(knowledge, pictures, landmarks, _radiometry(world, flown, seed, trial), flown.wanted_s)
-    points = world.asteroid.horizons.points_m
-    return OrbitTruth(flown.wanted_states, flown.image_states, crater, wrong, points), data
+    truth = OrbitTruth(
+        states=flown.wanted_states,
+        image_states=flown.image_states,
+        crater=crater,
+        wrong=wrong,
+        points_body_m=world.asteroid.horizons.points_m,
+        gm_m3_s2=world.spec.asteroid.gm_m3_s2,
+        light_m_s2=world.light_m_s2,
+    )
+    return truth, data
 
 
 def _fly(world: OrbitWorld, seed: int, trial: int) -> _Flight:

@@ -62,9 +62,14 @@ class CampaignSpec(SpecModel):
     name: str = Field(pattern=NAME_PATTERN, description="Lower case; the file's name if left out")
     title: str = Field("", description="Heading of the report")
     description: str = Field("", description="One line about the campaign")
-    experiment: Literal["single-image", "pose-convergence", "landmark-database", "sequence", "crater-matching"] = Field(
-        "single-image", description="The kind of trial"
-    )
+    experiment: Literal[
+        "single-image",
+        "pose-convergence",
+        "landmark-database",
+        "sequence",
+        "crater-matching",
+        "orbit-determination",
+    ] = Field("single-image", description="The kind of trial")
     scenarios: tuple[str, ...] = Field(min_length=1, description="Scenarios by name, or by path from this file")
     overrides: Mapping[str, JsonValue] = Field(
         default_factory=dict, alias="set", description="Overrides of every scenario, as sections or as dotted keys"

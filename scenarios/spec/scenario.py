@@ -19,12 +19,11 @@ from scenarios.spec.sensors import SensorsSpec
 from scenarios.spec.sequence import SequenceSpec
 from scenarios.spec.world import PAPER_POSE_ERROR, LightingSpec, PoseErrorSpec, ViewpointSpec
 
+NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
+
 
 def _is_none(value: object) -> bool:
     return value is None
-
-
-NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
 
 
 class ScenarioSpec(SpecModel):

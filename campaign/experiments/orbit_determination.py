@@ -1,0 +1,191 @@
+"""The orbit-determination experiment: weeks of crater sightings and radiometric data, an orbit, its error."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar
+
+import numpy as np
+
+from campaign.experiments.registry import Bench, Record, Records
+from campaign.orbit_score import check_orbit, orbit_errors, orbit_summary, residual_records
+from campaign.products import BuiltProduct, Shelf
+from campaign.resolve import ResolvedCampaign
+from campaign.score import no_consistency, no_pose_error
+from campaign.sequence_score import no_summary
+from estimators.orbit.contract import OrbitEstimator
+from estimators.orbit.registry import orbit_estimator_class
+from scenarios.bodies import body_digest, load_body
+from scenarios.errors import BoresightError
+from scenarios.load import LoadedScenario
+from scenarios.orbits.data import OrbitData
+from scenarios.orbits.draw import OrbitTruth, draw_orbit
+from scenarios.orbits.motion import OrbitLostError
+from scenarios.orbits.world import Asteroid, BelievedShape, OrbitWorld
+from scenarios.spec.orbit import OrbitSpec
+
+_STATE = 6
+
+
+@dataclass(frozen=True, eq=False)
+class OrbitTrials:
+    """Trials of one scenario with a set of labelled estimators of orbits; all see the same data."""
+
+    name: str
+    world: OrbitWorld
+    estimators: Mapping[str, OrbitEstimator]
+    seed: int
+
+    kind: ClassVar[str] = "orbit-determination"
+    version: ClassVar[int] = 1
+    block_trials: ClassVar[int] = 2
+    kernels: ClassVar[bool] = False
+
+    @classmethod
+    def method_version(cls, name: str) -> int:
+        """Return the version of an estimator of orbits."""
+        return orbit_estimator_class(name).version
+
+    @classmethod
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+        """Refuse wrong options, and an orbit that begins in the body; there is nothing to build."""
+        del shelf
+        _estimators(campaign)
+        section = _section(scenario)
+        reach = load_body(scenario.spec.body, scenario.search_dirs).mesh.radius_m
+        nearest = section.arc.semi_major_axis_m * (1.0 - section.arc.eccentricity)
+        if nearest <= reach:
+            raise BoresightError(
+                f"{scenario.path}: orbit.arc: its pericentre at {nearest:g} m is not above the body, which reaches"
+                f" {reach:.6g} m from its origin: choose a larger semi_major_axis_m"
+            )
+        return []
+
+    @classmethod
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> OrbitTrials:
+        """Lay the craters, work the gravity out and build the estimators."""
+        del bench
+        section = _section(scenario)
+        asteroid = _asteroid(_Body(scenario), _body_part(section), campaign.seed)
+        believed = _believed(asteroid, section.knowledge.shape_degree, _body_part(section))
+        world = OrbitWorld(section, scenario.spec.camera.camera().pinhole, asteroid, believed)
+        return cls(scenario.spec.name, world, _estimators(campaign), campaign.seed)
+
+    def run(self, trials: range) -> Records:
+        """Run trials, in the order of trials and estimators."""
+        records: Records = {}
+        for trial in trials:
+            for label, found in self._run(trial).items():
+                key: Record = {"trial": trial, "scenario": self.name, "estimator": label}
+                for table, added in found.items():
+                    records.setdefault(table, []).extend({**key, **record} for record in added)
+        return records
+
+    def _run(self, trial: int) -> dict[str, Records]:
+        """Run a trial: the records of each estimator; where chance leads the orbit into the body, none has data."""
+        try:
+            truth, data = draw_orbit(self.world, self.seed, trial)
+        except OrbitLostError as error:
+            row = {**_empty_row(), "status": "failed", "reason": f"there is no such trial: {error}"}
+            return {label: {"rows": [row]} for label in self.estimators}
+        return {label: _judged(estimator, truth, data, trial == 0) for label, estimator in self.estimators.items()}
+
+
+def _judged(estimator: OrbitEstimator, truth: OrbitTruth, data: OrbitData, with_residuals: bool) -> Records:
+    """Let an estimator solve and score what it returns: records without their key, whatever goes wrong."""
+    row = {**_empty_row(), "range_m": float(np.linalg.norm(truth.states[0, :3]))}
+    try:
+        estimate = estimator.determine(data)
+        check_orbit(estimate, data)
+        orbit = estimate.orbit
+        timings: Records = {"timings": [{"stage": "orbit", "seconds": estimate.seconds}]}
+        diagnostics: list[Record] = [{"name": str(n), "value": float(v)} for n, v in estimate.diagnostics.items()]
+        if estimate.status == "failed" or orbit is None:
+            failed = {**row, "status": "failed", "reason": estimate.reason}
+            return {"rows": [failed], "diagnostics": diagnostics, **timings}
+        summary = orbit_summary(estimate, orbit, truth, data)
+        row |= {
+            "status": "ok",
+            "position_error_m": summary["epoch_error_m"],
+            "nees": _STATE * float(str(summary["epoch_nees"])),
+            "position_sigma_m": float(np.sqrt(np.trace(orbit.covariance[:3, :3]))),
+            "n_landmarks": len(orbit.numbers),
+        }
+        return {
+            "rows": [row],
+            "orbits": [summary],
+            "orbit_errors": list(orbit_errors(orbit, truth, data)),
+            "residuals": list(residual_records(orbit, data)) if with_residuals else [],
+            "diagnostics": diagnostics,
+            **timings,
+        }
+    except Exception:  # noqa: BLE001  an estimator's fault is a result, recorded with its trace
+        reason = "the estimator raised or returned rubbish: see the table tracebacks"
+        return {
+            "rows": [{**row, "status": "error", "reason": reason}],
+            "tracebacks": [{"traceback": traceback.format_exc()}],
+        }
+
+
+def _empty_row() -> Record:
+    """Fill the columns of a row that an orbit has no number for."""
+    errors = no_pose_error()
+    return {
+        **errors,
+        **{f"prior_{name}": None for name in errors},
+        **no_consistency(),
+        **no_summary(),
+        "final_landmark_rmse_m": None,
+        "n_landmarks": 0,
+        "reason": "",
+        "image": "",
+        "range_m": None,
+        "phase_deg": None,
+    }
+
+
+class _Body:
+    """A scenario as a key of its body: two that have the same one are equal."""
+
+    def __init__(self, scenario: LoadedScenario) -> None:
+        self.scenario = scenario
+        self.digest = body_digest(scenario.spec.body, scenario.search_dirs)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Body) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+
+def _body_part(section: OrbitSpec) -> OrbitSpec:
+    """Leave only what the body and its craters depend on, so that scenarios share them."""
+    return OrbitSpec(asteroid=section.asteroid, sightings={"craters": section.sightings.craters})
+
+
+@lru_cache(maxsize=2)
+def _asteroid(body: _Body, spec: OrbitSpec, seed: int) -> Asteroid:
+    mesh = load_body(body.scenario.spec.body, body.scenario.search_dirs).mesh
+    return Asteroid.of(mesh, spec, seed)
+
+
+@lru_cache(maxsize=16)
+def _believed(asteroid: Asteroid, degree: int, spec: OrbitSpec) -> BelievedShape:
+    return BelievedShape.of(
+        asteroid, spec.model_copy(update={"knowledge": spec.knowledge.model_copy(update={"shape_degree": degree})})
+    )
+
+
+def _section(scenario: LoadedScenario) -> OrbitSpec:
+    if scenario.spec.orbit is None:
+        raise BoresightError(f"{scenario.path}: orbit: missing, but the experiment orbit-determination needs it")
+    return scenario.spec.orbit
+
+
+def _estimators(campaign: ResolvedCampaign) -> dict[str, OrbitEstimator]:
+    return {
+        entry.label: orbit_estimator_class(entry.name).from_options(entry.options) for entry in campaign.spec.estimators
+    }

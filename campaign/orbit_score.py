@@ -1,0 +1,149 @@
+"""Where truth and estimate of an orbit meet: errors in inertial space, at the epoch, over the arc and predicted.
+
+The phase of the body's rotation and the landmarks' longitudes are one unknown by two names; inertial positions do not
+depend on which of them is wrong.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.orbit.contract import Orbit, OrbitEstimate
+from scenarios.orbits.data import OrbitData
+from scenarios.orbits.draw import DAY_S, OrbitTruth
+
+FloatArray = NDArray[np.float64]
+Record = dict[str, object]
+
+_STATE = 6
+_AXES = 3
+
+
+def check_orbit(estimate: OrbitEstimate, data: OrbitData) -> None:
+    """Refuse an estimate that does not keep the contract.
+
+    Raises
+    ------
+    ValueError
+        If status or reason is none, an orbit is missing, or an array has another shape or is not finite.
+    """
+    if estimate.status not in {"ok", "failed"}:
+        raise ValueError(f"status is {estimate.status!r}, not ok or failed")
+    if estimate.status == "failed":
+        if not estimate.reason:
+            raise ValueError("a failed estimate gives no reason")
+        return
+    if estimate.orbit is None:
+        raise ValueError("an estimate that is ok has no orbit")
+    if not np.isfinite(list(estimate.diagnostics.values())).all():
+        raise ValueError("diagnostics are not finite")
+    orbit, wanted, sightings = estimate.orbit, len(data.wanted_s), len(data.pictures.image)
+    shapes: tuple[tuple[str, NDArray[np.generic], tuple[int, ...]], ...] = (
+        ("state", orbit.state, (_STATE,)),
+        ("covariance", orbit.covariance, (_STATE, _STATE)),
+        ("positions_m", orbit.positions_m, (wanted, 3)),
+        ("velocities_m_s", orbit.velocities_m_s, (wanted, 3)),
+        ("position_covariances_m2", orbit.position_covariances_m2, (wanted, 3, 3)),
+        ("used", orbit.used, (sightings,)),
+    )
+    for name, array, shape in shapes:
+        if np.shape(array) != shape or not np.isfinite(array).all():
+            raise ValueError(f"{name} of shape {np.shape(array)} is not {shape} of finite numbers")
+    if orbit.residuals_px.shape != (sightings, 2):
+        raise ValueError(f"residuals_px of shape {orbit.residuals_px.shape} is not {(sightings, 2)}")
+
+
+def orbit_errors(orbit: Orbit, truth: OrbitTruth, data: OrbitData) -> list[Record]:
+    """Score every wanted time: the columns of the table ``orbit_errors`` without its key."""
+    offset = orbit.positions_m - truth.states[:, :3]
+    radial = truth.states[:, :3] / np.linalg.norm(truth.states[:, :3], axis=1, keepdims=True)
+    cross = np.cross(radial, truth.states[:, 3:])
+    cross /= np.linalg.norm(cross, axis=1, keepdims=True)
+    parts = [np.einsum("ei,ei->e", offset, axis) for axis in (radial, np.cross(cross, radial), cross)]
+    sigma = np.sqrt(np.maximum(np.trace(orbit.position_covariances_m2, axis1=1, axis2=2), 0.0))
+    later = data.wanted_s > _end_of_arc(data)
+    return [
+        {
+            "time_days": float(time / DAY_S),
+            "predicted": bool(predicted),
+            "position_error_m": float(np.linalg.norm(off)),
+            "radial_m": float(r),
+            "along_m": float(a),
+            "cross_m": float(c),
+            "position_sigma_m": float(s),
+        }
+        for time, predicted, off, r, a, c, s in zip(data.wanted_s, later, offset, *parts, sigma, strict=True)
+    ]
+
+
+def orbit_summary(estimate: OrbitEstimate, orbit: Orbit, truth: OrbitTruth, data: OrbitData) -> Record:
+    """Sum a trial up: the columns of the table ``orbits`` without its key."""
+    offset = orbit.positions_m - truth.states[:, :3]
+    errors = np.linalg.norm(offset, axis=1)
+    arc = data.wanted_s <= _end_of_arc(data)
+    state = orbit.state - truth.states[0]
+    weighted = [_weighted_square(off, P) for off, P in zip(offset, orbit.position_covariances_m2, strict=True)]
+    sigma = np.sqrt(np.maximum(np.trace(orbit.position_covariances_m2[-1]), 0.0))
+    placed = orbit.residuals_px[orbit.used]
+    wrong = wrong_sightings(orbit, truth, data)
+    known = data.knowledge
+    gm = known.field.harmonics.gm_m3_s2 * estimate.diagnostics.get("gm_ratio", 1.0) / truth.gm_m3_s2 - 1.0
+    light = _length(known.field.light_m_s2) * estimate.diagnostics.get("solar_pressure_ratio", 1.0)
+    return {
+        "epoch_error_m": float(errors[0]),
+        "epoch_velocity_error_m_s": _length(state[3:]),
+        "epoch_nees": _weighted_square(state, orbit.covariance) / _STATE,
+        "arc_median_m": float(np.median(errors[arc])),
+        "arc_rms_m": float(np.sqrt(np.mean(errors[arc] ** 2))),
+        "arc_p90_m": float(np.quantile(errors[arc], 0.9)),
+        "arc_nees": float(np.mean(np.array(weighted)[arc])) / _AXES,
+        "predicted_error_m": float(errors[-1]) if not arc[-1] else None,
+        "predicted_sigma_m": float(sigma) if not arc[-1] else None,
+        "residual_rms_px": float(np.sqrt(np.mean(placed**2))),
+        "wrong_left_share": float((wrong & orbit.used).sum() / max(int(orbit.used.sum()), 1)),
+        "right_edited_share": float((~wrong & ~orbit.used).sum() / max(int((~wrong).sum()), 1)),
+        "gm_error": float(gm),
+        "solar_pressure_error": light / _length(truth.light_m_s2) - 1.0 if truth.light_m_s2.any() else None,
+    }
+
+
+def wrong_sightings(orbit: Orbit, truth: OrbitTruth, data: OrbitData) -> NDArray[np.bool_]:
+    """(K,): sightings of another crater than those that their number stands for.
+
+    A number stands for the crater that most of its sightings are of, and for the next one as well where the estimate
+    has two landmarks of it.
+    """
+    wrong = np.ones(len(truth.crater), dtype=bool)
+    numbers, counts = np.unique(orbit.numbers, return_counts=True)
+    for number, count in zip(numbers, counts, strict=True):
+        rows = np.flatnonzero(data.pictures.landmark == number)
+        craters, seen = np.unique(truth.crater[rows], return_counts=True)
+        stands_for = craters[np.argsort(-seen, kind="stable")[:count]]
+        wrong[rows] = ~np.isin(truth.crater[rows], stands_for)
+    return wrong
+
+
+def residual_records(orbit: Orbit, data: OrbitData) -> list[Record]:
+    """List the residuals: the columns of the table ``residuals`` without its key."""
+    times = data.pictures.times_s[data.pictures.image] / DAY_S
+    return [
+        {"time_days": float(time), "u_px": float(u), "v_px": float(v), "used": bool(used)}
+        for time, (u, v), used in zip(times, orbit.residuals_px, orbit.used, strict=True)
+        if np.isfinite(u)
+    ]
+
+
+def _end_of_arc(data: OrbitData) -> float:
+    """Return the last time with data, up to rounding."""
+    radio = [] if data.radiometry is None else [data.radiometry.times_s[-1:]]
+    return float(np.concatenate([data.pictures.times_s[-1:], *radio]).max()) + 1.0
+
+
+def _weighted_square(error: FloatArray, covariance: FloatArray) -> float:
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    return float(scale * error @ np.linalg.solve(covariance * np.outer(scale, scale), scale * error))
+
+
+def _length(vector: FloatArray) -> float:
+    return float(np.linalg.norm(vector))
