@@ -68,10 +68,7 @@ class OrbitTrials:
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> OrbitTrials:
         """Lay the craters, work the gravity out and build the estimators."""
         del bench
-        section = _section(scenario)
-        asteroid = _asteroid(_Body(scenario), _body_part(section), campaign.seed)
-        believed = _believed(asteroid, section.knowledge.shape_degree, _body_part(section))
-        world = OrbitWorld(section, scenario.spec.camera.camera().pinhole, asteroid, believed)
+        world = open_orbit_world(scenario, campaign.seed)
         return cls(scenario.spec.name, world, _estimators(campaign), campaign.seed)
 
     def run(self, trials: range) -> Records:
@@ -92,6 +89,14 @@ class OrbitTrials:
             row = {**_empty_row(), "status": "failed", "reason": f"there is no such trial: {error}"}
             return {label: {"rows": [row]} for label in self.estimators}
         return {label: _judged(estimator, truth, data, trial == 0) for label, estimator in self.estimators.items()}
+
+
+def open_orbit_world(scenario: LoadedScenario, seed: int) -> OrbitWorld:
+    """Make the orbit section of a scenario real; scenarios of one body share it."""
+    section = _section(scenario)
+    asteroid = _asteroid(_Body(scenario), _body_part(section), seed)
+    believed = _believed(asteroid, section.knowledge.shape_degree, _body_part(section))
+    return OrbitWorld(section, scenario.spec.camera.camera().pinhole, asteroid, believed)
 
 
 def _judged(estimator: OrbitEstimator, truth: OrbitTruth, data: OrbitData, with_residuals: bool) -> Records:
@@ -174,9 +179,7 @@ def _asteroid(body: _Body, spec: OrbitSpec, seed: int) -> Asteroid:
 
 @lru_cache(maxsize=16)
 def _believed(asteroid: Asteroid, degree: int, spec: OrbitSpec) -> BelievedShape:
-    return BelievedShape.of(
-        asteroid, spec.model_copy(update={"knowledge": spec.knowledge.model_copy(update={"shape_degree": degree})})
-    )
+    return BelievedShape.of(asteroid, spec, degree)
 
 
 def _section(scenario: LoadedScenario) -> OrbitSpec:

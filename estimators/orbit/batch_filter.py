@@ -29,7 +29,6 @@ _COARSE_SHARE, _FINE = 0.01, 0.02
 _MOST_SCALES = 4
 _MOST_EDITS = 4
 _LEAST_SIGHTINGS = 20
-_SPLIT_DAYS = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,13 +95,15 @@ class BatchFilter:
         """Let the arc grow; on the whole of it split, edit and adjust by least squares."""
         end, steps = float(data.pictures.times_s[-1]), 0
         splits = 0
-        for until in _ends(self.options.first_days * _DAY_S, growth, end):
+        ends = _ends(self.options.first_days * _DAY_S, growth, end)
+        for until in ends:
             arc = Arc.until(data, layout, self.options, solution, until)
             if len(arc.rows) < _LEAST_SIGHTINGS:
                 continue
             solution, adjusted, taken = self._loosely(arc, solution)
             steps += taken
-            if self.options.split and until > _SPLIT_DAYS * _DAY_S:
+            # Over the first arc the orbit is not yet good enough to tell that rays do not meet.
+            if self.options.split and (until > ends[0] or until == end):
                 solution, found = arc.split(solution, _scale(adjusted))
                 splits += found
         arc = Arc.until(data, layout, self.options, solution, end)

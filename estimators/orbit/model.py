@@ -116,14 +116,14 @@ class Model:
         """Follow the orbit over the arc."""
         return fly(self.layout, x, self.measured.epochs_s)
 
-    def shared(self, x: FloatArray, flown: Flight) -> FloatArray:
+    def shared(self, unknowns: Unknowns, flown: Flight) -> FloatArray:
         """(I, 7, n): derivatives of each camera's position, rotation and focal length by the shared unknowns."""
         layout, known = self.layout, self.layout.knowledge
         found = np.zeros((len(self.measured.times_s), 7, layout.size))
-        found[:, :3] = motion_by_shared(layout, x, flown, slice(0, 3))[self.measured.image_epoch]
+        found[:, :3] = motion_by_shared(layout, unknowns.x, flown, slice(0, 3))[self.measured.image_epoch]
         mounting = layout.part("mounting")
         if mounting.stop > mounting.start:
-            found[:, 3:6, mounting] = known.misalignment_sigma_rad * np.eye(3)
+            found[:, 3:6, mounting] = known.misalignment_sigma_rad * _turns(unknowns.tilts)
         found[:, 6, layout.part("focal")] = known.focal_sigma
         return found
 
@@ -154,9 +154,8 @@ class Model:
 
     def attitudes(self, unknowns: Unknowns) -> FloatArray:
         """(I, 3, 3) R_cam_inertial: an image's own error, the mounting, what is reported."""
-        tilts = np.column_stack([unknowns.tilts, np.zeros(len(unknowns.tilts))])
         mounting = Rotation.from_rotvec(self.layout.mounting(unknowns.x)).as_matrix()
-        return np.asarray(Rotation.from_rotvec(tilts).as_matrix() @ mounting @ self.measured.R_cam_inertial)
+        return np.asarray(_turns(unknowns.tilts) @ mounting @ self.measured.R_cam_inertial)
 
     def passes(self, x: FloatArray, flown: Flight) -> Passes:
         """Predict ranges and rates."""
@@ -175,6 +174,12 @@ class Model:
         by = np.vstack([by_range / radio.range_sigma_m, by_rate / radio.range_rate_sigma_m_s])
         there = np.isfinite(residuals)
         return Passes(residuals[there], by[there])
+
+
+def _turns(tilts: FloatArray) -> FloatArray:
+    """(I, 3, 3) rotations by pan and tilt."""
+    vectors = np.column_stack([tilts, np.zeros(len(tilts))])
+    return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
 def fly(layout: Layout, x: FloatArray, times_s: FloatArray) -> Flight:

@@ -148,7 +148,7 @@ def step_from(model: Model, prior: Prior, here: Linear, robust: Robust, damping:
         toward = (prior.information[:, None] * (prior.points - unknowns.points))[..., None]
         pulls = pulls + _solved(factors, toward)[..., 0]
 
-    shared = model.shared(unknowns.x, here.flown)
+    shared = model.shared(unknowns, here.flown)
     common = shared_links(measured.begin, measured.image, links, shared)
     normal = np.zeros((images, 7, 7))
     np.add.at(normal, measured.image, np.swapaxes(by_image, 1, 2) @ by_image)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
 from scenarios.orbits.harmonics import normalisation
 from scenarios.orbits.solid import solid_harmonics
@@ -70,7 +71,18 @@ class StarShape:
 
 
 def fitted(mesh: TriangleMesh, degree: int) -> StarShape:
-    """Fit harmonics to the radii of a mesh's vertices, each weighted by the area about it as seen from the origin."""
+    """Fit harmonics to the radii of a mesh's vertices, each weighted by the area about it as seen from the origin.
+
+    Raises
+    ------
+    BoresightError
+        If the mesh has too few vertices for the degree.
+    """
+    if 2 * (degree + 1) ** 2 > len(mesh.vertices_m):
+        raise BoresightError(
+            f"orbit.knowledge.shape_degree: {degree} asks for {(degree + 1) ** 2} coefficients, but the shape has"
+            f" {len(mesh.vertices_m)} vertices: choose at most {int((len(mesh.vertices_m) / 2) ** 0.5) - 1}"
+        )
     radii = np.linalg.norm(mesh.vertices_m, axis=1)
     unit = mesh.vertices_m / radii[:, None]
     weights, basis = _solid_angles(mesh, len(radii)), _basis(unit, degree)

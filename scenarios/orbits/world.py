@@ -63,9 +63,9 @@ class BelievedShape:
     harmonics: Harmonics
 
     @classmethod
-    def of(cls, asteroid: Asteroid, spec: OrbitSpec) -> BelievedShape:
-        """Fit the shape to the true one."""
-        shape = fitted(asteroid.mesh, spec.knowledge.shape_degree)
+    def of(cls, asteroid: Asteroid, spec: OrbitSpec, degree: int) -> BelievedShape:
+        """Fit the shape to the true one, as harmonics of its radius to a degree."""
+        shape = fitted(asteroid.mesh, degree)
         return cls(shape, shape_gravity(shape.mesh(), spec))
 
 

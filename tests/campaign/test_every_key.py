@@ -19,6 +19,7 @@ import pytest
 import trimesh
 from tiny_mission import make_mission
 
+from campaign.experiments.orbit_determination import open_orbit_world
 from campaign.experiments.sequence import ground_of
 from campaign.experiments.single_image import SingleImage
 from campaign.image_tracks import ImageTracks
@@ -32,6 +33,7 @@ from scenarios.craters.pairs import draw_pair, population
 from scenarios.errors import BoresightError
 from scenarios.geometry import View, look_at
 from scenarios.load import LoadedScenario, load_scenario
+from scenarios.orbits.draw import draw_orbit
 from scenarios.sequences import MeshGround, draw_sequence
 from scenarios.spec.base import SpecModel
 from scenarios.spec.scenario import ScenarioSpec
@@ -94,6 +96,17 @@ REAL = """
 body: {shape: sphere}
 camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
 images: {folder: set, truth: ref, also_score: [label], noise_realisations: 2}
+"""
+ORBIT = """
+body: {shape: egg.obj}
+camera: {width_px: 512, height_px: 400, fov_deg: 5}
+orbit:
+  arc: {semi_major_axis_m: 3000, days: 1, predicted_days: 0.5}
+  asteroid: {gm_m3_s2: 5}
+  light: {noise_share: 0.1}
+  sightings: {images: 20, craters: 120, wrong_share: 0.2, merged_share: 0.1}
+  pointing: {focal_error: 0.001}
+  knowledge: {position_m: 100, shape_degree: 4}
 """
 SEQUENCE = """
 camera: {width_px: 64, height_px: 64, fov_deg: 30}
@@ -325,6 +338,52 @@ CHANGES: dict[str, tuple[str, str]] = {
     "images.also_score": (REAL, "[third]"),
     "images.noise_realisations": (REAL, "1"),
 }
+CHANGES |= {
+    f"orbit.{key}": (ORBIT, value)
+    for key, value in {
+        "arc.semi_major_axis_m": "4000",
+        "arc.eccentricity": "0.1",
+        "arc.inclination_deg": "50",
+        "arc.node_deg": "10",
+        "arc.pericentre_deg": "40",
+        "arc.anomaly_deg": "100",
+        "arc.days": "1.5",
+        "arc.predicted_days": "2",
+        "asteroid.gm_m3_s2": "6",
+        "asteroid.gravity_degree": "4",
+        "asteroid.anomaly_sigma": "0.01",
+        "asteroid.rotation_h": "7",
+        "light.sun_dir": "[1, 0.2, 0.3]",
+        "light.sun_distance_au": "1",
+        "light.earth_dir": "[0, 1, 0.1]",
+        "light.area_to_mass_m2_kg": "0.05",
+        "light.reflectivity": "1.6",
+        "light.noise_share": "0.5",
+        "light.noise_days": "0.3",
+        "sightings.images": "25",
+        "sightings.craters": "150",
+        "sightings.per_image": "4",
+        "sightings.per_image_shape": "5",
+        "sightings.emission_max_deg": "40",
+        "sightings.incidence_max_deg": "40",
+        "sightings.margin_px": "100",
+        "sightings.noise_px": "2",
+        "sightings.wrong_share": "0.5",
+        "sightings.wrong_within_px": "3",
+        "sightings.merged_share": "0.4",
+        "pointing.attitude_urad": "300",
+        "pointing.misalignment_urad": "900",
+        "pointing.focal_error": "0.01",
+        "radiometry.interval_h": "2",
+        "radiometry.range_sigma_m": "20",
+        "radiometry.range_rate_sigma_m_s": "0.01",
+        "radiometry.range_bias_sigma_m": "100",
+        "knowledge.position_m": "300",
+        "knowledge.gm_sigma": "0.01",
+        "knowledge.light_sigma": "0.3",
+        "knowledge.shape_degree": "3",
+    }.items()
+}
 SAME_TERMS = {"onboard.brdf", "onboard.body", "onboard.height_error"}
 # Keys that change no result, each with its reason.
 NO_RESULT = {
@@ -404,6 +463,8 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
         return sequence_fingerprint(scenario)
     if scenario.spec.crater_pairs is not None:
         return pairs_fingerprint(scenario)
+    if scenario.spec.orbit is not None:
+        return orbit_fingerprint(scenario)
     world = open_world(scenario, variant)
     experiment = SingleImage(world, {}, seed=3)
     parts = [*lent(Shelf(scenario, file.parent / "products", 0, variant))]
@@ -423,6 +484,29 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
         arrays = [sight.image, frame.image, frame.sun_dir_cam, frame.prior_covariance, *poses]
         parts += [np.ascontiguousarray(array).tobytes() for array in arrays]
         parts += [name.encode() for name in sight.further]
+    return hashlib.sha256(b"|".join(parts)).hexdigest()
+
+
+def orbit_fingerprint(scenario: LoadedScenario) -> str:
+    """Hash what a trial of orbit determination shows to an estimator, and its truth."""
+    truth, data = draw_orbit(open_orbit_world(scenario, 3), 3, 0)
+    known, pictures, marks, radio = data.knowledge, data.pictures, data.landmarks, data.radiometry
+    field = known.field
+    arrays = [truth.states, truth.image_states, truth.crater, truth.wrong, truth.points_body_m, data.wanted_s]
+    arrays += [pictures.times_s, pictures.R_cam_inertial, pictures.image, pictures.landmark, pictures.uv_px]
+    arrays += [marks.numbers, marks.positions_body_m, marks.sigma_m, known.state, field.light_m_s2]
+    arrays += [
+        field.harmonics.c,
+        field.harmonics.s,
+        radio.times_s,
+        radio.earth_dir,
+        radio.range_m,
+        radio.range_rate_m_s,
+    ]
+    numbers = [known.noise_px, known.attitude_sigma_rad, known.misalignment_sigma_rad, known.focal_sigma]
+    numbers += [known.gm_sigma, known.light_sigma, known.noise_m_s2, known.noise_time_s, field.harmonics.gm_m3_s2]
+    numbers += [radio.range_sigma_m, radio.range_rate_sigma_m_s, radio.range_bias_sigma_m, field.rotation.rate_rad_s]
+    parts = [np.ascontiguousarray(array).tobytes() for array in arrays] + [repr(numbers).encode()]
     return hashlib.sha256(b"|".join(parts)).hexdigest()
 
 

@@ -1,0 +1,225 @@
+"""The batch filter: derivatives, its Schur complement against scipy's least squares, recovery, honesty, bad input."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from orbit_worlds import CAMERA, orbit_world
+from scipy.optimize import least_squares
+
+from estimators.orbit.arc import Arc, Solution
+from estimators.orbit.batch_filter import BatchFilter
+from estimators.orbit.contract import LandmarkFile, OrbitData, Pictures
+from estimators.orbit.model import Unknowns
+from estimators.orbit.options import OrbitOptions
+from estimators.orbit.parameters import Layout
+from estimators.orbit.rays import agreeing
+from estimators.orbit.registry import orbit_estimator_class
+from estimators.orbit.solve import Limits, Prior, Robust, adjust, linearise
+from scenarios.errors import BoresightError
+from scenarios.orbits.draw import draw_orbit
+
+LEAST_SQUARES = Robust(np.inf, 1.0)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return draw_orbit(orbit_world(), 5, 0)
+
+
+@pytest.fixture(scope="module")
+def solved(clean):
+    return BatchFilter().determine(clean[1])
+
+
+def _arc(data, options=None, until=np.inf):
+    options = options or OrbitOptions()
+    layout = Layout.of(data, options)
+    solution = Solution.begin(data, layout)
+    return Arc.until(data, layout, options, solution, min(until, data.pictures.times_s[-1])), solution
+
+
+def test_derivatives_are_central_differences(clean):
+    data = replace(clean[1], knowledge=replace(clean[1].knowledge, focal_sigma=1e-3, noise_m_s2=1e-10))
+    arc, solution = _arc(data)
+    layout, model = arc.layout, arc.model
+    start = arc.unknowns(solution)
+    rng = np.random.default_rng(0)
+    start = Unknowns(0.1 * rng.normal(size=layout.size), 1e-4 * rng.normal(size=start.tilts.shape), start.points)
+    here = linearise(model, arc.prior(), start, LEAST_SQUARES)
+    shared = model.shared(start, here.flown)[model.measured.image]
+    by_shared = here.sightings.by_image @ shared
+
+    def predicted(unknowns):
+        there = linearise(model, arc.prior(), unknowns, LEAST_SQUARES)
+        return -there.sightings.residuals, -there.passes.residuals
+
+    for p in range(layout.size):
+        step = np.zeros(layout.size)
+        step[p] = 1e-3
+        ahead, behind = (predicted(replace(start, x=start.x + s)) for s in (step, -step))
+        for found, a, b in zip((by_shared[..., p], here.passes.by_shared[:, p]), ahead, behind, strict=True):
+            difference = (a - b) / 2e-3
+            np.testing.assert_allclose(found, difference, atol=2e-3 * np.abs(difference).max() + 1e-6)
+    for axis in range(2):
+        step = np.zeros(start.tilts.shape)
+        step[:, axis] = 1e-6
+        ahead, behind = (predicted(replace(start, tilts=start.tilts + s))[0] for s in (step, -step))
+        difference = (ahead - behind) / 2e-6
+        np.testing.assert_allclose(here.sightings.by_image[..., 3 + axis], difference, atol=1e-3 * CAMERA.fx_px)
+    for axis in range(3):
+        step = np.zeros(start.points.shape)
+        step[:, axis] = 0.01
+        ahead, behind = (predicted(replace(start, points=start.points + s))[0] for s in (step, -step))
+        np.testing.assert_allclose(here.sightings.by_point[..., axis], (ahead - behind) / 0.02, atol=1e-5)
+
+
+def test_the_reduced_solution_is_that_of_scipys_least_squares(clean):
+    data, options = clean[1], OrbitOptions(gravity_degree=2)
+    arc, solution = _arc(data, options, until=0.35 * 86_400.0)
+    layout, model = arc.layout, arc.model
+    start = arc.unknowns(solution)
+    prior = Prior(start.points, np.full(len(start.points), 50.0**-2))
+    found = adjust(model, prior, start, LEAST_SQUARES, Limits(30, 1e-12))
+    n, images, sigma = layout.size, len(model.measured.times_s), layout.knowledge.attitude_sigma_rad
+    root = np.linalg.cholesky(layout.information).T
+
+    def residuals(values):
+        x, tilts = values[:n], sigma * values[n : n + 2 * images].reshape(-1, 2)
+        points = start.points + values[n + 2 * images :].reshape(-1, 3)
+        here = linearise(model, prior, Unknowns(x, tilts, points), LEAST_SQUARES)
+        seen = here.sightings.residuals / model.measured.sigma_px[:, None]
+        return np.r_[
+            seen.ravel(), here.passes.residuals, root @ x, tilts.ravel() / sigma, (points - start.points).ravel() / 50.0
+        ]
+
+    size = n + 2 * images + start.points.size
+    dense = least_squares(residuals, np.zeros(size), x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    assert found.converged
+    assert found.linear.cost == pytest.approx(dense.cost, rel=1e-7)
+    np.testing.assert_allclose(found.linear.unknowns.x, dense.x[:n], atol=2e-4)
+    covariance = np.linalg.inv(dense.jac.T @ dense.jac)[:n, :n]
+    scale = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(
+        found.covariance(n) / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=0.01
+    )
+
+
+def test_it_finds_the_orbit_within_its_covariance(clean, solved):
+    truth, _ = clean
+    assert solved.status == "ok", solved.reason
+    error = solved.orbit.state - truth.states[0]
+    nees = error @ np.linalg.solve(solved.orbit.covariance, error)
+    assert nees < 22.5  # 0.1 % of a chi-square of 6
+    apart = np.linalg.norm(solved.orbit.positions_m - truth.states[:, :3], axis=1)
+    assert apart.max() < 4.0 * np.sqrt(np.trace(solved.orbit.position_covariances_m2, axis1=1, axis2=2).max())
+    assert np.sqrt(np.trace(solved.orbit.covariance[:3, :3])) < 5.0  # m, of 30 before
+    assert solved.diagnostics["chi_square_per_freedom"] == pytest.approx(1.0, abs=0.15)
+
+
+def test_covariances_foretell_errors():
+    world, squares = orbit_world(), []
+    for trial in range(24):
+        truth, data = draw_orbit(world, 11, trial)
+        found = BatchFilter().determine(data)
+        assert found.status == "ok", found.reason
+        error = found.orbit.state - truth.states[0]
+        squares.append(error @ np.linalg.solve(found.orbit.covariance, error))
+    # The sum is a chi-square of 144 degrees of freedom: 99.9 % of it lies here.
+    assert 93.0 < np.sum(squares) < 207.0
+
+
+def test_the_same_data_give_the_same_bits(clean, solved):
+    again = BatchFilter().determine(clean[1])
+    assert np.array_equal(again.orbit.state, solved.orbit.state)
+    assert np.array_equal(again.orbit.covariance, solved.orbit.covariance)
+
+
+def test_wrong_numbers_are_edited_and_shared_ones_split():
+    world = orbit_world(sightings={"wrong_share": 0.06, "merged_share": 0.1, "wrong_within_px": 200.0})
+    truth, data = draw_orbit(world, 5, 1)
+    found = BatchFilter().determine(data)
+    assert found.status == "ok", found.reason
+    error = found.orbit.state - truth.states[0]
+    assert error @ np.linalg.solve(found.orbit.covariance, error) < 22.5
+    assert found.diagnostics["split_numbers"] > 0
+    assert (~found.orbit.used[truth.wrong]).mean() > 0.8
+    numbers, counts = np.unique(found.orbit.numbers, return_counts=True)
+    assert (counts == 2).any()
+    assert set(numbers) <= set(data.landmarks.numbers)
+
+
+def test_solar_pressure_that_is_held_wrong_costs_accuracy_that_residuals_do_not_show():
+    world = orbit_world(light={"area_to_mass_m2_kg": 0.05}, knowledge={"light_sigma": 0.1})
+    truth, data = draw_orbit(world, 5, 2)
+    errors, residuals = [], []
+    for way in ("estimated", "held"):
+        found = BatchFilter.from_options({"solar_pressure": way, "chi_square_max": 50.0}).determine(data)
+        errors.append(np.linalg.norm(found.orbit.positions_m - truth.states[:, :3], axis=1).max())
+        residuals.append(found.diagnostics["residual_rms_px"])
+    assert errors[1] > 1.5 * errors[0]
+    assert residuals[1] < 1.2 * residuals[0]
+
+
+def test_a_far_a_priori_orbit_is_no_obstacle():
+    world = orbit_world(knowledge={"position_m": 150.0})
+    truth, data = draw_orbit(world, 5, 3)
+    found = BatchFilter.from_options({"first_days": 0.4}).determine(data)
+    assert found.status == "ok", found.reason
+    assert np.linalg.norm(found.orbit.state[:3] - truth.states[0, :3]) < 5.0
+
+
+def test_rays_through_two_places_are_told_apart():
+    rng = np.random.default_rng(4)
+    places = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
+    which = np.array([0, 1, 0, 0, 1, 0, 1, 0])
+    origins = 1000.0 * rng.normal(size=(9, 3))
+    directions = np.vstack([places[which], [[300.0, 0.0, 0.0]]]) - origins
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    found = agreeing(origins, directions, np.array([0, 9]), np.full(9, 2e-3), 3)
+    assert found.tolist() == [*which.tolist(), -1]
+
+
+def test_nonsense_is_refused_or_fails_with_a_reason(clean):
+    data = clean[1]
+    pictures = data.pictures
+    with pytest.raises(BoresightError, match="stands twice in image"):
+        Pictures(
+            pictures.times_s,
+            pictures.R_cam_inertial,
+            np.r_[pictures.image, pictures.image[0]],
+            np.r_[pictures.landmark, pictures.landmark[0]],
+            np.vstack([pictures.uv_px, pictures.uv_px[:1]]),
+        )
+    marks = data.landmarks
+    with pytest.raises(BoresightError, match="stands twice"):
+        LandmarkFile(marks.numbers[[0, 0]], marks.positions_body_m[:2], marks.sigma_m[:2])
+    with pytest.raises(BoresightError, match="has no position"):
+        OrbitData(
+            data.knowledge,
+            pictures,
+            LandmarkFile(marks.numbers[1:], marks.positions_body_m[1:], marks.sigma_m[1:]),
+            None,
+            data.wanted_s,
+        )
+    with pytest.raises(BoresightError, match="unknown"):
+        orbit_estimator_class("no-such")
+    with pytest.raises(BoresightError, match="growth"):
+        BatchFilter.from_options({"growth": 0.5})
+    few = replace(pictures, image=pictures.image[:3], landmark=pictures.landmark[:3], uv_px=pictures.uv_px[:3])
+    found = BatchFilter().determine(replace(data, pictures=few))
+    assert found.status == "failed"
+    assert "too few" in found.reason
+
+
+def test_pixels_that_mean_nothing_and_a_falling_orbit_fail_with_a_reason(clean):
+    data = clean[1]
+    noise = np.random.default_rng(0).uniform(0.0, 400.0, data.pictures.uv_px.shape)
+    found = BatchFilter().determine(replace(data, pictures=replace(data.pictures, uv_px=noise)))
+    assert (found.status, found.orbit) == ("failed", None)
+    assert found.reason
+    falling = np.r_[data.knowledge.state[:3] / 8.0, 0.0 * data.knowledge.state[3:]]
+    known = replace(data.knowledge, state=falling, position_sigma_m=0.01, velocity_sigma_m_s=1e-6)
+    found = BatchFilter().determine(replace(data, knowledge=known))
+    assert found.status == "failed"
+    assert "diverged" in found.reason
