@@ -58,9 +58,8 @@ def _figures(arguments: argparse.Namespace) -> int:
         written = write_paper(page, folder)
     except OSError as error:
         raise BoresightError(explain(error.filename or folder, error)) from error
-    out.print(
-        rich_table(paper_grid(page.lines).keep("campaign", "quantity", "statistic", "paper", "ours [95 %]", "verdict"))
-    )
+    shown = ("campaign", "scenario", "quantity", "statistic", "paper", "ours [95 %]", "ok", "verdict")
+    out.print(rich_table(paper_grid(page.lines).keep(*shown)))
     for line in page.missing:
         out.print(line)
     out.print(f"{len(page.figures)} figures; verdicts: {verdict_tally(page.lines)}")
