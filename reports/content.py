@@ -13,6 +13,7 @@ from reports.comparison_tables import claim_grid, comparison_grid
 from reports.consistency import consistency_grid, consistency_records
 from reports.contrasts import ratio_records, reduction_records
 from reports.crater_matching import matching_grids, matching_records
+from reports.craters import crater_grids, crater_records
 from reports.derived import derived_records
 from reports.designs import design_grids
 from reports.detection import outlier_grid, outlier_records
@@ -62,6 +63,9 @@ class Content:
             return [*sequence_grids(self.records, self.compared, self.run), *([] if failures is None else [failures])]
         if not self.run.crater_matches.empty:
             return [*matching_grids(self.records, self.run), *([] if failures is None else [failures])]
+        if not self.run.craters.empty:
+            found = [*crater_grids(self.records, self.run), comparison_grid(self.compared), timing_grid(self.records)]
+            return [grid for grid in (*found, failures) if grid is not None]
         if self.run.manifest.grid is not None:
             return [*design_grids(self.run), *([] if failures is None else [failures])]
         optional = (
@@ -109,8 +113,8 @@ def read_content(folder: Path) -> Content:
     derived = derived_records(run, comparison.radius_m) if comparison and comparison.radius_m else ()
     reductions = tuple(reduction_records(run, comparison)) if comparison else ()
     beside = (*paired_records(run), *ratio_records(run), *consistency_records(run))
-    vision = (*vision_records(run), *matching_records(run))
-    records = (*measure_run(run), *vision, *derived, *reductions, *outlier_records(run), *beside)
+    seen = (*vision_records(run), *matching_records(run), *crater_records(run))
+    records = (*measure_run(run), *seen, *derived, *reductions, *outlier_records(run), *beside)
     compared, claims = beside_published(run, records, comparison) if comparison else ((), ())
     return Content(run, records, comparison, compared, claims, tuple(notes(run, comparison)))
 

@@ -47,6 +47,16 @@ UNITS = {
     "right_share": "%",
     "kept_right_share": "%",
     "track_survival_share": "%",
+    "detection_share": "%",
+    "clean_detection_share": "%",
+    "false_alarm_share": "%",
+    "duplicate_share": "%",
+    "detections_per_image": "",
+    "best_false_alarm_share": "%",
+    "best_within_1px_share": "%",
+    "best_centre_error_px": "px",
+    "centre_error_px": "px",
+    "axes_error_px": "px",
 }
 # Units of numbers that estimators report, by the end of their names.
 _SUFFIXES = {"_px": "px", "_m": "m", "_deg": "deg", "_s": "s", "_bytes": "bytes"}

@@ -20,6 +20,7 @@ POSE_COLUMNS = (
     "position_error_z_m",
 )
 _KEY = ("scenario", "estimator", "trial")
+_ELLIPSE = ("u_px", "v_px", "major_px", "minor_px", "angle_deg")
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "rows": (*_KEY, "status", "reason", *(f"prior_{name}" for name in POSE_COLUMNS), *POSE_COLUMNS),
     "stages": (*_KEY, "stage", *POSE_COLUMNS),
@@ -49,6 +50,30 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
         "n_correct",
         "n_wrong",
         "n_missed",
+    ),
+    "crater_images": ("scenario", "trial", "phase_deg", "n_craters", "n_detectable", "n_clean"),
+    "craters": (
+        "scenario",
+        "trial",
+        "crater",
+        *_ELLIPSE,
+        "degradation",
+        "incidence_deg",
+        "detectable",
+        "clean",
+    ),
+    "detections": (
+        *_KEY,
+        "rank",
+        "confidence",
+        *_ELLIPSE,
+        "crater",
+        "duplicate",
+        "detectable",
+        "clean",
+        "centre_error_px",
+        "major_error_px",
+        "minor_error_px",
     ),
     "epochs": (*_KEY, "frame", "anomaly_deg", "position_error_m", "landmark_rmse_m", "settled_landmark_rmse_m"),
 }
@@ -154,6 +179,8 @@ class RunData:
         Of sequences of images: what the vision layer found in every frame.
     crater_matches
         Of pairs of images: how many craters were matched.
+    crater_images, craters, detections
+        Of images of craters: what each is like, the true craters in it, and what every detector found.
     """
 
     folder: Path
@@ -167,6 +194,9 @@ class RunData:
     epochs: pd.DataFrame = field(default_factory=pd.DataFrame)
     vision: pd.DataFrame = field(default_factory=pd.DataFrame)
     crater_matches: pd.DataFrame = field(default_factory=pd.DataFrame)
+    crater_images: pd.DataFrame = field(default_factory=pd.DataFrame)
+    craters: pd.DataFrame = field(default_factory=pd.DataFrame)
+    detections: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     def pairs(self) -> list[tuple[str, str]]:
         """List (scenario, estimator) in the order in which the rows name them."""
@@ -240,4 +270,5 @@ def _read_table(folder: Path, columns: tuple[str, ...], manifest: Manifest) -> p
             f"{folder}: columns {', '.join(missing)} are missing; the run was stored by boresight {made}:"
             f" read it with that, or run it again: boresight run {manifest.name}"
         )
-    return table.sort_values(["trial", "scenario", "estimator"], kind="stable").reset_index(drop=True)
+    keys = [name for name in ("trial", "scenario", "estimator") if name in columns]
+    return table.sort_values(keys, kind="stable").reset_index(drop=True)

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from reports.content import Content
+from reports.crater_figures import crater_figures
 from reports.crater_matching import matching_figures
 from reports.design_figures import design_figures
 from reports.detection import DEFINITIONS, Detection, area, detections, roc_curve
@@ -45,6 +46,9 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
     if not run.crater_matches.empty:
         for stem, figure, caption, alt in matching_figures(content.records, run):
             yield NamedFigure(file_stem(stem), figure, caption, alt)
+        return
+    if not run.craters.empty:
+        yield from crater_figures(run)
         return
     if run.manifest.grid is not None:
         for stem, figure, caption, alt in design_figures(run):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from campaign.cli.terminal import console
+from campaign.crater_examples import crater_examples
 from campaign.fit_figures import fit_figures
 from campaign.resolve import reload
 from campaign.store import RunFolder
@@ -21,7 +22,7 @@ def print_report(folder: RunFolder) -> None:
 
 
 def _fit_figures(folder: RunFolder) -> list[NamedFigure]:
-    """Draw a typical trial, unless code, data or machine can no longer make its image."""
+    """Draw a typical trial, or images with their craters, unless code, data or machine can no longer make its image."""
     manifest = folder.read_manifest() or {}
     why = (
         "the run was made by another version of boresight or of its data:"
@@ -29,6 +30,8 @@ def _fit_figures(folder: RunFolder) -> list[NamedFigure]:
     )
     try:
         campaign = reload(manifest)
+        if campaign is not None and campaign.spec.experiment == "crater-detection":
+            return list(crater_examples(campaign, folder.path))
         if campaign is not None:
             return list(fit_figures(campaign, folder.path, folder.table("rows")))
     except BoresightError as error:

@@ -66,6 +66,7 @@ _KINDS: Mapping[str, str] = MappingProxyType(
         "landmark-database": "campaign.experiments.landmark_database:DatabaseTrials",
         "pose-convergence": "campaign.experiments.pose_convergence:PoseConvergence",
         "crater-matching": "campaign.experiments.crater_matching:CraterMatching",
+        "crater-detection": "campaign.experiments.crater_detection:CraterDetection",
         "sequence": "campaign.experiments.sequence:SequenceTrials",
         "orbit-determination": "campaign.experiments.orbit_determination:OrbitTrials",
     }

@@ -47,6 +47,27 @@ def _landmark_errors(over: str) -> tuple[Column, ...]:
     )
 
 
+def _image_key() -> tuple[Column, ...]:
+    return _key()[:2]
+
+
+def _ellipse(what: str) -> tuple[Column, ...]:
+    return (
+        Column("u_px", pa.float64(), f"column of the centre of {what}, continuous pixels"),
+        Column("v_px", pa.float64(), "row of the centre"),
+        Column("major_px", pa.float64(), "longer semi-axis"),
+        Column("minor_px", pa.float64(), "shorter semi-axis"),
+        Column("angle_deg", pa.float64(), "from the column axis to the longer one, towards the row axis"),
+    )
+
+
+def _crater_flags(of: str) -> tuple[Column, ...]:
+    return (
+        Column("detectable", pa.bool_(), f"{of} 12 px or more, seen, in the frame, lit, and not too worn or cut"),
+        Column("clean", pa.bool_(), f"{of} of these, with a rim within 1 % of an ellipse and an axis ratio over 0.5"),
+    )
+
+
 def _inertial(prefix: str, what: str) -> tuple[Column, ...]:
     return tuple(Column(f"{prefix}{axis}_m", pa.float64(), f"{axis} of the {what}") for axis in "xyz")
 
@@ -165,6 +186,44 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("v_px", pa.float64(), "row of the matched corner"),
         Column("error_m", pa.float64(), "distance of the corner's true surface point from the landmark's mean"),
         Column("chi_square", pa.float64(), "the same, weighted by the landmark's covariance (3 degrees of freedom)"),
+    ),
+    "crater_images": (
+        *_image_key(),
+        Column("phase_deg", pa.float64(), "true phase angle at the body's origin"),
+        Column("lit_share", pa.float64(), "share of the image above a twentieth of its range"),
+        Column("n_craters", pa.int64(), "craters with a point of the crest in sight, of those that are listed"),
+        Column("n_detectable", pa.int64(), "detectable ones"),
+        Column("n_clean", pa.int64(), "clean ones"),
+    ),
+    "craters": (
+        *_image_key(),
+        Column("crater", pa.int64(), "number of the crater in its population"),
+        *_ellipse("the ellipse through its crest"),
+        Column("deviation", pa.float64(), "RMS distance of the crest from the ellipse over the ellipse's radius"),
+        Column("diameter_m", pa.float64(), "of the crest"),
+        Column("depth_ratio", pa.float64(), "depth from the crest to the floor over the diameter"),
+        Column("degradation", pa.float64(), "0 fresh to 1"),
+        Column("visible", pa.float64(), "share of the crest that nothing hides from the camera"),
+        Column("in_frame", pa.float64(), "share of the crest within the image"),
+        Column("lit", pa.float64(), "share of the crest in sunlight"),
+        Column("cut", pa.float64(), "share of the crest that younger craters have taken"),
+        Column("emission_deg", pa.float64(), "angle of the camera from the normal of the crest's plane"),
+        Column("incidence_deg", pa.float64(), "angle of the Sun from it"),
+        *_crater_flags("whether it is"),
+    ),
+    "detections": (
+        *_key(),
+        Column("rank", pa.int64(), "place by confidence, from 0"),
+        Column("confidence", pa.float64(), "as the detector gives it"),
+        *_ellipse("the detection"),
+        Column("crater", pa.int64(), "number of the true crater that it is matched with; -1 for a false alarm"),
+        Column("duplicate", pa.bool_(), "a false alarm on a crater that a more confident detection is matched with"),
+        *_crater_flags("whether that crater is"),
+        Column("centre_error_px", pa.float64(), "distance of its centre from that of the true ellipse"),
+        Column("centre_error_u_px", pa.float64(), "column of the same"),
+        Column("centre_error_v_px", pa.float64(), "row of the same"),
+        Column("major_error_px", pa.float64(), "longer semi-axis less the true one"),
+        Column("minor_error_px", pa.float64(), "shorter semi-axis less the true one"),
     ),
     "diagnostics": (
         *_key(),

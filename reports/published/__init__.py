@@ -13,7 +13,7 @@ from ruamel.yaml.error import YAMLError
 from reports.records import DERIVED, DIAGNOSTICS, REDUCTION, UNITS, unit_of
 from scenarios.errors import BoresightError
 
-_FILES = ("delpech2015.yaml", "rowell2015.yaml")
+_FILES = ("cheng2003.yaml", "delpech2015.yaml", "rowell2015.yaml")
 _SCALE = {
     ("", ""): 1.0,
     ("m", "m"): 1.0,

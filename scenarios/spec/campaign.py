@@ -67,6 +67,7 @@ class CampaignSpec(SpecModel):
         "pose-convergence",
         "landmark-database",
         "sequence",
+        "crater-detection",
         "crater-matching",
         "orbit-determination",
     ] = Field("single-image", description="The kind of trial")

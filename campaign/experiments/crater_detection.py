@@ -1,0 +1,230 @@
+"""The crater-detection experiment: detectors of craters on rendered images, against the craters that are there."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from campaign.crater_score import NONE, check_detections, ellipse_errors, match_detections
+from campaign.experiments.kept_images import ImageSink, image_sink
+from campaign.experiments.registry import Bench, Record, Records
+from campaign.experiments.single_image import SingleImage
+from campaign.products import BuiltProduct, Shelf
+from campaign.resolve import ResolvedCampaign
+from campaign.score import no_consistency, no_pose_error
+from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
+from campaign.world import Sight, World, open_world
+from estimators.craters.contract import CraterDetections, CraterDetector
+from estimators.craters.registry import crater_detector_class
+from renderers.mitsuba3 import TiledRenderer
+from scenarios.craters import CraterTruth, crater_truth
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera
+from scenarios.load import LoadedScenario
+from scenarios.observation import Frame
+
+
+@dataclass(frozen=True, eq=False)
+class CraterDetection:
+    """Trials of one scenario with labelled detectors; a trial is an image, and all see the same.
+
+    Parameters
+    ----------
+    world
+        The scenario in this process, with craters.
+    detectors
+        Label to detector.
+    seed
+        Seed of the campaign.
+    keep_image
+        Called with the trial and its image, to keep it; or None.
+    """
+
+    world: World
+    detectors: Mapping[str, CraterDetector]
+    seed: int
+    keep_image: ImageSink | None = None
+
+    kind: ClassVar[str] = "crater-detection"
+    version: ClassVar[int] = 1
+    block_trials: ClassVar[int] = 10
+    kernels: ClassVar[bool] = False
+
+    @classmethod
+    def method_version(cls, name: str) -> int:
+        """Return the version of a detector."""
+        return crater_detector_class(name).version
+
+    @classmethod
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+        """Refuse wrong options, and a scenario without craters; there is nothing to build."""
+        del shelf
+        _detectors(campaign)
+        if scenario.spec.craters is None or scenario.spec.viewpoint is None:
+            raise BoresightError(
+                f"{scenario.path}: craters and viewpoint are needed by the experiment {cls.kind}: add the sections"
+            )
+        return []
+
+    @classmethod
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> CraterDetection:
+        """Open the world and build the detectors."""
+        sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
+        return cls(open_world(scenario, campaign.variant), _detectors(campaign), campaign.seed, sink)
+
+    def run(self, trials: range) -> Records:
+        """Run trials, in the order of trials and detectors."""
+        records: Records = {}
+        for trial in trials:
+            for table, added in self.trial(trial).items():
+                records.setdefault(table, []).extend(added)
+        self.world.source.flush()
+        return records
+
+    def trial(self, trial: int) -> Records:
+        """Run one trial: the records that it adds to each stored table."""
+        started = time.perf_counter()
+        sight, frame, camera = self.see(trial)
+        image_seconds = time.perf_counter() - started
+        if self.keep_image is not None:
+            self.keep_image(trial, sight.image)
+        truth = self.truth(sight)
+        image_key: Record = {"trial": trial, "scenario": self.world.scenario.spec.name}
+        records: Records = {
+            "crater_images": [{**image_key, **_image_facts(sight, truth)}],
+            "craters": [{**image_key, **row} for row in _truth_rows(truth)],
+        }
+        stage = STORED_IMAGE if sight.from_store else FRESH_IMAGE
+        for label, detector in self.detectors.items():
+            key: Record = {**image_key, "estimator": label}
+            judged = _judged(detector, frame, camera, truth)
+            judged.setdefault("timings", []).append({"stage": stage, "seconds": image_seconds})
+            judged["rows"][0] |= _circumstances(sight)
+            for table, added in judged.items():
+                records.setdefault(table, []).extend({**key, **record} for record in added)
+        return records
+
+    def see(self, trial: int) -> tuple[Sight, Frame, Camera]:
+        """Make the image of a trial, and what a detector may see of it."""
+        sight = self.world.source.sight(self.seed, trial)
+        observation = SingleImage(self.world, {}, self.seed).observe(sight, trial)
+        return sight, observation.frames[0], observation.camera
+
+    def truth(self, sight: Sight) -> CraterTruth:
+        """Find what is true of an image."""
+        ground, renderer = self.world.ground, self.world.renderer
+        if ground is None or not isinstance(renderer, TiledRenderer):
+            raise BoresightError(f"{self.world.scenario.path}: craters: missing, so there is no crater to detect")
+        return crater_truth(ground.rims, sight.view, renderer)
+
+
+def _judged(detector: CraterDetector, frame: Frame, camera: Camera, truth: CraterTruth) -> Records:
+    """Let a detector work and score what it finds: records without their key, whatever goes wrong."""
+    started = time.perf_counter()
+    try:
+        found = detector.detect(frame, camera)
+        seconds = time.perf_counter() - started
+        check_detections(found)
+    except BoresightError as error:
+        return {"rows": [{"status": "failed", "reason": str(error), "n_landmarks": 0}]}
+    except Exception:  # noqa: BLE001  a detector's fault is a result, recorded with its trace
+        reason = "the detector raised or returned rubbish: see the table tracebacks"
+        row: Record = {"status": "error", "reason": reason, "n_landmarks": 0}
+        return {"rows": [row], "tracebacks": [{"traceback": traceback.format_exc()}]}
+    return {
+        "rows": [{"status": "ok", "reason": "", "n_landmarks": len(found.ellipses)}],
+        "detections": _scored(found, truth),
+        "timings": [{"stage": "detect", "seconds": seconds}],
+    }
+
+
+def _scored(found: CraterDetections, truth: CraterTruth) -> list[Record]:
+    """Score detections against all craters of an image."""
+    matches = match_detections(found.ellipses, truth.ellipses)
+    hit = np.flatnonzero(matches.crater != NONE)
+    rows = matches.crater[hit]
+    errors = ellipse_errors(found.ellipses[hit], truth.ellipses[rows])
+    records: list[Record] = [
+        {
+            "rank": rank,
+            "confidence": float(confidence),
+            **_ellipse(found, rank),
+            "crater": NONE,
+            "duplicate": bool(matches.duplicate[rank]),
+            "detectable": False,
+            "clean": False,
+        }
+        for rank, confidence in enumerate(found.confidence)
+    ]
+    for k, (rank, row) in enumerate(zip(hit, rows, strict=True)):
+        records[rank] |= {name: float(values[k]) for name, values in errors.items()}
+        records[rank] |= {
+            "crater": int(truth.crater[row]),
+            "detectable": bool(truth.detectable[row]),
+            "clean": bool(truth.clean[row]),
+        }
+    return records
+
+
+def _ellipse(of: CraterDetections | CraterTruth, row: int) -> Record:
+    ellipses = of.ellipses
+    return {
+        "u_px": float(ellipses.centre_px[row, 0]),
+        "v_px": float(ellipses.centre_px[row, 1]),
+        "major_px": float(ellipses.semi_axes_px[row, 0]),
+        "minor_px": float(ellipses.semi_axes_px[row, 1]),
+        "angle_deg": float(np.degrees(ellipses.angle_rad[row])),
+    }
+
+
+def _truth_rows(truth: CraterTruth) -> list[Record]:
+    detectable, clean = truth.detectable, truth.clean
+    names = ("diameter_m", "degradation", "visible", "in_frame", "lit", "cut", "emission_deg", "incidence_deg")
+    return [
+        {
+            "crater": int(truth.crater[row]),
+            **_ellipse(truth, row),
+            "deviation": float(truth.deviation[row]),
+            **{name: float(getattr(truth, name)[row]) for name in names},
+            "depth_ratio": float(truth.depth_m[row] / truth.diameter_m[row]),
+            "detectable": bool(detectable[row]),
+            "clean": bool(clean[row]),
+        }
+        for row in range(len(truth))
+    ]
+
+
+def _image_facts(sight: Sight, truth: CraterTruth) -> Record:
+    """Describe an image and how many craters it shows."""
+    lit = sight.image > sight.image.min() + 0.05 * float(np.ptp(sight.image))
+    return {
+        "phase_deg": float(np.degrees(sight.view.phase_angle_rad)),
+        "lit_share": float(lit.mean()),
+        "n_craters": len(truth),
+        "n_detectable": int(truth.detectable.sum()),
+        "n_clean": int(truth.clean.sum()),
+    }
+
+
+def _circumstances(sight: Sight) -> Record:
+    """Fill the columns of a row that no detector can change, or that detection has no number for."""
+    errors = no_pose_error()
+    return {
+        **errors,
+        **{f"prior_{name}": None for name in errors},
+        **no_consistency(),
+        "image": sight.image_name,
+        "range_m": float(np.linalg.norm(sight.view.T_cam_body.translation_m)),
+        "phase_deg": float(np.degrees(sight.view.phase_angle_rad)),
+    }
+
+
+def _detectors(campaign: ResolvedCampaign) -> dict[str, CraterDetector]:
+    return {
+        entry.label: crater_detector_class(entry.name).from_options(entry.options) for entry in campaign.spec.estimators
+    }

@@ -1,0 +1,102 @@
+"""Figures of a run that detects craters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from reports.craters import BINNINGS, Shown, binned_rates, confidence_curve, shown
+from reports.figures.crater_rates import (
+    FALSE_COLOUR,
+    FOUND_COLOUR,
+    OTHER_COLOUR,
+    TRUE_COLOUR,
+    draw_confidence_curves,
+    draw_found_and_true,
+    draw_rates,
+)
+from reports.named_figure import NamedFigure, file_stem
+from reports.run_data import RunData
+from scenarios.geometry import Ellipses
+
+_ELLIPSE = ["u_px", "v_px", "major_px", "minor_px", "angle_deg"]
+
+
+def crater_figures(run: RunData) -> Iterator[NamedFigure]:
+    """Draw, for each scenario, the curves over confidence and the rates by what craters are like."""
+    every = list(shown(run))
+    for scenario in dict.fromkeys(one.scenario for one in every):
+        ones = [one for one in every if one.scenario == scenario and len(one.detections)]
+        if ones:
+            yield _curves(scenario, ones)
+            yield _rates(scenario, ones)
+
+
+def _curves(scenario: str, ones: list[Shown]) -> NamedFigure:
+    curves = {}
+    for one in ones:
+        curve = confidence_curve(one)
+        shares = (curve.false_share, curve.found_share, curve.clean_share)
+        curves[one.estimator] = tuple(np.asarray(100.0 * share, dtype=np.float64) for share in shares)
+    title = f"Craters found over false alarms, {scenario}"
+    return NamedFigure(
+        file_stem("crater_curves", scenario),
+        draw_confidence_curves({label: (a, b, c) for label, (a, b, c) in curves.items()}, title),
+        f"{title}: as the threshold on the confidence falls. Star: what the paper claims, without a definition.",
+        "Curves that rise from the left: the share of craters found against the share of false alarms.",
+    )
+
+
+def _rates(scenario: str, ones: list[Shown]) -> NamedFigure:
+    panels = {
+        what: {
+            one.estimator: [
+                (_span(low, high), rate[0], rate[1] if rate[1] is not None else rate[0], rate[2] or rate[0])
+                for (low, high), (rate, _) in binned_rates(one, values, edges).items()
+                if rate[0] is not None
+            ]
+            for one in ones
+        }
+        for what, values, edges in BINNINGS
+    }
+    title = f"Detectable craters found, {scenario}"
+    return NamedFigure(
+        file_stem("crater_rates", scenario),
+        draw_rates(panels, title),
+        f"{title}: by diameter, degradation and incidence, over all detections; bars: 95 % with images as the unit.",
+        "Rates with error bars in bins of diameter, degradation and incidence.",
+    )
+
+
+def _span(low: float, high: float) -> str:
+    return f"{low:g}-{high:g}" if np.isfinite(high) else f"{low:g}+"
+
+
+def example_figure(run: RunData, scenario: str, estimator: str, trial: int, image: NDArray[np.float32]) -> NamedFigure:
+    """Draw one image with its craters and a detector's: figures 2 and 3 of Cheng et al. (2003)."""
+    truth = run.craters[(run.craters["scenario"] == scenario) & (run.craters["trial"] == trial)]
+    found = run.detections
+    found = found[(found["scenario"] == scenario) & (found["estimator"] == estimator) & (found["trial"] == trial)]
+    detectable, matched = truth["detectable"].astype(bool), found["crater"] >= 0
+    title = f"{scenario}, {estimator}, image {trial}"
+    figure = draw_found_and_true(
+        image,
+        [(_ellipses(truth[~detectable]), OTHER_COLOUR), (_ellipses(truth[detectable]), TRUE_COLOUR)],
+        [(_ellipses(found[matched]), FOUND_COLOUR), (_ellipses(found[~matched]), FALSE_COLOUR)],
+        title,
+    )
+    return NamedFigure(
+        file_stem("crater_example", scenario, estimator, str(trial)),
+        figure,
+        f"{title}: left, the image; middle, the true rims, bright where they are detectable; right, detections, blue"
+        " where a crater is matched and red where none is.",
+        "A cratered surface three times: plain, with the true rims, and with the detected ones.",
+    )
+
+
+def _ellipses(rows: pd.DataFrame) -> Ellipses:
+    numbers = rows[_ELLIPSE].to_numpy(dtype=np.float64)
+    return Ellipses(numbers[:, :2], numbers[:, 2:4], np.radians(numbers[:, 4]))

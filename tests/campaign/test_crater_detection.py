@@ -1,0 +1,202 @@
+"""The crater-detection experiment end to end, with detectors of this test's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from tiny_campaign import Silent, run
+
+from campaign.cli import main
+from campaign.experiments import crater_detection
+from campaign.request import RunRequest
+from campaign.resolve import resolve
+from campaign.runner import run_campaign
+from campaign.store import RunFolder
+from estimators.craters.contract import CraterDetections
+from renderers.mitsuba3 import choose_variant
+from reports.content import read_content
+from reports.craters import confidence_curve, crater_records, shown
+from reports.records import find
+from reports.run_data import read_run
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Ellipses
+from scenarios.observation import Frame
+
+SCENE = """\
+description: A small cratered sphere.
+body: {shape: sphere}
+craters:
+  {seed: 5, count: 150, min_diameter_m: 20, max_diameter_m: 120, known_diameter_m: 30, edge_m: 4, roughness: null}
+camera: {width_px: 200, height_px: 160, fov_deg: 12}
+detector: {psf_sigma_px: 0.8}
+viewpoint: {range_m: 2000, targets: [nadir, limb, terminator]}
+lighting: {phase_deg: {uniform: [30, 70]}, measure: angle}
+"""
+CAMPAIGN = """\
+title: Craters of a small sphere
+experiment: crater-detection
+scenarios: [scene]
+estimators: [blobs, broken, blind]
+trials: 4
+seed: 2
+report: cheng2003-detection
+"""
+
+
+class Blobs:
+    """Round dark or bright blobs, by OpenCV: a detector that finds some craters and much else."""
+
+    name, version = "blobs", 1
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Blobs:
+        if options:
+            raise BoresightError("blobs: there are no options")
+        return cls()
+
+    def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
+        image = np.clip(frame.image / max(float(frame.image.max()), 1.0) * 255.0, 0, 255).astype(np.uint8)
+        found = cv2.HoughCircles(image, cv2.HOUGH_GRADIENT, 1.0, 6.0, param1=60, param2=9, minRadius=5, maxRadius=25)
+        circles = np.zeros((0, 3)) if found is None else found.reshape(-1, found.shape[-1])[:, :3].astype(float)
+        ellipses = Ellipses(circles[:, :2] + 0.5, np.repeat(circles[:, 2:], 2, axis=1), np.zeros(len(circles)))
+        return CraterDetections(ellipses, np.linspace(1.0, 0.1, len(circles)))
+
+
+class Broken(Blobs):
+    """Raises on every image."""
+
+    name = "broken"
+
+    def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
+        raise ZeroDivisionError
+
+
+class Blind(Blobs):
+    """Refuses every image."""
+
+    name = "blind"
+
+    def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
+        raise BoresightError("the image is black")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("craters")
+    (place / "scene.yaml").write_text(SCENE)
+    (place / "tiny.yaml").write_text(CAMPAIGN)
+    return place
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _own_detectors() -> object:
+    patch = pytest.MonkeyPatch()
+    kinds = {kind.name: kind for kind in (Blobs, Broken, Blind)}
+
+    def look_up(name: str) -> type[Blobs]:
+        if name not in kinds:
+            raise BoresightError(f"no detector is called {name}")
+        return kinds[name]
+
+    patch.setattr(crater_detection, "crater_detector_class", look_up)
+    yield
+    patch.undo()
+
+
+@pytest.fixture(scope="module")
+def done(folder: Path) -> Path:
+    assert run(folder / "tiny.yaml", folder / "run") == 3  # one of the detectors raises
+    return folder / "run"
+
+
+def test_all_trials_are_stored_whatever_a_detector_does(done: Path) -> None:
+    rows = RunFolder(done).table("rows")
+    status = rows.groupby("estimator")["status"].unique()
+    assert status["broken"].tolist() == ["error"]
+    assert status["blind"].tolist() == ["failed"]
+    assert status["blobs"].tolist() == ["ok"]
+    assert rows.groupby("estimator").size().tolist() == [4, 4, 4]
+    assert set(rows.loc[rows["estimator"] == "blind", "reason"]) == {"the image is black"}
+    assert RunFolder(done).table("tracebacks")["traceback"].str.contains("ZeroDivisionError").all()
+
+
+def test_tables_agree_with_each_other(done: Path) -> None:
+    store = RunFolder(done)
+    images, craters, found = (store.table(name) for name in ("crater_images", "craters", "detections"))
+    assert len(images) == 4
+    by_trial = craters.groupby("trial")
+    assert by_trial.size().reindex(images["trial"]).tolist() == images["n_craters"].tolist()
+    assert by_trial["detectable"].sum().reindex(images["trial"]).tolist() == images["n_detectable"].tolist()
+    assert (craters["clean"] <= craters["detectable"]).all()
+    matched = found[found["crater"] >= 0]
+    assert len(matched) > 5
+    both = matched.merge(craters, on=["trial", "crater"], suffixes=("", "_true"))
+    assert len(both) == len(matched)
+    assert not matched.duplicated(["trial", "crater"]).any()
+    apart = np.hypot(both["u_px"] - both["u_px_true"], both["v_px"] - both["v_px_true"])
+    np.testing.assert_allclose(apart, both["centre_error_px"], atol=1e-9)
+    assert (both["detectable"] == both["detectable_true"]).all()
+    assert found.loc[found["crater"] < 0, "centre_error_px"].isna().all()
+
+
+def test_report_counts_by_hand(done: Path) -> None:
+    data = read_run(done)
+    records = crater_records(data)
+    found, craters = data.detections, data.craters
+    rate = find(records, estimator="blobs", measure="detection_share", statistic="mean")
+    hits = found[(found["crater"] >= 0) & found["detectable"]]
+    assert rate is not None
+    assert rate.value == pytest.approx(100.0 * len(hits) / craters["detectable"].sum())
+    assert rate.low <= rate.value <= rate.high
+    false = find(records, estimator="blobs", measure="false_alarm_share", statistic="mean")
+    assert false.value == pytest.approx(100.0 * (found["crater"] < 0).mean())
+    blind = find(records, estimator="blind", measure="detection_share", statistic="mean")
+    assert blind.value == 0.0
+    one = next(one for one in shown(data) if one.estimator == "blobs")
+    curve = confidence_curve(one)
+    assert curve.found_share[-1] == pytest.approx(rate.value / 100.0)
+    assert curve.false_share[-1] == pytest.approx(false.value / 100.0)
+    assert np.all(np.diff(curve.found_share) >= 0.0)
+    half = one.detections.sort_values("confidence", ascending=False).head(7)
+    assert curve.false_share[6] == pytest.approx((half["crater"] < 0).mean())
+
+
+def test_report_shows_images_curves_and_the_papers_claim(done: Path) -> None:
+    report = done / "report"
+    names = {path.name for path in report.iterdir()}
+    assert {"crater_curves_scene.png", "crater_rates_scene.png"} <= names
+    assert any(name.startswith("crater_example_scene_blobs") for name in names)
+    text = (report / "report.md").read_text()
+    for words in ("Detection of craters", "by diameter", "by degradation", "by incidence", "by confidence", "90 %"):
+        assert words in text
+    assert "nan" not in text.lower().replace("finance", "")
+    assert read_content(done).comparison is not None
+
+
+def test_same_seed_same_rows(folder: Path, done: Path) -> None:
+    campaign = resolve(str(folder / "tiny.yaml"), variant=choose_variant().name)
+    run_campaign(campaign, RunRequest(folder / "again", 4, 1), Silent())
+    for name in ("crater_images", "craters", "detections", "rows"):
+        first, second = (RunFolder(path).table(name) for path in (done, folder / "again"))
+        pd.testing.assert_frame_equal(first, second)
+
+
+def test_scenario_without_craters_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    head, tail = SCENE.split("craters:")
+    (folder / "scene2.yaml").write_text(head + tail.split("\n", 2)[2])
+    (folder / "bare.yaml").write_text(CAMPAIGN.replace("[scene]", "[scene2]"))
+    assert main(["run", str(folder / "bare.yaml"), "--out", str(folder / "bare")]) == 2
+    message = capsys.readouterr().err
+    assert "craters" in message
+    assert "add the section" in message
+
+
+def test_unknown_detector_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "unknown.yaml").write_text(CAMPAIGN.replace("blind]", "sharp]"))
+    assert main(["run", str(folder / "unknown.yaml"), "--out", str(folder / "unknown")]) == 2
+    assert "sharp" in capsys.readouterr().err
