@@ -17,6 +17,7 @@ _MATCHER_PARTS = ("name", "version", "from_options", "match")
 _OWN: Mapping[str, str] = MappingProxyType(
     {
         "crater-classic": "estimators.craters.detection.classic:CraterClassic",
+        "crater-learned": "estimators.craters.learned.detector:CraterLearned",
     }
 )
 

@@ -38,6 +38,6 @@ class ClassicOptions(SpecModel):
     )
     rounds: int = Field(default=25, ge=0, description="Of conjugate gradients, at most; 0 leaves the fit as it is.")
     crest_scale: float = Field(
-        default=1.0, gt=0.5, lt=2.0, description="Crest's radius over that of the steepest gradient."
+        default=1.06, gt=0.5, lt=2.0, description="Crest's radius over that of the steepest gradient."
     )
-    confidence_min: float = Field(default=0.5, ge=-1.0, lt=1.0, description="Least confidence, equation (4).")
+    confidence_min: float = Field(default=0.8, ge=-1.0, lt=1.0, description="Least confidence, equation (4).")

@@ -1,0 +1,123 @@
+"""The detector by ring templates and a learned verifier and regressor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import as_file, files
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from estimators.craters.contract import CraterDetections
+from estimators.craters.detection.confidence import suppress
+from estimators.craters.detection.picture import noise_level, prepare
+from estimators.craters.learned.network import NAMES, Network
+from estimators.craters.learned.patches import Source, cut
+from estimators.craters.learned.placing import placed
+from estimators.craters.learned.proposals import propose
+from estimators.options import parse_options
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Ellipses
+from scenarios.observation import Frame
+from scenarios.spec.base import SpecModel
+
+FloatArray = NDArray[np.float64]
+WEIGHTS = "weights.npz"
+MIRRORED = np.array([1.0, 1.0, -1.0, 1.0, 1.0, -1.0])  # signs of the outputs where the patch is mirrored
+
+
+class LearnedOptions(SpecModel):
+    """Options of the learned detector."""
+
+    window_px: float = Field(
+        default=20.0, gt=2.0, description="Standard deviation of the window that evens contrast out."
+    )
+    levels: int = Field(default=5, ge=1, le=6, description="Of the pyramid of templates; each doubles the radii.")
+    merit_min: float = Field(default=0.3, ge=0.0, lt=1.0, description="Least merit of a ring template's proposal.")
+    proposals: int = Field(default=400, ge=1, description="Most proposals that the network sees.")
+    rounds: int = Field(default=3, ge=1, description="How often the network sees what is left of the proposals.")
+    radius_min_px: float = Field(default=4.5, gt=1.0, description="Least mean radius of a crater.")
+    mirror: bool = Field(default=True, description="Look at each patch and its mirror image, and take the mean.")
+    confidence_min: float = Field(default=0.98, ge=0.0, lt=1.0, description="Least probability of a crater.")
+
+
+@lru_cache(maxsize=1)
+def own_network() -> Network:
+    """Load the network that lies beside this module.
+
+    Raises
+    ------
+    BoresightError
+        If it is damaged.
+    """
+    with as_file(files(__package__ or "") / WEIGHTS) as path:
+        try:
+            with np.load(path) as stored:
+                return Network({name: stored[name].astype(np.float32) for name in NAMES})
+        except (OSError, KeyError, ValueError) as error:
+            raise BoresightError(f"{path}: the network's weights cannot be read: {error}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class CraterLearned:
+    """Ring templates propose rims; a small network says which are craters, where exactly, and of what shape."""
+
+    name: ClassVar[str] = "crater-learned"
+    version: ClassVar[int] = 1
+
+    options: LearnedOptions
+    network: Network
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        return cls(parse_options(LearnedOptions, options, cls.name), own_network())
+
+    def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
+        """Find rims, the most probable first; the confidence is a probability as far as training made it one.
+
+        Raises
+        ------
+        BoresightError
+            As ``prepare``.
+        """
+        o = self.options
+        picture = prepare(frame, camera, o.window_px)
+        source = Source.of(frame.image, picture, frame.sun_dir_cam, noise_level(frame.image, picture.ground))
+        seen = propose(picture, o.levels, o.merit_min, o.proposals).ellipses
+        seen, odds = self.settled(source, seen)
+        keep = seen.radius_px >= o.radius_min_px
+        seen, odds = seen[keep], odds[keep]
+        rows = suppress(seen, odds, 0.6, 1.6)
+        sure = 1.0 / (1.0 + np.exp(-odds[rows]))
+        rows, sure = rows[sure >= o.confidence_min], sure[sure >= o.confidence_min]
+        return CraterDetections(seen[rows], sure)
+
+    def settled(self, source: Source, seen: Ellipses) -> tuple[Ellipses, FloatArray]:
+        """Let the network place rims and look again; return them with their log odds.
+
+        After each look duplicates go, and what is unlikely even where the network would have it.
+        """
+        odds = np.zeros(len(seen))
+        for turn in range(self.options.rounds):
+            if len(seen) == 0:
+                return seen, odds
+            said = self._say(source, seen)
+            odds = said[:, 0]
+            seen = placed(seen, said[:, 1:], source.sun_px)
+            if turn + 1 < self.options.rounds:
+                rows = suppress(seen, odds, 0.2, 1.2)
+                seen, odds = seen[rows[odds[rows] > -4.0]], odds[rows[odds[rows] > -4.0]]
+        return seen, odds
+
+    def _say(self, source: Source, seen: Ellipses) -> FloatArray:
+        patches = cut(source, seen)
+        said = self.network.forward(patches.pixels, patches.scalars).astype(np.float64)
+        if not self.options.mirror:
+            return said
+        mirrored = self.network.forward(patches.pixels[:, ::-1], patches.scalars).astype(np.float64)
+        return np.asarray(0.5 * (said + mirrored * MIRRORED), dtype=np.float64)

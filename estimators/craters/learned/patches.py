@@ -1,0 +1,95 @@
+"""What the network sees of a proposed rim: its surroundings in units of its radius, the Sun at the right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.craters.detection.picture import Picture
+from estimators.craters.learned.proposals import pyramid
+from scenarios.geometry import Ellipses, pixel_to_opencv
+
+FloatArray = NDArray[np.float64]
+FloatImage = NDArray[np.float32]
+
+SIDE = 32  # samples along either side of a patch
+REACH = 2.0  # mean radii from the centre to the edge of a patch
+SCALARS = 5  # numbers beside the patch
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """An image with its halves, and what belongs to it.
+
+    Parameters
+    ----------
+    levels
+        The image and its halves.
+    sun_px
+        (2,) towards the Sun.
+    sun_depth
+        Cosine between the Sun and the boresight: of 180 degrees less the phase angle.
+    noise
+        Of the image, in its own units.
+    """
+
+    levels: tuple[FloatImage, ...]
+    sun_px: FloatArray
+    sun_depth: float
+    noise: float
+
+    @classmethod
+    def of(cls, image: FloatImage, picture: Picture, sun_dir_cam: FloatArray, noise: float) -> Source:
+        """Halve an image until a patch of the largest rim needs no more."""
+        return cls(tuple(pyramid(image, 5)), picture.sun_px, float(sun_dir_cam[2]), noise)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patches:
+    """Patches (n, SIDE, SIDE, 1) of zero mean and unit variance, and (n, SCALARS) numbers beside them."""
+
+    pixels: FloatImage
+    scalars: FloatImage
+
+
+def grid(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:
+    """Return the places (n, SIDE, SIDE, 2) of the samples: columns run towards the Sun, rows a quarter turn on."""
+    steps = (np.arange(SIDE) + 0.5) * (2.0 * REACH / SIDE) - REACH
+    side = np.array([-sun_px[1], sun_px[0]])
+    unit = steps[None, :, None] * sun_px + steps[:, None, None] * side
+    return np.asarray(ellipses.centre_px[:, None, None] + ellipses.radius_px[:, None, None, None] * unit)
+
+
+def cut(source: Source, ellipses: Ellipses) -> Patches:
+    """Cut a patch around each rim, from the level whose pixels are about as far apart as the samples."""
+    n = len(ellipses)
+    pixels = np.zeros((n, SIDE, SIDE), dtype=np.float32)
+    step = ellipses.radius_px * (2.0 * REACH / SIDE)
+    level = np.clip(np.round(np.log2(np.maximum(step, 1e-6))), 0, len(source.levels) - 1).astype(np.int64)
+    for i in np.unique(level):
+        rows = np.flatnonzero(level == i)
+        place = pixel_to_opencv(grid(ellipses[rows], source.sun_px) / 2.0**i).astype(np.float32)
+        for part in np.array_split(np.arange(len(rows)), len(rows) // 500 + 1):
+            flat = place[part].reshape(len(part), -1, 2)
+            found = cv2.remap(
+                source.levels[i], flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
+            pixels[rows[part]] = found.reshape(len(part), SIDE, SIDE)
+    mean = pixels.mean(axis=(1, 2))
+    spread = np.maximum(pixels.std(axis=(1, 2)), 1e-9)
+    even = (pixels - mean[:, None, None]) / spread[:, None, None]
+    level_of = np.maximum(mean, 1e-3 * float(source.levels[0].max()))
+    scalars = np.stack(
+        [
+            np.log(ellipses.radius_px / 12.0),
+            np.log(spread / level_of) + 1.5,
+            np.log(max(source.noise, 1e-6 * float(level_of.max())) / spread) + 2.0,
+            np.full(n, 2.0 * source.sun_depth),
+            np.clip(level_of / float(source.levels[-1].max()), 0.0, 2.0),
+        ],
+        axis=1,
+    )
+    return Patches(np.clip(even, -4.0, 4.0)[..., None], np.clip(scalars, -3.0, 3.0).astype(np.float32))

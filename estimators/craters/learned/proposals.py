@@ -1,0 +1,161 @@
+"""Ring templates: where a rim of some size and shape may lie, by the gradients that the Sun makes on both its sides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from estimators.craters.detection.edges import gradient_of
+from estimators.craters.detection.merit import side_weights
+from estimators.craters.detection.picture import Picture
+from scenarios.geometry import Ellipses, pixel_to_opencv
+
+FloatArray = NDArray[np.float64]
+FloatImage = NDArray[np.float32]
+
+SHAPES = ((1.0, 1), (0.75, 4), (0.52, 6))  # ratio of the axes, and how many angles of it there are
+RADII_PX = (4.2, 5.3, 6.7)  # mean radii at each level of the pyramid; the next level doubles them
+_POINTS = 40
+_GAP = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rings:
+    """m templates at one level.
+
+    Parameters
+    ----------
+    shape
+        (m, 3) semi-axes and angle, in pixels of the level.
+    kernels
+        (m, 2, K, K, 2): side (towards and away from the Sun), rows, columns, component of the gradient.
+    """
+
+    shape: FloatArray
+    kernels: FloatImage
+
+
+def rings(sun_px: FloatArray) -> Rings:
+    """Draw templates for a direction of the Sun: on each side the signed normals, spread between pixels."""
+    shape = []
+    for radius in RADII_PX:
+        for ratio, angles in SHAPES:
+            axes = radius / np.sqrt(ratio), radius * np.sqrt(ratio)
+            shape += [(*axes, np.pi * k / angles) for k in range(angles)]
+    rows = np.array(shape)
+    half = int(np.ceil(rows[:, 0].max())) + 1
+    ellipses = Ellipses(np.full((len(rows), 2), half + 0.5), rows[:, :2], rows[:, 2])
+    points, normals = ellipses.points(_POINTS)
+    weight, _ = side_weights(normals @ sun_px, _GAP)
+    # Points crowd where the curve turns: each stands for its piece of the rim.
+    weight = weight * np.linalg.norm(np.roll(points, -1, axis=1) - np.roll(points, 1, axis=1), axis=2)
+    kernels = np.zeros((len(rows), 2, 2 * half + 1, 2 * half + 1, 2))
+    for side, sign in enumerate((1.0, -1.0)):
+        part = np.where(sign * weight > 0.0, weight, 0.0)
+        part = part / np.abs(part).sum(axis=1, keepdims=True)
+        _splat(kernels[:, side], pixel_to_opencv(points), part[..., None] * normals)
+    return Rings(rows, kernels.astype(np.float32))
+
+
+def _splat(kernels: FloatArray, place: FloatArray, values: FloatArray) -> None:
+    """Add values at places between the pixels of each kernel, in place."""
+    low = np.floor(place).astype(np.int64)
+    f = place - low
+    m = np.broadcast_to(np.arange(len(kernels))[:, None], low.shape[:2])
+    for du in (0, 1):
+        for dv in (0, 1):
+            share = np.abs(1 - du - f[..., 0]) * np.abs(1 - dv - f[..., 1])
+            np.add.at(kernels, (m, low[..., 1] + dv, low[..., 0] + du), share[..., None] * values)
+
+
+def halved(image: FloatImage) -> FloatImage:
+    """Halve an image by means of 2 x 2: continuous pixels (u, v) become (u / 2, v / 2) exactly.
+
+    (``cv2.pyrDown`` samples at the even pixels' centres, half a pixel off.)
+    """
+    height, width = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
+    even = image[:height, :width]
+    return np.asarray(0.25 * (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]), dtype=np.float32)
+
+
+def pyramid(image: FloatImage, levels: int) -> list[FloatImage]:
+    """Return an image and its halves."""
+    found = [image]
+    for _ in range(levels - 1):
+        found.append(halved(found[-1]))
+    return found
+
+
+def directions(image: FloatImage, noise: float, softness: float) -> FloatImage:
+    """Gradients (H, W, 2) over their length softened by ``softness`` medians or four times the noise's."""
+    gradient = gradient_of(image, 3)
+    strength = gradient.strength
+    floor = max(softness * float(np.median(strength[strength > 0.0])) if np.any(strength > 0.0) else 1.0, 4.0 * noise)
+    soft = np.sqrt(strength**2 + np.float32(floor) ** 2)
+    return np.stack([gradient.along_u / soft, gradient.along_v / soft], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposals:
+    """Rims that templates found, the best first, and their merits (n,)."""
+
+    ellipses: Ellipses
+    merit: FloatArray
+
+
+def propose(picture: Picture, levels: int, least_merit: float, count: int, softness: float = 1.0) -> Proposals:
+    """Find the best place, size and shape around each local maximum of the templates' merit.
+
+    A template's merit is the smaller of its two sides' means: a terminator or a ridge has one good side alone.
+    """
+    templates = rings(picture.sun_px)
+    found, merits = [], []
+    for level, image in enumerate(pyramid(picture.even, levels)):
+        if min(image.shape) < 2 * templates.kernels.shape[2]:
+            break
+        noise = float(np.median(picture.noise[picture.ground])) * 0.43 / 2.0**level
+        score, best = _scores(directions(image, noise, softness), templates)
+        rows, columns = _maxima(score, least_merit)
+        shape = templates.shape[best[rows, columns]]
+        centre = np.stack([columns + 0.5, rows + 0.5], axis=1) * 2.0**level
+        found.append(np.concatenate([centre, shape[:, :2] * 2.0**level, shape[:, 2:]], axis=1))
+        merits.append(score[rows, columns])
+    rows_of = np.concatenate(found)
+    merit = np.concatenate(merits)
+    order = np.argsort(-merit, kind="stable")[:count]
+    chosen = rows_of[order]
+    return Proposals(Ellipses(chosen[:, :2], chosen[:, 2:4], chosen[:, 4]), merit[order].astype(np.float64))
+
+
+def _scores(field: FloatImage, templates: Rings) -> tuple[FloatImage, NDArray[np.int64]]:
+    """Return the best merit (H, W) of all templates at each pixel, and whose it is."""
+    height, width = field.shape[:2]
+    half = templates.kernels.shape[2] // 2
+    size = tuple(fft.next_fast_len(n + 2 * half, real=True) for n in (height, width))
+    spectra = [fft.rfft2(field[..., i], size) for i in (0, 1)]
+    best = np.full((height, width), -2.0, dtype=np.float32)
+    which = np.zeros((height, width), dtype=np.int64)
+    window = (slice(half, half + height), slice(half, half + width))
+    for m, kernel in enumerate(templates.kernels):
+        sides = []
+        for side in kernel:
+            # Correlation: the kernel turned by half a turn.
+            turned = [fft.rfft2(side[::-1, ::-1, i], size) for i in (0, 1)]
+            total = spectra[0] * turned[0] + spectra[1] * turned[1]
+            sides.append(fft.irfft2(total, size)[window])
+        merit = np.minimum(*sides)
+        better = merit > best
+        best[better] = merit[better]
+        which[better] = m
+    return best, which
+
+
+def _maxima(score: FloatImage, least: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the local maxima within 3 x 3 that reach ``least``."""
+    top = cv2.dilate(score, np.ones((3, 3), np.uint8))
+    rows, columns = np.nonzero((score >= top) & (score >= least))
+    return rows, columns
