@@ -23,6 +23,7 @@ _OWN: Mapping[str, str] = MappingProxyType(
         "whole-image": "estimators.dense.whole_image:WholeImageRecognizer",
         "photometric": "estimators.dense.photometric:PhotometricEstimator",
         "lmaps": "estimators.maplets.recognizer:MapletNavigator",
+        "crater-pose": "estimators.craters.pose.estimator:CraterPose",
         "prior": "estimators.prior:PriorEstimator",
     }
 )

@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from campaign.crater_pairs import PairSource, open_pairs
 from campaign.experiments.registry import Bench, Record, Records
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
@@ -18,14 +19,13 @@ from estimators.craters.contract import CraterDetections, CraterImage, CraterMat
 from estimators.craters.registry import crater_matcher_class
 from scenarios.beliefs import believed_spec
 from scenarios.bodies import load_body
-from scenarios.craters.pairs import CraterLook, CraterPair, draw_pair, population
-from scenarios.craters.simulated import NO_CRATER, PlaneCraters
+from scenarios.craters.pairs import CraterLook, CraterPair
+from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera
 from scenarios.load import LoadedScenario
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.crater_pairs import CraterPairsSpec
-from scenarios.spec.world import PoseErrorSpec
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,14 +36,12 @@ class CraterMatching:
     ----------
     name
         Of the scenario.
-    spec, pose_error
-        Its sections of these.
+    source
+        Where pairs of looks come from.
     camera
         An ideal pinhole: rims come after the correction of a lens.
-    ground, known
-        The body, and the a priori shape.
-    craters
-        Of the body.
+    known
+        The a priori shape.
     matchers
         Label to matcher.
     seed
@@ -51,12 +49,9 @@ class CraterMatching:
     """
 
     name: str
-    spec: CraterPairsSpec
-    pose_error: PoseErrorSpec
+    source: PairSource
     camera: Camera
-    ground: MeshGround
     known: MeshGround
-    craters: PlaneCraters
     matchers: Mapping[str, CraterMatcher]
     seed: int
 
@@ -82,25 +77,16 @@ class CraterMatching:
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> CraterMatching:
         """Load the shapes, draw the craters and build the matchers."""
         del bench
-        section, spec = _section(scenario), scenario.spec
-        ground = MeshGround(load_body(spec.body, scenario.search_dirs).mesh)
-        return cls(
-            spec.name,
-            section,
-            spec.pose_error,
-            spec.camera.camera().pinhole,
-            ground,
-            MeshGround(load_body(believed_spec(spec).body, scenario.search_dirs).mesh),
-            population(ground, section.craters),
-            _matchers(campaign),
-            campaign.seed,
-        )
+        spec = scenario.spec
+        known = MeshGround(load_body(believed_spec(spec).body, scenario.search_dirs).mesh)
+        source = open_pairs(scenario, _section(scenario), campaign.variant)
+        return cls(spec.name, source, spec.camera.camera().pinhole, known, _matchers(campaign), campaign.seed)
 
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and matchers."""
         records: Records = {}
         for trial in trials:
-            pair = draw_pair(self.spec, self.pose_error, self.camera, self.ground, self.craters, (self.seed, trial))
+            pair = self.source.pair(self.seed, trial)
             for label, matcher in self.matchers.items():
                 key: Record = {"trial": trial, "scenario": self.name, "estimator": label}
                 for table, added in self._judged(matcher, pair).items():

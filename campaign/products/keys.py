@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from campaign.world import typical_range_m
 from renderers.mitsuba3 import MitsubaRenderer
-from scenarios.bodies import body_digest
+from scenarios.craters import shape_digest
 from scenarios.load import LoadedScenario, canonical_json
 from scenarios.spec.base import SpecModel
 
@@ -31,7 +31,7 @@ def content_key(scenario: LoadedScenario, kind: str, options: SpecModel, version
     parts = {
         "kind": kind,
         "options": json.loads(options.model_dump_json(exclude_none=True)),
-        "body": body_digest(spec.body, scenario.search_dirs),
+        "body": shape_digest(spec, scenario.search_dirs),
         "scenario": [canonical_json(part) for part in (spec.camera, spec.brdf, spec.rendering)],
         "shading": spec.body.shading,
         "range_m": typical_range_m(scenario),

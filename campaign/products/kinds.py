@@ -7,7 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
-from campaign.products import descriptors, landmark_database, maplets
+from campaign.products import crater_database, descriptors, landmark_database, maplets
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
@@ -48,7 +48,7 @@ class ProductKind(Protocol):
 
 
 _KINDS: Mapping[str, ProductKind] = MappingProxyType(
-    {module.KIND: module for module in (landmark_database, maplets, descriptors)}
+    {module.KIND: module for module in (landmark_database, maplets, descriptors, crater_database)}
 )
 
 

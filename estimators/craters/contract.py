@@ -31,6 +31,11 @@ class CraterDetections:
     ellipses: Ellipses
     confidence: FloatArray
 
+    @classmethod
+    def none(cls) -> CraterDetections:
+        """No crater."""
+        return cls(Ellipses.none(), np.zeros(0))
+
 
 class CraterDetector(Protocol):
     """Finds craters in an image.

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from scenarios.craters.simulated import (
     DetectionErrors,
+    LabelledDetections,
     PlaneCraters,
-    SimulatedDetections,
     detect_simulated,
     draw_craters,
     in_view,
@@ -36,7 +36,7 @@ class CraterLook:
     """One of the two looks: the true view, what is detected in it, and what the spacecraft knows."""
 
     view: View
-    detections: SimulatedDetections
+    detections: LabelledDetections
     frame: Frame
 
 
@@ -71,7 +71,7 @@ def draw_pair(
     BoresightError
         If no two looks as different as asked for have their place in the light.
     """
-    views, angles = _views(spec, camera, ground, generator(address[0], Stream.TRUTH, address[1]))
+    views, angles = draw_views(spec, camera, ground, generator(address[0], Stream.TRUTH, address[1]))
     noise, priors = (generator(address[0], stream, address[1]) for stream in (Stream.LANDMARKS, Stream.POSE_ERROR))
     errors = DetectionErrors(**spec.errors.model_dump())
     real = raised(craters, errors.height_m, noise)  # one height in both looks
@@ -79,7 +79,8 @@ def draw_pair(
     for number, view in enumerate(views):
         visible = in_view(craters, ground, view, _LIMITS_DEG)
         found = detect_simulated(real, visible, view, errors, noise)
-        looks.append(CraterLook(view, found, _frame(view, pose_error, priors, float(number))))
+        black = np.zeros((camera.height_px, camera.width_px), dtype=np.float32)
+        looks.append(CraterLook(view, found, known_frame(view, black, pose_error, priors, float(number))))
     return CraterPair(looks[0], looks[1], *angles)
 
 
@@ -91,7 +92,7 @@ def turned(direction: FloatArray, angle_rad: float, azimuth_rad: float) -> Float
     return np.asarray(np.cos(angle_rad) * direction + np.sin(angle_rad) * across)
 
 
-def _views(
+def draw_views(
     spec: CraterPairsSpec, camera: Camera, ground: MeshGround, rng: np.random.Generator
 ) -> tuple[tuple[View, View], tuple[float, float]]:
     """Draw places and directions until both looks have the place in sight and in the light."""
@@ -124,12 +125,14 @@ def _look(camera: Camera, position_m: FloatArray, aim_m: FloatArray, sun: FloatA
     return View(camera, Pose(rotation, -rotation @ position_m), sun)
 
 
-def _frame(view: View, pose_error: PoseErrorSpec, rng: np.random.Generator, time_s: float) -> Frame:
-    """Make what the spacecraft knows; there are no pixels: the image is black."""
+def known_frame(
+    view: View, image: NDArray[np.float32], pose_error: PoseErrorSpec, rng: np.random.Generator, time_s: float
+) -> Frame:
+    """Make what the spacecraft knows of a look: the image, the Sun in the camera and a degraded pose."""
     true, camera = view.T_cam_body, view.camera
     range_m = float(np.linalg.norm(true.translation_m))
     return Frame(
-        np.zeros((camera.height_px, camera.width_px), dtype=np.float32),
+        image,
         true.rotate(view.sun_dir_body),
         degrade(true, pose_error, camera, rng),
         prior_covariance(pose_error, range_m, camera),

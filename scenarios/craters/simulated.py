@@ -66,7 +66,7 @@ class DetectionErrors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SimulatedDetections:
+class LabelledDetections:
     """Rims that were found, and which crater each is; ``NO_CRATER`` where it is none."""
 
     ellipses: Ellipses
@@ -116,7 +116,7 @@ def in_view(
 
 def detect_simulated(
     craters: PlaneCraters, visible: IndexArray, view: View, errors: DetectionErrors, rng: np.random.Generator
-) -> SimulatedDetections:
+) -> LabelledDetections:
     """Detect the visible craters of a view, with errors, and false ones of the same sizes anywhere in the frame."""
     rims = project_circles(
         view, craters.centre_body_m[visible], craters.normal_body[visible], craters.radius_m[visible]
@@ -133,7 +133,7 @@ def detect_simulated(
         np.concatenate([rims.semi_axes_px, false_rims.semi_axes_px]),
         np.concatenate([rims.angle_rad, false_rims.angle_rad]),
     )
-    return SimulatedDetections(both[order], np.concatenate([crater, np.full(count, NO_CRATER)])[order])
+    return LabelledDetections(both[order], np.concatenate([crater, np.full(count, NO_CRATER)])[order])
 
 
 def _disturbed(rims: Ellipses, errors: DetectionErrors, rng: np.random.Generator) -> Ellipses:

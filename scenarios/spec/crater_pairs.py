@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
@@ -35,7 +35,13 @@ class DetectionErrorSpec(SpecModel):
 
 
 class CraterPairsSpec(SpecModel):
-    """Two looks at one place of the body from one range, with the pose error of the scenario each."""
+    """Two looks at one place of the body from one range, with the pose error of the scenario each.
+
+    Either craters are drawn here and detected by geometry, or images of the scenario's ``craters`` are rendered and a
+    detector finds them.
+    """
+
+    alternatives: ClassVar = (("craters", "detector"),)
 
     range_m: float = Field(gt=0, description="Distance of both cameras from the place")
     view_deg: Uniform = Field(description="Between the directions to the two cameras")
@@ -43,8 +49,10 @@ class CraterPairsSpec(SpecModel):
     emission_deg: Uniform = Field(Uniform(uniform=(0.0, 35.0)), description="Of the first look at the place")
     incidence_deg: Uniform = Field(Uniform(uniform=(25.0, 65.0)), description="At the place, first look")
     aim_sigma_m: float = Field(1000.0, ge=0, description="Of where each camera points about the place, by coordinate")
-    craters: PlaneCratersSpec
-    errors: DetectionErrorSpec = DetectionErrorSpec()
+    craters: PlaneCratersSpec | None = Field(None, description="Plane rims, detected by geometry without any image")
+    errors: DetectionErrorSpec = Field(DetectionErrorSpec(), description="Of detections by geometry")
+    detector: str | None = Field(None, description="Name of a detector of craters, which looks at rendered images")
+    most_detections: int = Field(20, ge=1, description="Of an image by the detector, the most confident ones")
 
     @model_validator(mode="after")
     def _angles(self) -> Self:

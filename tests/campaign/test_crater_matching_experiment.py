@@ -14,7 +14,7 @@ from estimators.craters.contract import CraterDetections, CraterImage, CraterMat
 from reports.crater_matching import RECALL, WRONG, matching_grids, matching_records
 from reports.run_data import read_run
 from scenarios.craters.pairs import CraterLook, CraterPair
-from scenarios.craters.simulated import NO_CRATER, SimulatedDetections
+from scenarios.craters.simulated import NO_CRATER, LabelledDetections
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Ellipses, Pose, View
 from scenarios.observation import Frame
@@ -75,8 +75,7 @@ def _pair(first: list[int], second: list[int]) -> CraterPair:
     view = View(camera, pose, np.array([0.0, 0.0, -1.0]))
     rims = Ellipses(np.full((9, 2), 50.0), np.full((9, 2), 5.0), np.zeros(9))
     looks = [
-        CraterLook(view, SimulatedDetections(rims[: len(crater)], np.array(crater)), frame)
-        for crater in (first, second)
+        CraterLook(view, LabelledDetections(rims[: len(crater)], np.array(crater)), frame) for crater in (first, second)
     ]
     return CraterPair(looks[0], looks[1], 3.0, 4.0)
 

@@ -19,6 +19,7 @@ import pytest
 import trimesh
 from tiny_mission import make_mission
 
+from campaign.crater_pairs import open_pairs
 from campaign.experiments.orbit_determination import open_orbit_world
 from campaign.experiments.sequence import ground_of
 from campaign.experiments.single_image import SingleImage
@@ -28,13 +29,11 @@ from campaign.products import Shelf
 from campaign.world import open_world
 from estimators.slam.registry import sequence_estimator_class
 from renderers.mitsuba3 import choose_variant
-from scenarios.bodies import load_body
-from scenarios.craters.pairs import draw_pair, population
 from scenarios.errors import BoresightError
 from scenarios.geometry import View, look_at
 from scenarios.load import LoadedScenario, load_scenario
 from scenarios.orbits.draw import draw_orbit
-from scenarios.sequences import MeshGround, draw_sequence
+from scenarios.sequences import draw_sequence
 from scenarios.spec.base import SpecModel
 from scenarios.spec.scenario import ScenarioSpec
 
@@ -92,6 +91,20 @@ camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
 lighting: {phase_deg: {uniform: [20, 60]}}
 viewpoint: {range_m: 2000}
 """
+SEEN = """
+body: {shape: sphere}
+craters:
+  {count: 40, min_diameter_m: 24, max_diameter_m: 120, edge_m: 6, known_diameter_m: 30,
+   roughness: {rms_m: 2, max_wavelength_m: 80, min_wavelength_m: 20}}
+camera: {width_px: 192, height_px: 192, fov_deg: 12}
+crater_pairs:
+  range_m: 2000
+  view_deg: {uniform: [0, 10]}
+  sun_deg: {uniform: [0, 10]}
+  aim_sigma_m: 5
+  detector: crater-classic
+"""
+BY_GEOMETRY = SEEN.replace("detector: crater-classic", "craters: {count: 400, min_diameter_m: 30, max_diameter_m: 100}")
 REAL = """
 body: {shape: sphere}
 camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
@@ -269,6 +282,8 @@ CHANGES: dict[str, tuple[str, str]] = {
     "crater_pairs.errors.false_share": (PAIRS, "0.5"),
     "crater_pairs.errors.least_radius_px": (PAIRS, "6"),
     "crater_pairs.errors.height_m": (PAIRS, "2"),
+    "crater_pairs.detector": (BY_GEOMETRY, "crater-classic"),
+    "crater_pairs.most_detections": (SEEN, "1"),
     "sequence.sphere_radius_m": (SEQUENCE, "170"),
     "sequence.orbit.radius_m": (SEQUENCE, "800"),
     "sequence.orbit.normal_body": (SEQUENCE, "[0, 1, 1]"),
@@ -541,12 +556,10 @@ def sequence_fingerprint(scenario: LoadedScenario) -> str:
 
 def pairs_fingerprint(scenario: LoadedScenario) -> str:
     """Hash what two pairs of looks show to a matcher, and their truth."""
-    spec = scenario.spec
-    ground = MeshGround(load_body(spec.body, scenario.search_dirs).mesh)
-    craters = population(ground, spec.crater_pairs.craters)
+    source = open_pairs(scenario, scenario.spec.crater_pairs, choose_variant().name)
     parts: list[bytes] = []
     for trial in range(2):
-        pair = draw_pair(spec.crater_pairs, spec.pose_error, spec.camera.camera(), ground, craters, (3, trial))
+        pair = source.pair(3, trial)
         for one in (pair.first, pair.second):
             rims, pose = one.detections.ellipses, one.frame.prior_T_cam_body
             arrays = [one.detections.crater, rims.centre_px, rims.semi_axes_px, rims.angle_rad, pose.rotation]

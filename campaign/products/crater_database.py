@@ -1,0 +1,104 @@
+"""The crater data base of a scenario: rendered images, detection, matching, numbering, triangulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from campaign.world import World, open_world, typical_range_m
+from estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
+from estimators.craters.database.build import build_database
+from estimators.craters.database.files import CraterDatabase
+from estimators.craters.database.triangulation import triangulated
+from estimators.craters.matching.association import AssociationOptions
+from estimators.craters.matching.preliminary import PreliminaryOptions
+from estimators.craters.pose.options import PRODUCT, CraterDatabaseOptions
+from estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
+from scenarios.aim import draw_aimed_view
+from scenarios.draw import Stream, generator
+from scenarios.errors import BoresightError
+from scenarios.load import LoadedScenario
+from scenarios.observation import Frame
+from scenarios.sequences.ground import MeshGround
+from scenarios.spec.base import SpecModel
+from scenarios.spec.distribution import Uniform
+from scenarios.spec.world import LightingSpec, ViewpointSpec
+
+KIND = PRODUCT
+VERSION = 1
+
+_MATCHER = "vote"
+# Images of a data base have poses from orbit determination over all of them: far better than a pixel.
+_POSE_SIGMAS = np.array([1e-7, 1e-7, 1e-7, 1.0, 1.0, 1.0])
+
+
+def parse(options: Mapping[str, object]) -> CraterDatabaseOptions:
+    """Validate the options of a data base."""
+    return CraterDatabaseOptions.model_validate(options)
+
+
+def versions() -> list[int]:
+    """List the versions of all code that a data base depends on, beside the renderer's."""
+    detectors = [crater_detector_class(name).version for name in crater_detector_names()]
+    return [VERSION, crater_matcher_class(_MATCHER).version, *detectors]
+
+
+def announcement(options: SpecModel) -> str:
+    """Say what takes time in a build."""
+    return f"{_checked(options).images} images"
+
+
+def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
+    """Build the data base of ``scenario`` as the spacecraft knows it, and store it in ``folder``.
+
+    The images see the body's craters, which only the camera knows of; the poses they were taken from are known.
+    """
+    del jobs
+    wanted, world = _checked(options), open_world(scenario, variant)
+    if world.ground is None:
+        raise BoresightError(f"{scenario.path}: craters: missing, but {KIND} is made of them")
+    finder = crater_detector_class(wanted.detector).from_options({})
+    images = [_image(number, scenario, world, finder, wanted) for number in range(wanted.images)]
+    matcher = crater_matcher_class(_MATCHER).from_options({"height_sigma_m": wanted.height_sigma_m})
+    preliminary = PreliminaryOptions(height_sigma_m=wanted.height_sigma_m)
+    built = build_database(images, matcher, MeshGround(world.body.mesh), preliminary)
+    triangulated(built.database, wanted.height_sigma_m, AssociationOptions()).save(folder)
+    return {"images": wanted.images, "image_pairs": len(built.found), "conflicts": built.numbering.conflicts}
+
+
+def load(folder: Path) -> CraterDatabase:
+    """Read a stored data base."""
+    return CraterDatabase.load(folder)
+
+
+def about(folder: Path) -> dict[str, object]:
+    """Describe a stored data base for the manifest."""
+    database = load(folder)
+    return {"n_landmarks": len(database.landmarks), "pictures": len(database.pictures)}
+
+
+def _image(
+    number: int, scenario: LoadedScenario, world: World, finder: CraterDetector, options: CraterDatabaseOptions
+) -> CraterImage:
+    """Render an image of the data base, without noise, and look for craters in it."""
+    rng = generator(options.seed, Stream.DATABASE, number)
+    camera = world.camera.pinhole
+    viewpoint = ViewpointSpec(range_m=typical_range_m(scenario), targets=("nadir", "limb", "terminator"))
+    lighting = LightingSpec(phase_deg=Uniform(uniform=options.phase_deg), measure="angle")
+    view = draw_aimed_view(viewpoint, lighting, camera, world.body.mesh, rng)
+    pixels, pose = world.renderer.render(view), view.T_cam_body
+    frame = Frame(pixels, pose.rotate(view.sun_dir_body), pose, np.diag(_POSE_SIGMAS**2), float(number))
+    try:
+        found = finder.detect(frame, camera)
+    except BoresightError:  # a black image has no craters: the data base goes without it
+        return CraterImage(number, frame, camera, CraterDetections.none())
+    kept = slice(0, options.most_detections)
+    return CraterImage(number, frame, camera, CraterDetections(found.ellipses[kept], found.confidence[kept]))
+
+
+def _checked(options: SpecModel) -> CraterDatabaseOptions:
+    if not isinstance(options, CraterDatabaseOptions):
+        raise TypeError(f"{KIND}: options are a {type(options).__name__}, not CraterDatabaseOptions")
+    return options

@@ -1,0 +1,1 @@
+"""The pose of one image by the craters of a data base."""
