@@ -31,6 +31,9 @@ QUICK = {
     "photometric": {"samples_per_pixel": 1, "levels": [{"reduction": 4, "iterations": 3}]},
     "landmark-altimeter": {"options": {"database": DATABASE}},
 }
+# Need what the scene has not: their contract is tested with bodies that have craters.
+ELSEWHERE = {"crater-pose"}
+NAMES = tuple(name for name in estimator_names() if name not in ELSEWHERE)
 # The control row answers whatever the image shows.
 BLIND = {"prior"}
 
@@ -54,7 +57,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     )
 
 
-@pytest.fixture(params=estimator_names())
+@pytest.fixture(params=NAMES)
 def estimator(request: pytest.FixtureRequest, bench: Bench) -> Estimator:
     return estimator_class(request.param).from_options(QUICK.get(request.param, {}), bench.shelf)
 
@@ -95,7 +98,7 @@ def with_image(observation: Observation, image: np.ndarray) -> Observation:
     return Observation(observation.camera, (replace(frame, image=image),))
 
 
-@pytest.mark.parametrize("name", estimator_names())
+@pytest.mark.parametrize("name", NAMES)
 def test_default_options_build(bench, name):
     found = estimator_class(name)
     assets: Assets = DefaultDatabase(bench.shelf)

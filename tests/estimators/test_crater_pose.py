@@ -9,6 +9,7 @@ import pytest
 from crater_looks import CAMERA, RANGE_M, ellipsoid, look, population, turned
 from scipy.optimize import least_squares
 
+from campaign.check import check
 from estimators.contract import Estimate
 from estimators.craters.contract import CraterDetections
 from estimators.craters.database.files import CraterDatabase
@@ -90,6 +91,7 @@ def test_a_prior_a_kilometre_off_is_brought_within_sixty_metres_across_the_line_
             continue
         offset = estimate.poses[0].camera_position_m - position
         across.append(np.linalg.norm((estimate.poses[0].rotation @ offset)[:2]))
+        check(estimate, Observation(CAMERA, (one.image.frame,)))
     assert len(across) >= 5
     assert failed <= 1
     assert np.median(priors) > 1000.0
