@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from estimators.craters.learned.network import NAMES, OUTPUTS, STRIDE, Network, 
 from estimators.craters.learned.patches import SCALARS, SIDE
 
 FloatImage = NDArray[np.float32]
+AnyFloats = NDArray[np.floating[Any]]
 _CHANNELS = (1, 12, 24, 32)
 _SIZES = (5, 3, 3)
 _TOP = (SIDE // STRIDE**3, SIDE // STRIDE**3, _CHANNELS[3])
@@ -97,12 +99,12 @@ def loss(network: Network, lessons: Lessons, emphasis: float) -> tuple[float, di
     hidden = np.maximum(raw, 0.0)
     out = hidden @ w["dense2"] + w["bias5"]
     value, by_out = _criterion(out, lessons, emphasis)
-    by = {"dense2": hidden.T @ by_out, "bias5": by_out.sum(axis=0)}
+    by: dict[str, Any] = {"dense2": hidden.T @ by_out, "bias5": by_out.sum(axis=0)}
     by_raw = (by_out @ w["dense2"].T) * (raw > 0.0)
     by["dense1"], by["bias4"] = flat.T @ by_raw, by_raw.sum(axis=0)
-    by_x: FloatImage = (by_raw @ w["dense1"].T)[:, :-SCALARS].reshape(-1, *_TOP)
+    by_x: AnyFloats = (by_raw @ w["dense1"].T)[:, :-SCALARS].reshape(-1, *_TOP)
     for i in (2, 1, 0):
-        rows: FloatImage = (by_x * masks[i]).reshape(-1, by_x.shape[-1])
+        rows: AnyFloats = (by_x * masks[i]).reshape(-1, by_x.shape[-1])
         by[f"conv{i + 1}"] = columns[i].reshape(len(rows), -1).T @ rows
         by[f"bias{i + 1}"] = rows.sum(axis=0)
         if i:
@@ -127,7 +129,7 @@ def _criterion(out: FloatImage, lessons: Lessons, emphasis: float) -> tuple[floa
     return value, by
 
 
-def _folded(columns: FloatImage, shape: tuple[int, ...], size: int) -> FloatImage:
+def _folded(columns: AnyFloats, shape: tuple[int, ...], size: int) -> AnyFloats:
     """Sum what the windows of a convolution hold back to their pixels: the transpose of ``windows``."""
     n, height, width, channels = shape
     pad = size // 2
