@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +17,9 @@ BoolArray = NDArray[np.bool_]
 _LIMB_EMISSION_DEG = (50.0, 70.0)
 _TERMINATOR_INCIDENCE_DEG = (55.0, 75.0)
 _MOST_DEG = 80.0
+
+Kind = Literal["nadir", "limb", "terminator"]
+KINDS: tuple[Kind, ...] = ("nadir", "limb", "terminator")
 
 
 def draw_aimed_view(
@@ -30,12 +35,9 @@ def draw_aimed_view(
     kind, turn_rad = str(rng.choice(viewpoint.targets)), float(rng.uniform(0.0, 2.0 * np.pi))
     position = view.T_cam_body.camera_position_m
     places = shape.corners_m.mean(axis=1)
-    to_camera = position - places
-    to_camera /= np.linalg.norm(to_camera, axis=1, keepdims=True)
-    emission = np.degrees(np.arccos(np.clip(np.einsum("fi,fi->f", shape.normals, to_camera), -1.0, 1.0)))
-    incidence = np.degrees(np.arccos(np.clip(shape.normals @ view.sun_dir_body, -1.0, 1.0)))
-    lit = (emission < _MOST_DEG) & (incidence < _MOST_DEG)
-    chosen = lit & _of_kind(kind, emission, incidence)
+    emission, incidence = angles_deg(places, shape.normals, position, view.sun_dir_body)
+    lit = is_lit(emission, incidence)
+    chosen = lit & of_kind(kind, emission, incidence)
     area = np.linalg.norm(shape.area_vectors_m2, axis=1)
     if chosen.any():
         total = np.cumsum(np.where(chosen, area, 0.0))
@@ -50,7 +52,23 @@ def draw_aimed_view(
     return View(camera, Pose(turned.rotation, -turned.rotation @ position), view.sun_dir_body)
 
 
-def _of_kind(kind: str, emission_deg: FloatArray, incidence_deg: FloatArray) -> BoolArray:
+def angles_deg(
+    points_m: FloatArray, normals: FloatArray, position_m: FloatArray, sun_dir_body: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n,) angles of emission and incidence of points (n, 3) with normals (n, 3) for a camera and a Sun, (3,) each."""
+    to_camera = position_m - points_m
+    to_camera /= np.linalg.norm(to_camera, axis=1, keepdims=True)
+    emission = np.degrees(np.arccos(np.clip(np.einsum("fi,fi->f", normals, to_camera), -1.0, 1.0)))
+    return emission, np.degrees(np.arccos(np.clip(normals @ sun_dir_body, -1.0, 1.0)))
+
+
+def is_lit(emission_deg: FloatArray, incidence_deg: FloatArray) -> BoolArray:
+    """(n,) whether ground is in the light and towards the camera, well enough to show anything."""
+    return (emission_deg < _MOST_DEG) & (incidence_deg < _MOST_DEG)
+
+
+def of_kind(kind: str, emission_deg: FloatArray, incidence_deg: FloatArray) -> BoolArray:
+    """(n,) whether ground lies near the limb or near the terminator, as ``kind`` says."""
     if kind == "limb":
         return (emission_deg > _LIMB_EMISSION_DEG[0]) & (emission_deg < _LIMB_EMISSION_DEG[1])
     low, high = _TERMINATOR_INCIDENCE_DEG
