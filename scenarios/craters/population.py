@@ -6,13 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from scenarios.bodies.topology import unit
+from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
 from scenarios.spec.craters import CratersSpec
 
 FloatArray = NDArray[np.float64]
 
+_ROOM, _LEAST_FACING = 1.2, 0.5
+_MOST_DRAWS = 200
 _SCATTER = 0.25  # share of the range of depths that chance decides, the rest is degradation
 
 
@@ -47,23 +51,58 @@ class Craters:
 def draw_craters(spec: CratersSpec, smooth: TriangleMesh, up: FloatArray) -> Craters:
     """Draw a population, uniform over the area of a smooth surface with unit normals ``up`` (V, 3) at its vertices.
 
-    Ages are uniform, and degradation stands for age. Diameters follow the power law cut off at both ends.
+    Ages are uniform, and degradation stands for age. Diameters follow the power law cut off at both ends. A crater that
+    the body is too small for at its place, which turns away by 60 deg or more within 1.2 radii, is put elsewhere.
+
+    Raises
+    ------
+    BoresightError
+        If there is no place on the body for the largest of them.
     """
     rng = np.random.default_rng(np.random.SeedSequence(spec.seed).spawn(1)[0])
     n = spec.count
     least, most = spec.max_diameter_m**-spec.exponent, spec.min_diameter_m**-spec.exponent
     diameter_m = rng.uniform(least, most, n) ** (-1.0 / spec.exponent)
+    centre_m, axis_body = _places(smooth, up, n, rng)
+    degradation = np.sort(rng.uniform(0.0, 1.0, n))[::-1]
+    low, high = spec.depth_ratio
+    share = (1.0 - _SCATTER) * (1.0 - degradation) + _SCATTER * rng.uniform(0.0, 1.0, n)
+    _move_from_edges(centre_m, axis_body, 0.5 * diameter_m, smooth, up, rng)
+    return Craters(centre_m, axis_body, 0.5 * diameter_m, degradation, low + (high - low) * share)
+
+
+def _places(smooth: TriangleMesh, up: FloatArray, n: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Draw points (n, 3), uniform over the area, and the unit normals there."""
     area = np.cumsum(np.linalg.norm(smooth.area_vectors_m2, axis=1))
     facet = np.minimum(np.searchsorted(area, rng.uniform(0.0, area[-1], n)), len(area) - 1)
     weights = rng.dirichlet(np.ones(3), n)  # uniform over each triangle
     corners = smooth.faces[facet]
-    degradation = np.sort(rng.uniform(0.0, 1.0, n))[::-1]
-    low, high = spec.depth_ratio
-    share = (1.0 - _SCATTER) * (1.0 - degradation) + _SCATTER * rng.uniform(0.0, 1.0, n)
-    return Craters(
-        np.einsum("nk,nki->ni", weights, smooth.vertices_m[corners]),
-        unit(np.einsum("nk,nki->ni", weights, up[corners])),
-        0.5 * diameter_m,
-        degradation,
-        low + (high - low) * share,
+    points = np.einsum("nk,nki->ni", weights, smooth.vertices_m[corners])
+    return points, unit(np.einsum("nk,nki->ni", weights, up[corners]))
+
+
+def _move_from_edges(
+    centre_m: FloatArray,
+    axis_body: FloatArray,
+    radius_m: FloatArray,
+    smooth: TriangleMesh,
+    up: FloatArray,
+    rng: np.random.Generator,
+) -> None:
+    """Draw the places of craters anew, in the arrays, until the body is flat enough about each."""
+    tree = cKDTree(smooth.vertices_m)
+    left = np.arange(len(radius_m))
+    for _ in range(_MOST_DRAWS):
+        near = tree.query_ball_point(centre_m[left], _ROOM * radius_m[left])
+        steep = [
+            bool(len(rows)) and float((up[rows] @ axis_body[crater]).min()) < _LEAST_FACING
+            for crater, rows in zip(left, near, strict=True)
+        ]
+        left = left[np.array(steep, dtype=bool)]
+        if not len(left):
+            return
+        centre_m[left], axis_body[left] = _places(smooth, up, len(left), rng)
+    raise BoresightError(
+        f"craters.max_diameter_m: the body has no place for a crater of {2.0 * radius_m[left].max():.4g} m: it turns"
+        " away within the rim everywhere; make it smaller"
     )

@@ -29,7 +29,7 @@ from scenarios.spec.scenario import ScenarioSpec
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 
-CRATERS_VERSION = 1
+CRATERS_VERSION = 2
 """Part of every cratered surface's key: raise it when the same spec gives another surface."""
 
 _TILE_M = 100.0

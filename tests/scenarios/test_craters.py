@@ -22,6 +22,7 @@ from scenarios.craters.profile import REACH, Profiles, profile_height
 from scenarios.craters.relief import crater_relief
 from scenarios.craters.rims import find_rims
 from scenarios.craters.surface import smooth_tiles
+from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, TriangleMesh
 
 
@@ -69,6 +70,13 @@ def test_population_follows_its_power_law_and_lies_evenly() -> None:
     assert craters.depth_ratio.min() >= 0.08
     assert craters.depth_ratio.max() <= 0.2
     assert np.corrcoef(craters.degradation, craters.depth_ratio)[0, 1] < -0.9
+
+
+def test_a_body_too_small_for_its_craters_is_refused() -> None:
+    spec = craters_spec(count=3, min_diameter_m=500.0, max_diameter_m=600.0)
+    smooth, up = smooth_tiles(load_body(BODY), spec)
+    with pytest.raises(BoresightError, match="no place for a crater"):
+        draw_craters(spec, smooth, up)
 
 
 @pytest.fixture(scope="module")
