@@ -5,9 +5,9 @@
     # boresight image plan 1
     image NUMBER TIME KIND TX TY TZ P11 P12 P13 P21 P22 P23 P31 P32 P33 A11 .. A33 SX SY SZ
 
-``TIME`` is that of the shutter in seconds, ``T`` the ground that the boresight is to meet, in metres and body axes, ``P``
-and ``A`` the planned and the telemetered rotation from inertial to camera axes, row by row, and ``S`` the direction of
-the Sun in axes of a camera that looks to the nadir.
+``TIME`` is that of the shutter in seconds, ``T`` the ground that the boresight is to meet, in metres and body axes,
+``P`` and ``A`` the planned and the telemetered rotation from inertial to camera axes, row by row, and ``S`` the
+direction of the Sun in axes of a camera that looks to the nadir.
 """
 
 from __future__ import annotations
