@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import NoReturn
 
-from campaign.cli import bench, catalog, compare, craters, fetch, figures, machine, runs
+from campaign.cli import bench, catalog, compare, craters, fetch, figures, machine, runs, sensitivity
 from scenarios.atomic import explain
 from scenarios.errors import BoresightError
 
@@ -60,6 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     catalog.add_commands(commands)
     runs.add_commands(commands)
     compare.add_commands(commands)
+    sensitivity.add_commands(commands)
     figures.add_commands(commands)
     craters.add_commands(commands)
     bench.add_commands(commands)

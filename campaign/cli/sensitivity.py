@@ -1,0 +1,89 @@
+"""``sensitivity``: how much of an error's variation each of several keys explains."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from campaign.cli.catalog import add_overrides
+from campaign.cli.progress import ProgressListener
+from campaign.cli.runs import RUNS, positive
+from campaign.cli.terminal import console
+from campaign.machine import cores
+from campaign.request import RunRequest
+from campaign.resolve import resolve
+from campaign.runner import run_campaign
+from renderers.mitsuba3 import choose_variant
+from scenarios.atomic import explain
+from scenarios.errors import BoresightError
+
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction
+
+_TRIALS, _SAMPLES = 20, 16
+
+
+def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command to the parser."""
+    own = commands.add_parser("sensitivity", help="vary keys of a campaign's scenario together, and tell what matters")
+    own.add_argument("name", help="a campaign of one scenario, or a YAML file")
+    own.add_argument(
+        "--over", action="append", required=True, metavar="KEY=LOW:HIGH",
+        help="vary this key; KEY.max is the bound of a uniform distribution (several keys: give it again)",
+    )  # fmt: skip
+    own.add_argument("--method", choices=["sobol", "latin-hypercube"], default="sobol", help="design of the samples")
+    own.add_argument(
+        "--samples", type=positive, default=_SAMPLES,
+        help=f"size of the design (default: {_SAMPLES}; Sobol's runs K + 2 times as many scenarios for K keys)",
+    )  # fmt: skip
+    own.add_argument("--trials", type=positive, default=_TRIALS, help=f"of each sample (default: {_TRIALS})")
+    own.add_argument("--metric", default=None, help="as of compare (default: the position error)")
+    own.add_argument("--statistic", default="median", help="over the trials: median, mean, rms, p75, p95 or p99")
+    own.add_argument("--jobs", type=positive, default=cores(), help="worker processes (default: the cores)")
+    own.add_argument("--seed", type=int, help="seed (default: what the campaign says)")
+    own.add_argument("--out", type=Path, help="run folder (default: runs/NAME-sensitivity-DIGEST)")
+    add_overrides(own)
+    own.set_defaults(handler=_sensitivity)
+
+
+def _sensitivity(arguments: argparse.Namespace) -> int:
+    # Imported here: SALib and Matplotlib take seconds, and most commands need neither.
+    from campaign.sensitivity import analyse, make_design, parse_over
+    from campaign.until import CONTROLS, STATISTICS
+    from reports.compare.metrics import choose_metric, names_before_a_run
+    from reports.console import rich_table
+    from reports.global_sensitivity import sensitivity_grid
+    from reports.global_sensitivity_page import write_sensitivity
+    from reports.run_data import read_run
+
+    varied = [parse_over(text) for text in arguments.over]
+    if arguments.statistic not in STATISTICS:
+        raise BoresightError(f"--statistic {arguments.statistic}: choose one of {', '.join(STATISTICS)}")
+    campaign = resolve(arguments.name, arguments.overrides, arguments.seed, choose_variant().name)
+    known = names_before_a_run(campaign.spec.experiment)
+    if arguments.metric is not None and arguments.metric not in known:
+        raise BoresightError(f"--metric {arguments.metric}: choose one of {', '.join(known)}")
+    design = make_design(arguments.name, campaign, arguments.overrides, varied, arguments.samples, arguments.method)
+    name = f"{campaign.spec.name}-sensitivity-{design.campaign.digest[:8]}"
+    request = RunRequest(arguments.out or RUNS / name, arguments.trials, arguments.jobs, command=arguments.command)
+    out = console()
+    cells = len(design.campaign.scenarios)
+    out.print(f"{campaign.spec.name}: {cells} scenarios of {request.trials} trials into {request.out}")
+    with ProgressListener(out) as listener:
+        folder = run_campaign(design.campaign, request, listener)
+    run = read_run(folder.path)
+    metric, statistic = choose_metric(arguments.metric, [run]), STATISTICS[arguments.statistic]
+    labels = [entry.label for entry in campaign.spec.estimators if entry.name not in CONTROLS]
+    found = analyse(run, design, metric, statistic, labels)
+    grid = sensitivity_grid(found, varied, metric, statistic.name)
+    try:
+        page = write_sensitivity(found, grid, design.varied, design.samples, metric, folder.path / "sensitivity")
+    except OSError as error:
+        raise BoresightError(explain(error.filename or folder.path, error)) from error
+    out.print(rich_table(grid))
+    for one in found:
+        for key in one.unmoved:
+            out.print(f"{key} changes no result of {one.estimator}: is it applied at all?")
+    out.print(f"sensitivity: {page}")
+    return 0

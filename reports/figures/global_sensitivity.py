@@ -1,0 +1,87 @@
+"""Indices of varied keys, and the outcome against each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from reports.figures.style import BLUE, GREY, ORANGE, FloatArray, grid_figure, styled
+from reports.statistics import Measured
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """One estimator: (n,) outcomes, the base's, and by the name of an index one for each key."""
+
+    label: str
+    outcomes: FloatArray
+    base: float
+    shares: Mapping[str, Sequence[Measured]]
+
+
+@styled
+def draw_sensitivity(rows: Sequence[Row], keys: Sequence[str], samples: FloatArray, axis: str, title: str) -> Figure:
+    """Draw a row of panels for each estimator: the indices of all keys, and the outcome against each key.
+
+    Parameters
+    ----------
+    rows
+        The estimators.
+    keys
+        K names.
+    samples
+        (n, K) their values.
+    axis
+        What the outcome is, with its unit.
+    title
+        Printed above the panels.
+    """
+    width_in, height_in = 3.2 + 2.1 * len(keys), 0.9 + 2.3 * len(rows)
+    figure, places = grid_figure(len(rows), 1 + len(keys), width_in=width_in, height_in=height_in)
+    for row, panels in zip(rows, places, strict=True):
+        _indices(panels[0], row, keys)
+        panels[0].set_title(row.label, loc="left")
+        for axes, key, values in zip(panels[1:], keys, samples.T, strict=True):
+            axes.plot(values, row.outcomes, "o", color=BLUE, markersize=2.5, alpha=0.6)
+            axes.axhline(row.base, color=GREY, linestyle="--", linewidth=1.0)
+            axes.set_xlabel(key, fontsize=8)
+            axes.xaxis.set_major_locator(MaxNLocator(4))
+        panels[1].set_ylabel(axis, fontsize=8)
+        for axes in panels[2:]:
+            axes.sharey(panels[1])
+            axes.tick_params(labelleft=False)
+    figure.suptitle(f"{title} (dashed: base)", fontsize=9.5)
+    return figure
+
+
+def _indices(axes: Axes, row: Row, keys: Sequence[str]) -> None:
+    places = np.arange(len(keys))
+    height = 0.8 / max(len(row.shares), 1)
+    for i, ((name, shares), colour) in enumerate(zip(row.shares.items(), (BLUE, ORANGE), strict=False)):
+        values, low, high = (np.array([x or 0.0 for x in xs]) for xs in zip(*map(_ends, shares), strict=True))
+        axes.barh(places + i * height, values, height, color=colour, alpha=0.75, label=name)
+        axes.errorbar(
+            values, places + i * height, xerr=[values - low, high - values], fmt="none", ecolor=GREY, capsize=2
+        )
+    axes.set_yticks(places + 0.4 - 0.5 * height, ["\n".join(_halves(key)) for key in keys], fontsize=7)
+    axes.invert_yaxis()
+    axes.axvline(0.0, color=GREY, linewidth=0.8)
+    if row.shares:
+        axes.legend(loc="best", fontsize=6.5)
+    else:
+        axes.text(0.5, 0.5, "does not vary", transform=axes.transAxes, ha="center")
+
+
+def _ends(measured: Measured) -> tuple[float | None, float | None, float | None]:
+    return measured.value, measured.low, measured.high
+
+
+def _halves(key: str) -> tuple[str, str] | tuple[str]:
+    """Break a long dotted key before its last parts."""
+    first, _, last = key.rpartition(".")
+    return (f"{first}.", last) if len(key) > 18 and first else (key,)

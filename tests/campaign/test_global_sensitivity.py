@@ -1,0 +1,85 @@
+"""Sobol's indices and rank correlations against functions whose indices are known in closed form."""
+
+import numpy as np
+import pytest
+from scipy.stats import spearmanr
+from stored_runs import SCENARIO, RunBuilder
+
+from campaign.sensitivity import draw_samples, parse_over
+from reports.compare.metrics import Metric
+from reports.global_sensitivity import (
+    FIRST,
+    RANK,
+    TOTAL,
+    Varied,
+    outcome,
+    rank_shares,
+    same_results,
+    sobol_shares,
+)
+from reports.run_data import read_run
+from reports.statistics import MEDIAN
+from scenarios.errors import BoresightError
+
+PI = [Varied(name, -np.pi, np.pi) for name in "abc"]
+
+
+def test_indices_of_ishigami_s_function_are_those_in_closed_form():
+    x = draw_samples(PI, 4096, "sobol", 3)
+    a, b = 7.0, 0.1
+    y = np.sin(x[:, 0]) + a * np.sin(x[:, 1]) ** 2 + b * x[:, 2] ** 4 * np.sin(x[:, 0])
+    variance = a**2 / 8 + b * np.pi**4 / 5 + b**2 * np.pi**8 / 18 + 0.5
+    first = [0.5 * (1 + b * np.pi**4 / 5) ** 2 / variance, a**2 / 8 / variance, 0.0]
+    total = [first[0] + 8 * b**2 * np.pi**8 / 225 / variance, first[1], 8 * b**2 * np.pi**8 / 225 / variance]
+    found = sobol_shares(PI, y, 3)
+    np.testing.assert_allclose([m.value for m in found[FIRST]], first, atol=0.03)
+    np.testing.assert_allclose([m.value for m in found[TOTAL]], total, atol=0.03)
+    assert all(m.low <= m.value <= m.high for name in found for m in found[name])
+
+
+def test_a_hypercube_fills_every_stratum_and_ranks_are_scipy_s():
+    x = draw_samples(PI, 50, "latin-hypercube", 3)
+    strata = np.floor((x + np.pi) / (2 * np.pi) * 50).astype(int)
+    assert all(sorted(column) == list(range(50)) for column in strata.T)
+    y = np.exp(x[:, 0]) + 0.1 * np.random.default_rng(1).normal(size=50)
+    found = rank_shares(x, y)[RANK]
+    assert found[0].value == pytest.approx(spearmanr(x[:, 0], y).statistic)
+    assert found[0].low > 0.8
+    assert found[1].low < 0.0 < found[1].high
+    np.testing.assert_array_equal(x, draw_samples(PI, 50, "latin-hypercube", 3))
+
+
+def test_what_does_not_vary_has_no_index():
+    assert sobol_shares(PI, np.ones(40), 1) == {}
+    assert rank_shares(np.random.default_rng(1).random((40, 3)), np.ones(40)) == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [("camera.fov_deg", "KEY=LOW:HIGH"), ("camera.fov_deg=1:1", "not below"), ("x=2:__import__('os')", "KEY=LOW:HIGH")],
+)
+def test_a_range_that_is_none(text, why):
+    with pytest.raises(BoresightError, match=why):
+        parse_over(text)
+
+
+def test_a_range_is_read():
+    assert parse_over("pose_error.attitude.angle_deg.max=.5:5e0") == Varied(
+        "pose_error.attitude.angle_deg.max", 0.5, 5.0
+    )
+    with pytest.raises(BoresightError, match="power of two"):
+        draw_samples(PI, 12, "sobol", 1)
+
+
+def test_failures_count_and_results_are_compared_bit_for_bit(tmp_path):
+    builder = RunBuilder(tmp_path / "run")
+    prior = ((40.0, 0.0, 0.0), 1.0)
+    errors = {"same": 10.0, "other": np.nextafter(10.0, 11.0), SCENARIO: 10.0}
+    for scenario, first in errors.items():
+        for trial, length in enumerate([first, 20.0, None]):
+            builder.trial(trial, prior, None if length is None else ((length, 0.0, 0.0), 0.5))
+            builder.tables["rows"][-1]["scenario"] = scenario
+    run = read_run(builder.write(scenarios={name: {} for name in errors}))
+    assert outcome(run, Metric("position_error_m"), MEDIAN, SCENARIO, "landmark-harris") == 20.0
+    assert same_results(run, SCENARIO, "same", "landmark-harris")
+    assert not same_results(run, SCENARIO, "other", "landmark-harris")
