@@ -20,6 +20,7 @@ from reports.detection import outlier_grid, outlier_records
 from reports.grid import Grid
 from reports.measures import measure_run
 from reports.notes import notes
+from reports.orbits import orbit_grids, orbit_records
 from reports.paired import paired_grid, paired_records
 from reports.published import Comparison, load_published
 from reports.records import Record
@@ -66,6 +67,8 @@ class Content:
         if not self.run.craters.empty:
             found = [*crater_grids(self.records, self.run), comparison_grid(self.compared), timing_grid(self.records)]
             return [grid for grid in (*found, failures) if grid is not None]
+        if not self.run.orbits.empty:
+            return [*orbit_grids(self.records, self.compared, self.run), *([] if failures is None else [failures])]
         if self.run.manifest.grid is not None:
             return [*design_grids(self.run), *([] if failures is None else [failures])]
         optional = (
@@ -113,7 +116,7 @@ def read_content(folder: Path) -> Content:
     derived = derived_records(run, comparison.radius_m) if comparison and comparison.radius_m else ()
     reductions = tuple(reduction_records(run, comparison)) if comparison else ()
     beside = (*paired_records(run), *ratio_records(run), *consistency_records(run))
-    seen = (*vision_records(run), *matching_records(run), *crater_records(run))
+    seen = (*vision_records(run), *matching_records(run), *crater_records(run), *orbit_records(run))
     records = (*measure_run(run), *seen, *derived, *reductions, *outlier_records(run), *beside)
     compared, claims = beside_published(run, records, comparison) if comparison else ((), ())
     return Content(run, records, comparison, compared, claims, tuple(notes(run, comparison)))

@@ -57,6 +57,10 @@ UNITS = {
     "best_centre_error_px": "px",
     "centre_error_px": "px",
     "axes_error_px": "px",
+    "epoch_error_m": "m",
+    "arc_rms_m": "m",
+    "arc_median_m": "m",
+    "predicted_error_m": "m",
 }
 # Units of numbers that estimators report, by the end of their names.
 _SUFFIXES = {"_px": "px", "_m": "m", "_deg": "deg", "_s": "s", "_bytes": "bytes"}

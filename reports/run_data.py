@@ -75,6 +75,22 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
         "major_error_px",
         "minor_error_px",
     ),
+    "orbits": (
+        *_KEY,
+        "epoch_error_m",
+        "epoch_nees",
+        "arc_median_m",
+        "arc_rms_m",
+        "arc_nees",
+        "predicted_error_m",
+        "residual_rms_px",
+        "wrong_left_share",
+        "right_edited_share",
+        "gm_error",
+        "solar_pressure_error",
+    ),
+    "orbit_errors": (*_KEY, "time_days", "predicted", "position_error_m", "position_sigma_m"),
+    "residuals": (*_KEY, "time_days", "u_px", "v_px", "used"),
     "epochs": (*_KEY, "frame", "anomaly_deg", "position_error_m", "landmark_rmse_m", "settled_landmark_rmse_m"),
 }
 
@@ -181,6 +197,8 @@ class RunData:
         Of pairs of images: how many craters were matched.
     crater_images, craters, detections
         Of images of craters: what each is like, the true craters in it, and what every detector found.
+    orbits, orbit_errors, residuals
+        Of orbit determination: what each trial comes to, errors over time, and residuals of the first trial.
     """
 
     folder: Path
@@ -197,6 +215,9 @@ class RunData:
     crater_images: pd.DataFrame = field(default_factory=pd.DataFrame)
     craters: pd.DataFrame = field(default_factory=pd.DataFrame)
     detections: pd.DataFrame = field(default_factory=pd.DataFrame)
+    orbits: pd.DataFrame = field(default_factory=pd.DataFrame)
+    orbit_errors: pd.DataFrame = field(default_factory=pd.DataFrame)
+    residuals: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     def pairs(self) -> list[tuple[str, str]]:
         """List (scenario, estimator) in the order in which the rows name them."""

@@ -27,6 +27,7 @@ from reports.figures import (
 )
 from reports.labels import stage_label
 from reports.named_figure import NamedFigure, file_stem
+from reports.orbits import orbit_figures
 from reports.records import CONTROL
 from reports.run_data import RunData, select
 from reports.sequences import sequence_figures
@@ -49,6 +50,10 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
         return
     if not run.craters.empty:
         yield from crater_figures(run)
+        return
+    if not run.orbits.empty:
+        for stem, figure, caption, alt in orbit_figures(run):
+            yield NamedFigure(file_stem(stem), figure, caption, alt)
         return
     if run.manifest.grid is not None:
         for stem, figure, caption, alt in design_figures(run):

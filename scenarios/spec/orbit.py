@@ -66,9 +66,11 @@ class CraterSightingSpec(SpecModel):
 
     images: int = Field(963, ge=2, le=5000, description="Spread at random over the arc; 963 in Cheng et al. (2003)")
     craters: int = Field(1600, ge=4, le=20_000, description="Craters on the whole body, uniform over its area")
-    per_image: float = Field(9.6, gt=0, description="Mean number that is found in an image, where as many are in view")
+    per_image: float = Field(
+        10.3, gt=0, description="Mean number that is found in an image where as many are in view; 9.6 over all images"
+    )
     per_image_shape: float = Field(
-        1.3, gt=0, description="Shape of the gamma law of that number's mean: at 1.3 half the images have 7 or fewer"
+        1.2, gt=0, description="Shape of the gamma law of that number: at 1.2 half the images have 7 or fewer"
     )
     emission_max_deg: float = Field(60.0, gt=0, le=90, description="Largest emission angle of a crater that is found")
     incidence_max_deg: float = Field(75.0, gt=0, le=90, description="Largest incidence angle of the same")

@@ -1,0 +1,131 @@
+"""What a report tells of orbit determination: errors in inertial space, and the residuals over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from reports.clusters import clusters_of
+from reports.comparison import ComparedValue
+from reports.comparison_tables import comparison_grid
+from reports.figures.orbit import draw_orbit_errors, draw_residuals
+from reports.grid import Grid, value_of
+from reports.records import Record, find, unit_of
+from reports.run_data import RunData, select
+from reports.statistics import MEAN, MEDIAN, RMS, Statistic, measure
+from reports.tables import diagnostic_grid, timing_grid
+
+Drawn = tuple[str, Figure, str, str]
+"""Stem of the file, the figure, its caption and its description."""
+
+ORBIT = "orbit"
+"""Stage of what a trial of orbit determination comes to."""
+P90 = Statistic("90th percentile", 0.90)
+_ERRORS = ("epoch_error_m", "arc_rms_m", "arc_median_m", "predicted_error_m")
+_RATIOS = ("epoch_nees", "arc_nees")
+_SHARES = ("residual_rms_px", "wrong_left_share", "right_edited_share", "solar_pressure_error", "gm_error")
+_NOTE = (
+    "Errors of the position in inertial space; of the arc: the root mean square of a trial over its epochs, every 6 h;"
+    " predicted: at the end of the predicted days. Each over the trials that converged, which the second column counts:"
+    " a rejected or diverged solution has no error. NEES over 6 is 1 on average where the covariance is right."
+)
+
+
+def orbit_records(run: RunData) -> list[Record]:
+    """Measure what the trials come to, under the stage ``orbit``."""
+    records: list[Record] = []
+    if run.orbits.empty:
+        return records
+    for scenario, estimator in run.pairs():
+        table = select(run.orbits, scenario, estimator)
+        n = len(select(run.rows, scenario, estimator))
+        for names, statistics in ((_ERRORS, (MEDIAN, RMS, P90)), (_RATIOS, (MEAN,)), (_SHARES, (MEDIAN, RMS))):
+            for name in names:
+                numbers = table[name].to_numpy(dtype=np.float64)
+                known = np.isfinite(numbers)
+                found = measure(numbers[known], clusters_of(run, table)[known], statistics)
+                records += [
+                    Record(
+                        scenario, estimator, ORBIT, "", name, unit_of(name), statistic.name, one.value, one.low,
+                        one.high, int(known.sum()), n,
+                    )
+                    for statistic, one in zip(statistics, found, strict=True)
+                ]  # fmt: skip
+    return records
+
+
+def orbit_grids(records: Sequence[Record], compared: Sequence[ComparedValue], run: RunData) -> list[Grid]:
+    """List the tables of a run of orbit determination."""
+    found = (comparison_grid(compared), _grid(records, run), timing_grid(records))
+    several = run.manifest.grid is not None
+    return [grid for grid in (*found, None if several else diagnostic_grid(records)) if grid is not None]
+
+
+def _grid(records: Sequence[Record], run: RunData) -> Grid:
+    heads = (
+        "scenario", "estimator", "converged", "epoch m", "90 %", "arc m", "RMS", "90 %", "predicted m", "90 %",
+        "NEES / 6", "residual px", "wrong left",
+    )  # fmt: skip
+    rows = []
+    for scenario, estimator in run.pairs():
+
+        def cell(
+            name: str,
+            statistic: Statistic = MEDIAN,
+            interval: bool = False,
+            where: tuple[str, str] = (scenario, estimator),
+        ) -> str:
+            key = {"scenario": where[0], "estimator": where[1], "stage": ORBIT, "measure": name}
+            return value_of(find(records, **key, statistic=statistic.name), interval=interval)
+
+        own = select(run.rows, scenario, estimator)
+        converged = f"{(own['status'] == 'ok').sum()}/{len(own)}"
+        errors = (
+            cell("epoch_error_m", interval=True),
+            cell("epoch_error_m", P90),
+            cell("arc_rms_m", interval=True),
+            cell("arc_rms_m", RMS),
+            cell("arc_rms_m", P90, interval=True),
+            cell("predicted_error_m", interval=True),
+            cell("predicted_error_m", P90),
+        )
+        others = (cell("epoch_nees", MEAN, interval=True), cell("residual_rms_px"), cell("wrong_left_share"))
+        rows.append((scenario, estimator, converged, *errors, *others))
+    return Grid("Orbit determination", heads, tuple(rows), frozenset({0, 1}), _NOTE)
+
+
+def orbit_figures(run: RunData) -> Iterator[Drawn]:
+    """Draw residuals and errors over time; of a grid, those of the scenarios that it varies."""
+    for scenario in dict.fromkeys(name for name, _ in run.pairs()):
+        if run.manifest.grid is not None and not _is_reference(run, scenario):
+            continue
+        errors = run.orbit_errors[run.orbit_errors["scenario"] == scenario]
+        for estimator in dict.fromkeys(errors["estimator"]):
+            residuals = select(run.residuals, scenario, estimator)
+            title = f"Optical data residuals, {scenario}, {estimator}"
+            if len(residuals):
+                yield (
+                    f"residuals_{scenario}_{estimator}",
+                    draw_residuals(residuals, title),
+                    f"{title}: seen less predicted of the sightings that were not edited, in the first trial (figure 10"
+                    " of Cheng et al. 2003).",
+                    "Residuals of columns and rows in pixels against time.",
+                )
+        if len(errors):
+            title = f"Position error in inertial space, {scenario}"
+            yield (
+                f"orbit_errors_{scenario}",
+                draw_orbit_errors(errors, title),
+                f"{title}: median over {errors['trial'].nunique()} trials and the band of 5 to 95 % of them; dashed:"
+                " what the covariance foretells; behind the line the orbit is predicted.",
+                "Position error against time for each estimator.",
+            )
+
+
+def _is_reference(run: RunData, scenario: str) -> bool:
+    """Tell whether a scenario of a grid stands at the first level of every axis."""
+    design = run.manifest.grid
+    levels = next((one.levels for one in design.scenarios if one.name == scenario), None) if design else None
+    return levels is None or all(levels[axis.name] == axis.levels[0] for axis in (design.axes if design else ()))

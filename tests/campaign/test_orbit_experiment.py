@@ -1,0 +1,167 @@
+"""Orbit determination as a campaign: scores by hand, records, a report, and what is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from orbit_worlds import orbit_world
+
+from campaign.experiments.orbit_determination import OrbitTrials
+from campaign.orbit_score import check_orbit, orbit_errors, orbit_summary, wrong_sightings
+from campaign.resolve import resolve
+from campaign.store.columns import TABLES
+from estimators.orbit.batch_filter import BatchFilter
+from estimators.orbit.contract import Orbit, OrbitEstimate
+from scenarios.errors import BoresightError
+from scenarios.load import load_scenario
+from scenarios.orbits.draw import draw_orbit
+
+
+@pytest.fixture(scope="module")
+def world():
+    return orbit_world(sightings={"wrong_share": 0.05, "merged_share": 0.1})
+
+
+@pytest.fixture(scope="module")
+def drawn(world):
+    return draw_orbit(world, 5, 0)
+
+
+def _orbit(truth, data, offset):
+    """Return the true orbit, shifted."""
+    n, k = len(data.wanted_s), len(data.pictures.image)
+    return Orbit(
+        state=truth.states[0] + np.r_[offset, 0.0, 0.0, 0.0],
+        covariance=np.diag([4.0, 4.0, 4.0, 1e-6, 1e-6, 1e-6]),
+        positions_m=truth.states[:, :3] + offset,
+        velocities_m_s=truth.states[:, 3:],
+        position_covariances_m2=np.tile(4.0 * np.eye(3), (n, 1, 1)),
+        numbers=np.unique(data.pictures.landmark),
+        points_body_m=np.zeros((len(np.unique(data.pictures.landmark)), 3)),
+        residuals_px=np.full((k, 2), 0.5),
+        used=np.ones(k, dtype=bool),
+    )
+
+
+def test_errors_are_those_of_a_shift_that_is_known(drawn):
+    truth, data = drawn
+    offset = np.array([2.0, -3.0, 6.0])
+    orbit = _orbit(truth, data, offset)
+    summary = orbit_summary(OrbitEstimate("ok", orbit), orbit, truth, data)
+    for name in ("epoch_error_m", "arc_median_m", "arc_rms_m", "arc_p90_m", "predicted_error_m"):
+        assert summary[name] == pytest.approx(7.0)
+    assert summary["epoch_nees"] == pytest.approx(49.0 / 4.0 / 6.0)
+    assert summary["arc_nees"] == pytest.approx(49.0 / 4.0 / 3.0)
+    assert summary["residual_rms_px"] == pytest.approx(0.5)
+    lines = orbit_errors(orbit, truth, data)
+    for line in lines:
+        assert np.hypot(np.hypot(line["radial_m"], line["along_m"]), line["cross_m"]) == pytest.approx(7.0)
+    end = data.pictures.times_s[-1] / 86_400.0
+    assert [line["predicted"] for line in lines] == [line["time_days"] > end + 1e-3 for line in lines]
+
+
+def test_a_number_that_was_split_may_stand_for_two_craters(drawn):
+    truth, data = drawn
+    orbit = _orbit(truth, data, np.zeros(3))
+    number = next(
+        n for n in orbit.numbers if len(np.unique(truth.crater[(data.pictures.landmark == n) & ~truth.wrong])) == 2
+    )
+    rows = (data.pictures.landmark == number) & ~truth.wrong
+    assert wrong_sightings(orbit, truth, data)[rows].any()
+    split = replace(orbit, numbers=np.r_[orbit.numbers, number])
+    counts = np.unique(truth.crater[data.pictures.landmark == number], return_counts=True)[1]
+    if (counts >= 2).sum() == 2:
+        assert not wrong_sightings(split, truth, data)[rows].any()
+
+
+def test_rubbish_of_an_estimator_is_refused(drawn):
+    truth, data = drawn
+    orbit = _orbit(truth, data, np.zeros(3))
+    check_orbit(OrbitEstimate("ok", orbit), data)
+    for estimate in (
+        OrbitEstimate("fine", orbit),
+        OrbitEstimate("failed", None),
+        OrbitEstimate("ok", None),
+        OrbitEstimate("ok", replace(orbit, state=np.full(6, np.nan))),
+        OrbitEstimate("ok", replace(orbit, positions_m=orbit.positions_m[:2])),
+        OrbitEstimate("ok", orbit, diagnostics={"x": float("inf")}),
+    ):
+        with pytest.raises(ValueError, match=r"is|gives|has|not"):
+            check_orbit(estimate, data)
+
+
+class _Raises:
+    name, version = "raises", 1
+
+    def determine(self, data):
+        raise RuntimeError("on purpose")
+
+
+def test_trials_give_records_of_the_documented_columns_whatever_an_estimator_does(world):
+    trials = OrbitTrials("small", world, {"filter": BatchFilter(), "raises": _Raises()}, 5)
+    records = trials.run(range(1))
+    for table, lines in records.items():
+        wanted = {column.name for column in TABLES[table]}
+        assert all(set(line) <= wanted for line in lines), table
+    status = {row["estimator"]: row["status"] for row in records["rows"]}
+    assert status == {"filter": "ok", "raises": "error"}
+    assert "on purpose" in records["tracebacks"][0]["traceback"]
+    assert len(records["orbits"]) == 1
+    assert records["orbits"][0]["arc_rms_m"] < 20.0
+    assert len(records["orbit_errors"]) > 5
+    assert {line["used"] for line in records["residuals"]} == {True, False}
+    assert trials.run(range(1))["orbits"] == records["orbits"]
+
+
+SCENARIO = """
+body: {shape: contact-binary}
+camera: {width_px: 512, height_px: 400, fov_deg: 5}
+orbit:
+  arc: {semi_major_axis_m: 200}
+"""
+CAMPAIGN = """
+name: c
+experiment: orbit-determination
+scenarios: [s.yaml]
+estimators: [{ESTIMATOR}]
+trials: 1
+seed: 1
+"""
+
+
+def _resolved(folder: Path, scenario: str, estimator: str = "batch-filter"):
+    (folder / "s.yaml").write_text(scenario)
+    (folder / "c.yaml").write_text(CAMPAIGN.replace("{ESTIMATOR}", estimator))
+    return resolve(str(folder / "c.yaml"))
+
+
+def test_an_orbit_in_the_body_a_missing_section_and_wrong_options_are_refused(tmp_path):
+    campaign = _resolved(tmp_path, SCENARIO)
+    with pytest.raises(BoresightError, match="pericentre"):
+        OrbitTrials.prepare(campaign, campaign.scenarios[0], None)
+    campaign = _resolved(tmp_path, SCENARIO, "{batch-filter: {edit_sigma: 0}}")
+    with pytest.raises(BoresightError, match="edit_sigma"):
+        OrbitTrials.prepare(campaign, campaign.scenarios[0], None)
+    without = SCENARIO.split("orbit:", maxsplit=1)[0] + "viewpoint: {range_m: 2000}\n"
+    campaign = _resolved(tmp_path, without)
+    with pytest.raises(BoresightError, match="orbit: missing"):
+        OrbitTrials.prepare(campaign, campaign.scenarios[0], None)
+    with pytest.raises(BoresightError, match="unknown"):
+        _resolved(tmp_path, SCENARIO, "no-such-filter")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("orbit.arc.eccentricity", "1.5"),
+        ("orbit.sightings.wrong_share", "1"),
+        ("orbit.light.sun_dir", "[0, 0, 0]"),
+        ("orbit.knowledge.shape_degree", "40"),
+        ("orbit.arc.radius", "5"),
+    ],
+)
+def test_wrong_keys_of_the_section_are_refused_by_name(tmp_path, key, value):
+    (tmp_path / "s.yaml").write_text(SCENARIO)
+    with pytest.raises(BoresightError, match=key.split(".")[-1]):
+        load_scenario(str(tmp_path / "s.yaml"), (f"{key}={value}",))
