@@ -57,7 +57,7 @@ class CraterMatching:
 
     kind: ClassVar[str] = "crater-matching"
     version: ClassVar[int] = 1
-    block_trials: ClassVar[int] = 20
+    block_trials: ClassVar[int] = 5
     kernels: ClassVar[bool] = False
 
     @classmethod

@@ -26,7 +26,7 @@ class CraterPoseOptions(SpecModel):
 
     database: CraterDatabaseOptions = CraterDatabaseOptions()
     association: AssociationOptions = AssociationOptions(redetected=0.3)
-    most_detections: int = Field(30, ge=1, description="Of the image, the most confident ones")
+    most_detections: int = Field(60, ge=1, description="Of the image, the most confident ones")
     emission_deg: float = Field(65.0, gt=0.0, lt=90.0, description="Of the landmarks that are looked for, at the most")
     incidence_deg: float = Field(80.0, gt=0.0, lt=90.0, description="The same of their incidence")
     least: int = Field(2, ge=1, description="Landmarks that a pose needs")
