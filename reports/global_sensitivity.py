@@ -146,6 +146,7 @@ def sensitivity_grid(found: Sequence[Sensitivity], varied: Sequence[Varied], met
     note = (
         f"Outcome: {statistic} of the {metric.label} over the trials of a sample, the same draws in all samples; a"
         " failure counts with its prior's error. At from, at to: that key alone at its bounds. 'changes no result': at"
-        " both bounds every number of the estimator is that of the base, bit for bit."
+        " both bounds every number of the estimator is that of the base, bit for bit. An index whose interval is wider"
+        " than 1 says nothing: take more --samples."
     )
     return Grid("Sensitivity", heads, tuple(rows), frozenset({0, 1, len(heads) - 1}), note)

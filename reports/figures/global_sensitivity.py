@@ -13,6 +13,10 @@ from matplotlib.ticker import MaxNLocator
 from reports.figures.style import BLUE, GREY, ORANGE, FloatArray, grid_figure, styled
 from reports.statistics import Measured
 
+_LONG = 18
+_SHOWN = (-1.1, 1.4)
+"""Indices that are shown; a bar of an interval that goes on beyond them says nothing more."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
@@ -49,7 +53,7 @@ def draw_sensitivity(rows: Sequence[Row], keys: Sequence[str], samples: FloatArr
         for axes, key, values in zip(panels[1:], keys, samples.T, strict=True):
             axes.plot(values, row.outcomes, "o", color=BLUE, markersize=2.5, alpha=0.6)
             axes.axhline(row.base, color=GREY, linestyle="--", linewidth=1.0)
-            axes.set_xlabel(key, fontsize=8)
+            axes.set_xlabel("\n".join(_halves(key)), fontsize=8)
             axes.xaxis.set_major_locator(MaxNLocator(4))
         panels[1].set_ylabel(axis, fontsize=8)
         for axes in panels[2:]:
@@ -69,10 +73,13 @@ def _indices(axes: Axes, row: Row, keys: Sequence[str]) -> None:
             values, places + i * height, xerr=[values - low, high - values], fmt="none", ecolor=GREY, capsize=2
         )
     axes.set_yticks(places + 0.4 - 0.5 * height, ["\n".join(_halves(key)) for key in keys], fontsize=7)
-    axes.invert_yaxis()
+    axes.set_ylim(len(keys) - 0.1, -0.3)
+    low, high = axes.get_xlim()
+    axes.set_xlim(max(low, _SHOWN[0]), min(high, _SHOWN[1]))
     axes.axvline(0.0, color=GREY, linewidth=0.8)
     if row.shares:
-        axes.legend(loc="best", fontsize=6.5)
+        legend = axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), fontsize=7.5)
+        legend.set_in_layout(True)
     else:
         axes.text(0.5, 0.5, "does not vary", transform=axes.transAxes, ha="center")
 
@@ -81,7 +88,11 @@ def _ends(measured: Measured) -> tuple[float | None, float | None, float | None]
     return measured.value, measured.low, measured.high
 
 
-def _halves(key: str) -> tuple[str, str] | tuple[str]:
-    """Break a long dotted key before its last parts."""
-    first, _, last = key.rpartition(".")
-    return (f"{first}.", last) if len(key) > 18 and first else (key,)
+def _halves(key: str) -> list[str]:
+    """Break a long dotted key into lines at its dots."""
+    lines = [""]
+    for part in key.replace(".", ".\0").split("\0"):
+        if lines[-1] and len(lines[-1]) + len(part) > _LONG:
+            lines.append("")
+        lines[-1] += part
+    return lines
