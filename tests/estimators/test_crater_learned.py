@@ -161,3 +161,15 @@ def test_a_mirrored_lesson_is_that_of_the_mirrored_ground():
     flipped = found[0].mirrored(np.array([True]))
     np.testing.assert_allclose(flipped.pixels, found[1].pixels, atol=0.02)
     np.testing.assert_allclose(flipped.target, found[1].target, atol=1e-6)
+
+
+def test_a_rim_on_the_limb_lies_half_on_the_ground():
+    image = image_of([], AZIMUTH, INCIDENCE)
+    image[:, 300:] = 0.0
+    picture = prepare(frame_of(image, AZIMUTH, INCIDENCE), CAMERA, 20.0)
+    rims = Ellipses(np.array([[150.0, 200], [296, 200], [400, 200], [5, 200]]), np.full((4, 2), 20.0), np.zeros(4))
+    share = picture.on_ground(rims)
+    assert share[0] == 1.0
+    assert 0.4 < share[1] < 0.6
+    assert share[2] == 0.0
+    assert 0.5 < share[3] < 0.7  # the rest lies out of the image

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera
+from scenarios.geometry import Camera, Ellipses
 from scenarios.observation import Frame
 
 FloatImage = NDArray[np.float32]
@@ -42,6 +42,14 @@ class Picture:
     noise: FloatImage
     ground: Mask
     sun_px: NDArray[np.float64]
+
+    def on_ground(self, ellipses: Ellipses, count: int = 48) -> NDArray[np.float64]:
+        """Share (n,) of each rim that lies on the ground: about half of what only the limb makes look like one."""
+        height, width = self.ground.shape
+        pixel = np.floor(ellipses.points(count)[0]).astype(np.int64)
+        inside = np.all((pixel >= 0) & (pixel < [width, height]), axis=-1)
+        held = np.clip(pixel, 0, [width - 1, height - 1])
+        return np.asarray((inside & self.ground[held[..., 1], held[..., 0]]).mean(axis=1), dtype=np.float64)
 
 
 def check_image(image: FloatImage, camera: Camera) -> None:

@@ -42,6 +42,7 @@ class LearnedOptions(SpecModel):
     rounds: int = Field(default=3, ge=1, description="How often the network sees what is left of the proposals.")
     radius_min_px: float = Field(default=4.5, gt=1.0, description="Least mean radius of a crater.")
     mirror: bool = Field(default=True, description="Look at each patch and its mirror image, and take the mean.")
+    ground_min: float = Field(default=0.75, ge=0.0, le=1.0, description="Least share of a rim that lies on lit ground.")
     confidence_min: float = Field(default=0.98, ge=0.0, lt=1.0, description="Least probability of a crater.")
 
 
@@ -90,7 +91,7 @@ class CraterLearned:
         source = Source.of(frame.image, picture, frame.sun_dir_cam, noise_level(frame.image, picture.ground))
         seen = propose(picture, o.levels, o.merit_min, o.proposals).ellipses
         seen, odds = self.settled(source, seen)
-        keep = seen.radius_px >= o.radius_min_px
+        keep = (seen.radius_px >= o.radius_min_px) & (picture.on_ground(seen) >= o.ground_min)
         seen, odds = seen[keep], odds[keep]
         rows = suppress(seen, odds, 0.6, 1.6)
         sure = 1.0 / (1.0 + np.exp(-odds[rows]))
