@@ -74,8 +74,8 @@ def _indices(axes: Axes, row: Row, keys: Sequence[str]) -> None:
         )
     axes.set_yticks(places + 0.4 - 0.5 * height, ["\n".join(_halves(key)) for key in keys], fontsize=7)
     axes.set_ylim(len(keys) - 0.1, -0.3)
-    low, high = axes.get_xlim()
-    axes.set_xlim(max(low, _SHOWN[0]), min(high, _SHOWN[1]))
+    left, right = axes.get_xlim()
+    axes.set_xlim(max(left, _SHOWN[0]), min(right, _SHOWN[1]))
     axes.axvline(0.0, color=GREY, linewidth=0.8)
     if row.shares:
         legend = axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), fontsize=7.5)
