@@ -1,0 +1,57 @@
+"""Reports of orbit determination: statistics by hand, failures counted, figures drawn."""
+
+import numpy as np
+import pytest
+from stored_runs import SCENARIO, RunBuilder, pose_error
+
+from reports.build import write_report
+from reports.orbits import ORBIT
+from reports.records import find
+
+ERRORS = (1.0, 2.0, 3.0, 10.0)
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    run = RunBuilder(folder)
+    nothing = dict.fromkeys(pose_error(np.zeros(3), 0.0), np.nan)
+    for trial in range(5):
+        key = {"trial": trial, "scenario": SCENARIO, "estimator": "batch-filter"}
+        good = trial < len(ERRORS)
+        prior = {f"prior_{name}": value for name, value in nothing.items()}
+        status, reason = ("ok", "") if good else ("failed", "rejected: too large")
+        run.add("rows", **key, status=status, reason=reason, image="", n_landmarks=9, **prior, **nothing)
+        if not good:
+            continue
+        error = ERRORS[trial]
+        names = ("epoch_error_m", "arc_median_m", "arc_rms_m", "predicted_error_m")
+        shares = ("residual_rms_px", "wrong_left_share", "right_edited_share", "gm_error", "solar_pressure_error")
+        numbers = dict.fromkeys(names, error) | dict.fromkeys(("epoch_nees", "arc_nees"), 1.0)
+        run.add("orbits", **key, **numbers, **dict.fromkeys(shares, 0.01))
+        for day in range(4):
+            at = {"time_days": float(day), "predicted": day == 3}
+            run.add("orbit_errors", **key, **at, position_error_m=error, position_sigma_m=2.0)
+        run.add("residuals", **key, time_days=0.5, u_px=0.1, v_px=-0.2, used=True)
+    return write_report(run.write(name="orbits"))
+
+
+def test_medians_and_percentiles_are_over_the_trials_that_converged(report):
+    def value(measure, statistic):
+        key = {"scenario": SCENARIO, "estimator": "batch-filter", "stage": ORBIT}
+        return find(report.content.records, **key, measure=measure, statistic=statistic)
+
+    assert value("arc_rms_m", "median").value == pytest.approx(2.5)
+    assert value("arc_rms_m", "RMS").value == pytest.approx(np.sqrt(np.mean(np.square(ERRORS))))
+    assert value("arc_rms_m", "90th percentile").value == pytest.approx(np.quantile(ERRORS, 0.9))
+    assert value("epoch_nees", "mean").value == pytest.approx(1.0)
+    assert (value("arc_rms_m", "median").n_ok, value("arc_rms_m", "median").n) == (4, 5)
+
+
+def test_the_page_counts_what_did_not_converge_and_shows_the_figures(report):
+    text = report.markdown.read_text()
+    assert "| 4/5 |" in text
+    assert "rejected: too large" in text
+    stems = {path.stem for path in report.figures}
+    assert any(stem.startswith("residuals_") for stem in stems)
+    assert any(stem.startswith("orbit_errors_") for stem in stems)
