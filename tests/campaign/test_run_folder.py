@@ -27,8 +27,9 @@ from renderers.mitsuba3 import choose_variant
 from reports.measures import SEQUENCE_COLUMNS
 from scenarios.load import canonical_json, load_scenario
 
-OF_OTHERS = ("references", "epochs", "vision")
-"""Tables that this run has none of: a rendered image has one truth, and is no sequence."""
+OF_IMAGES = {"rows", "stages", "landmarks", "diagnostics"}
+OF_OTHERS = set(RESULTS) - OF_IMAGES
+"""Tables that this run has none of: a rendered image has one truth, is no sequence, and has no known craters."""
 
 
 def test_rows_are_one_for_each_trial_and_estimator(tiny_run):

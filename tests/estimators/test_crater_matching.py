@@ -33,7 +33,15 @@ from scenarios.geometry.camera import pixel_to_opencv
 
 FloatArray = NDArray[np.float64]
 
-EXACT = DetectionErrors(0.0, 0.0, 1e-9, 0.999999, 0.0, 4.0, 0.0)
+EXACT = DetectionErrors(
+    centre_px=0.0,
+    centre_radii=0.0,
+    axes_ratio=1e-9,
+    recall=0.999999,
+    false_share=0.0,
+    least_radius_px=4.0,
+    height_m=0.0,
+)
 
 
 @pytest.fixture(scope="module")
@@ -301,7 +309,8 @@ def test_correlation_confirms_craters_where_the_pixels_agree(ground, craters) ->
     assert common >= 5
     assert right >= 0.6 * common
     assert wrong == 0
-    elsewhere = replace(second.image, frame=replace(second.image.frame, sun_dir_cam=np.array([0.6, 0.0, -0.8])))
+    sun = turned(second.image.frame.sun_dir_cam, 30.0, 0.0)
+    elsewhere = replace(second.image, frame=replace(second.image.frame, sun_dir_cam=sun))
     assert "to correlate" in matcher.match(first.image, elsewhere, ground).reason
 
 

@@ -243,7 +243,7 @@ CHANGES = {
     "camera.distortion": "camera.distortion.k1=0.5",
 }
 ONE_CHOICE = {"viewpoint.kind", "pose_error.attitude.axis"}
-OF_THE_WORLD = {"viewpoint.keep_clear_px"}  # views are drawn anew where the body is known
+OF_THE_WORLD = {"viewpoint.keep_clear_px", "viewpoint.targets"}  # views are drawn anew where the body is known
 
 
 def outcome(overrides=()):

@@ -212,7 +212,7 @@ def test_what_a_file_must_hold(here):
     here("x.yaml", "description: nothing else\n")
     assert fault("x.yaml") == "x.yaml: camera: this key is missing"
     here("x.yaml", "camera: {fov_deg: 20}\n")
-    assert fault("x.yaml") == "x.yaml: give either viewpoint or images or sequence"
+    assert fault("x.yaml") == "x.yaml: give either viewpoint or images or sequence or crater_pairs or orbit"
 
 
 def test_real_images_take_no_detector_and_no_light():

@@ -56,8 +56,10 @@ def test_detections_have_the_errors_the_misses_and_the_false_ones_that_were_aske
     rng = np.random.default_rng(3)
     craters, view = population(ground, 4, 4000), _view()
     visible = in_view(craters, ground, view, (60.0, 0.0, 75.0))
-    exact = DetectionErrors(0.0, 0.0, 1e-12, 1.0 - 1e-12, 0.0, 6.0, 0.0)
-    errors = DetectionErrors(0.5, 0.0, 0.05, 0.7, 0.2, 6.0, 0.0)
+    exact = DetectionErrors(
+        centre_px=0.0, centre_radii=0.0, axes_ratio=1e-12, recall=1.0 - 1e-12, false_share=0.0, height_m=0.0
+    )
+    errors = DetectionErrors(centre_px=0.5, centre_radii=0.0, recall=0.7, false_share=0.2, height_m=0.0)
     truth = detect_simulated(craters, visible, view, exact, rng)
     assert len(truth.crater) > 60
     place = {int(crater): k for k, crater in enumerate(truth.crater)}
