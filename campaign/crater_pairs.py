@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
+from campaign.crater_score import match_detections
 from estimators.craters.contract import CraterDetector
 from estimators.craters.registry import crater_detector_class
 from renderers.detector import Detector
@@ -19,15 +18,11 @@ from scenarios.craters.pairs import CraterLook, CraterPair, draw_pair, draw_view
 from scenarios.craters.simulated import NO_CRATER, LabelledDetections, PlaneCraters
 from scenarios.draw import Stream, generator
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Ellipses, View
+from scenarios.geometry import Camera, View
 from scenarios.load import LoadedScenario
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.crater_pairs import CraterPairsSpec
 from scenarios.spec.world import PoseErrorSpec
-
-IndexArray = NDArray[np.int64]
-
-_CENTRE_RADII, _CENTRE_PX, _LOG_RADIUS = 0.3, 1.5, 0.36
 
 
 class PairSource(Protocol):
@@ -80,26 +75,10 @@ class RenderedPairs:
         frame = known_frame(view, image, self.pose_error, priors, time_s)
         rims = self.finder.detect(frame, self.camera).ellipses[: self.spec.most_detections]
         truth = crater_truth(self.rims, view, self.renderer)
+        # The last of the numbers is that of no crater, which is row -1 as well.
         numbers = np.append(truth.crater, NO_CRATER).astype(np.int64)
-        return CraterLook(view, LabelledDetections(rims, numbers[nearest_rims(rims, truth.ellipses)]), frame)
-
-
-def nearest_rims(found: Ellipses, true: Ellipses) -> IndexArray:
-    """(n,) which true rim each detection is, one to one; ``NO_CRATER`` where it is none.
-
-    The centre lies within max(0.3 r, 1.5 px), and the logarithm of the ratio of radii within 0.36.
-    """
-    rows = np.full(len(found), NO_CRATER, dtype=np.int64)  # -1: also the last of the numbers, which is none
-    if len(found) == 0 or len(true) == 0:
-        return rows
-    distance = np.linalg.norm(found.centre_px[:, None] - true.centre_px[None], axis=2)
-    near = distance <= np.maximum(_CENTRE_RADII * true.radius_px, _CENTRE_PX)[None]
-    near &= np.abs(np.log(found.radius_px[:, None] / true.radius_px[None])) < _LOG_RADIUS
-    cost = np.where(near, distance / true.radius_px[None], 1e3)
-    one, other = linear_sum_assignment(cost)
-    sure = near[one, other]
-    rows[one[sure]] = other[sure]
-    return rows
+        which = match_detections(rims, truth.ellipses).crater
+        return CraterLook(view, LabelledDetections(rims, numbers[which]), frame)
 
 
 def open_pairs(scenario: LoadedScenario, section: CraterPairsSpec, variant: str) -> PairSource:

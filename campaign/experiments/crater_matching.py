@@ -56,7 +56,7 @@ class CraterMatching:
     seed: int
 
     kind: ClassVar[str] = "crater-matching"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     block_trials: ClassVar[int] = 5
     kernels: ClassVar[bool] = False
 
