@@ -102,10 +102,10 @@ def names_before_a_run(experiment: str) -> tuple[str, ...]:
 
 
 def _default(known: Sequence[str], run: RunData) -> str:
-    after = [name for name in known if _AFTER.fullmatch(name)]
+    after = [int(found[1]) for found in map(_AFTER.fullmatch, known) if found]
     if run.epochs.empty or not after:
         return POSE_COLUMNS[0]
-    return max(after, key=lambda name: int(_AFTER.fullmatch(name)[1]))  # type: ignore[index]
+    return f"error_after_{max(after)}_m"
 
 
 def metric_values(run: RunData, metric: Metric) -> pd.Series:

@@ -86,6 +86,6 @@ def read_records(path: Path, head: str, fields: Mapping[str, int]) -> Iterator[R
         yield record
 
 
-def words(*values: object) -> str:
+def words(*values: str | float) -> str:
     """Write values as one line: whole numbers and texts as they are, others exactly."""
-    return " ".join(str(v) if isinstance(v, int | str) else repr(float(v)) for v in values)  # type: ignore[arg-type]
+    return " ".join(str(v) if isinstance(v, int | str) else repr(float(v)) for v in values)
