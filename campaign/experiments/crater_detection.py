@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -11,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from campaign.crater_score import NONE, check_detections, ellipse_errors, match_detections
+from campaign.experiments.fault import faulted
 from campaign.experiments.kept_images import ImageSink, image_sink
 from campaign.experiments.registry import Bench, Record, Records
 from campaign.experiments.single_image import SingleImage
@@ -133,9 +133,7 @@ def _judged(detector: CraterDetector, frame: Frame, camera: Camera, truth: Crate
     except BoresightError as error:
         return {"rows": [{"status": "failed", "reason": str(error), "n_landmarks": 0}]}
     except Exception:  # noqa: BLE001  a detector's fault is a result, recorded with its trace
-        reason = "the detector raised or returned rubbish: see the table tracebacks"
-        row: Record = {"status": "error", "reason": reason, "n_landmarks": 0}
-        return {"rows": [row], "tracebacks": [{"traceback": traceback.format_exc()}]}
+        return faulted("detector", {})
     return {
         "rows": [{"status": "ok", "reason": "", "n_landmarks": len(found.ellipses)}],
         "detections": _scored(found, truth),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -11,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from campaign.crater_pairs import PairSource, open_pairs
+from campaign.experiments.fault import faulted
 from campaign.experiments.registry import Bench, Record, Records
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
@@ -102,10 +102,8 @@ class CraterMatching:
             seconds = time.perf_counter() - started
             check_matches(matches, first, second)
         except Exception:  # noqa: BLE001  a matcher's fault is a result, recorded with its trace
-            reason = "the matcher raised or returned rubbish: see the table tracebacks"
-            row: Record = {**_circumstances(pair), "status": "error", "reason": reason, "n_landmarks": 0}
-            return {"rows": [row], "tracebacks": [{"traceback": traceback.format_exc()}]}
-        row = {
+            return faulted("matcher", _circumstances(pair))
+        row: Record = {
             **_circumstances(pair),
             "status": "failed" if matches.reason else "ok",
             "reason": matches.reason,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from campaign.experiments.fault import faulted
 from campaign.experiments.registry import Bench, Record, Records
 from campaign.orbit_score import check_orbit, orbit_errors, orbit_summary, residual_records
 from campaign.products import BuiltProduct, Shelf
@@ -128,11 +128,7 @@ def _judged(estimator: OrbitEstimator, truth: OrbitTruth, data: OrbitData, with_
             **timings,
         }
     except Exception:  # noqa: BLE001  an estimator's fault is a result, recorded with its trace
-        reason = "the estimator raised or returned rubbish: see the table tracebacks"
-        return {
-            "rows": [{**row, "status": "error", "reason": reason}],
-            "tracebacks": [{"traceback": traceback.format_exc()}],
-        }
+        return faulted("estimator", row)
 
 
 def _empty_row() -> Record:

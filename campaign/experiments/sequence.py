@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
+from campaign.experiments.fault import faulted
 from campaign.experiments.registry import Bench, Record, Records
 from campaign.image_tracks import ImageTracks, Seen, Watch
 from campaign.orbit_images import OrbitImages
@@ -158,9 +158,7 @@ def _judged(estimator: SequenceEstimator, view: Seen | Watch) -> Records:
         check_sequence(estimate, seen.sequence)
         return _scored(estimate, seen.sequence, seen.truth, circumstances)
     except Exception:  # noqa: BLE001  an estimator's fault is a result, recorded with its trace
-        reason = "the estimator raised or returned rubbish: see the table tracebacks"
-        row = {**circumstances, **no_summary(), "status": "error", "reason": reason, "n_landmarks": 0}
-        return {"rows": [row], "tracebacks": [{"traceback": traceback.format_exc()}]}
+        return faulted("estimator", {**circumstances, **no_summary()})
 
 
 def _scored(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, TypeVar
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaign.check import check
+from campaign.experiments.fault import faulted
 from campaign.experiments.kept_images import ImageSink, image_sink
 from campaign.experiments.registry import Bench, Record, Records
 from campaign.products import BuiltProduct, Shelf
@@ -141,15 +141,8 @@ class SingleImage:
             check(estimate, observation)
             return self._scored(estimate, observation, sight)
         except Exception:  # noqa: BLE001  the one place: an estimator's fault is a result, recorded with its trace
-            reason = "the estimator raised or returned rubbish: see the table tracebacks"
-            row = {
-                **_circumstances(observation, sight),
-                **no_pose_error(),
-                **no_consistency(),
-                "status": "error",
-                "reason": reason,
-            }
-            return {"rows": [{**row, "n_landmarks": 0}], "tracebacks": [{"traceback": traceback.format_exc()}]}
+            row = {**_circumstances(observation, sight), **no_pose_error(), **no_consistency()}
+            return faulted("estimator", row)
 
     def _scored(self, estimate: Estimate, observation: Observation, sight: Sight) -> Records:
         true = sight.view.T_cam_body
