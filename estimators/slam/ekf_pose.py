@@ -12,8 +12,8 @@ from estimators.slam.ekf_measure import Innovation
 from estimators.slam.ekf_state import FilterState
 from estimators.slam.ekf_update import updated
 from estimators.slam.inverse_depth import SIZE, turn_jacobians
-from estimators.slam.turns import cross_matrix, left_jacobian, rotation_of, turn_of
-from scenarios.geometry import Camera
+from estimators.slam.turns import left_jacobian, rotation_of, turn_of
+from scenarios.geometry import Camera, cross_matrix
 from scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]

@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.turns import cross_matrix
-from scenarios.geometry import Camera
+from scenarios.geometry import Camera, cross_matrix
 
 FloatArray = NDArray[np.float64]
 

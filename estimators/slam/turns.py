@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from scenarios.geometry import cross_matrix
+
 FloatArray = NDArray[np.float64]
 
 _SMALL_RAD = 1e-4
@@ -38,15 +40,6 @@ def left_jacobian(turns_rad: FloatArray) -> FloatArray:
 def turn_of(rotation: FloatArray) -> FloatArray:
     """(3,) rotation vector of a rotation (3, 3), at most half a turn long."""
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=np.float64)
-
-
-def cross_matrix(vectors: FloatArray) -> FloatArray:
-    """(..., 3, 3) matrices that take a vector to its cross product with (..., 3), that first."""
-    cross = np.zeros((*vectors.shape, 3))
-    cross[..., 2, 1] = vectors[..., 0]
-    cross[..., 0, 2] = vectors[..., 1]
-    cross[..., 1, 0] = vectors[..., 2]
-    return np.asarray(cross - np.swapaxes(cross, -1, -2), dtype=np.float64)
 
 
 def _series(turns_rad: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -16,6 +16,7 @@ from scenarios.geometry.ellipse import Ellipses, project_circles
 from scenarios.geometry.mesh import TriangleMesh
 from scenarios.geometry.pose import FrameMismatchError, Pose, look_at
 from scenarios.geometry.surface import SurfaceHits
+from scenarios.geometry.vectors import cross_matrix, plane_axes
 from scenarios.geometry.view import View
 
 __all__ = [
@@ -27,8 +28,10 @@ __all__ = [
     "SurfaceHits",
     "TriangleMesh",
     "View",
+    "cross_matrix",
     "look_at",
     "pixel_from_opencv",
     "pixel_to_opencv",
+    "plane_axes",
     "project_circles",
 ]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
+from scenarios.geometry.vectors import plane_axes
 from scenarios.geometry.view import View
 
 FloatArray = NDArray[np.float64]
@@ -127,10 +128,7 @@ def project_circles(view: View, centre_body_m: FloatArray, normal_body: FloatArr
         If a circle has no elliptic image: it is seen edge-on or reaches behind the camera.
     """
     rotation, translation = view.T_cam_body.rotation, view.T_cam_body.translation_m
-    helper = np.eye(3)[np.argmin(np.abs(normal_body), axis=1)]
-    first = np.cross(normal_body, helper)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(normal_body, first)
+    first, second = plane_axes(normal_body)
     radius = np.asarray(radius_m, dtype=np.float64)[:, None]
     columns = [first * radius @ rotation.T, second * radius @ rotation.T, centre_body_m @ rotation.T + translation]
     maps = view.camera.matrix @ np.stack(columns, axis=-1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.geometry import TriangleMesh
+from scenarios.geometry import TriangleMesh, plane_axes
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -42,10 +42,7 @@ class Horizons:
     @classmethod
     def of(cls, mesh: TriangleMesh, points_m: FloatArray, normals: FloatArray) -> Horizons:
         """Look around from each place at the corners and middles of all facets and edges."""
-        helper = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
-        first = np.cross(normals, helper)
-        first /= np.linalg.norm(first, axis=1, keepdims=True)
-        second = np.cross(normals, first)
+        first, second = plane_axes(normals)
         corners = mesh.corners_m
         middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
         ground = np.concatenate([mesh.vertices_m, corners.mean(axis=1), middles.reshape(-1, 3)])

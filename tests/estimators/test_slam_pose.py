@@ -16,7 +16,8 @@ from estimators.slam.ekf_measure import Sight
 from estimators.slam.ekf_pose import PoseState
 from estimators.slam.inverse_depth import landmark_points, turn_jacobians
 from estimators.slam.smoother import FixedLagSmoother
-from estimators.slam.turns import cross_matrix, left_jacobian, rotation_of, turn_of
+from estimators.slam.turns import left_jacobian, rotation_of, turn_of
+from scenarios.geometry import cross_matrix
 from scenarios.tracks import TrackFrame, TrackSequence
 
 SECONDS = 480.0

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.craters.contract import CraterImage
-from estimators.craters.matching.located import skew
+from scenarios.geometry import cross_matrix
 
 FloatArray = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ def epipolar_offsets(first: CraterImage, second: CraterImage) -> FloatArray:
     if length <= _NO_BASELINE * float(np.linalg.norm(other.translation_m)):
         places = here @ second.camera.matrix.T
         return np.asarray(np.linalg.norm((places[:, :2] / places[:, 2:])[:, None] - there[None, :, :2], axis=2))
-    lines = here @ skew(baseline / length).T @ np.linalg.inv(second.camera.matrix)
+    lines = here @ cross_matrix(baseline / length).T @ np.linalg.inv(second.camera.matrix)
     return np.asarray(np.abs(lines @ there.T) / np.linalg.norm(lines[:, :2], axis=1, keepdims=True))
 
 

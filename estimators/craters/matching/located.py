@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.craters.contract import CraterImage, Ground
-from scenarios.geometry import Pose
+from scenarios.geometry import Pose, cross_matrix
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -56,7 +56,7 @@ class Located:
         sight = seen / np.linalg.norm(seen, axis=1, keepdims=True)
         normal = self.normals_body @ pose.rotation.T
         slant = np.einsum("ni,ni->n", normal, sight)
-        error = np.concatenate([-skew(turned), np.broadcast_to(np.eye(3), (len(self), 3, 3))], axis=2)
+        error = np.concatenate([-cross_matrix(turned), np.broadcast_to(np.eye(3), (len(self), 3, 3))], axis=2)
         along = np.einsum("ni,nij->nj", normal, error) / slant[:, None]
         moved = sight[:, :, None] * along[:, None, :] - error
         return np.asarray(np.einsum("ji,njk->nik", pose.rotation, moved), dtype=np.float64)
@@ -98,14 +98,6 @@ def hidden(points_body_m: FloatArray, seen_from_body_m: FloatArray, ground: Grou
     nearer = ranges - np.linalg.norm(met - seen_from_body_m, axis=1)
     with np.errstate(invalid="ignore"):
         return np.asarray(nearer > slack_m)
-
-
-def skew(vectors: FloatArray) -> FloatArray:
-    """(n, 3, 3) matrices of the cross products with (n, 3) vectors."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _met(ground: Ground, pose: Pose, directions: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.craters.contract import CraterImage, Ground
-from estimators.craters.matching.located import Located, hidden, skew
-from scenarios.geometry import Camera, Ellipses, Pose
+from estimators.craters.matching.located import Located, hidden
+from scenarios.geometry import Camera, Ellipses, Pose, cross_matrix
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -99,7 +99,7 @@ def _sensitivity(located: Located, camera: Camera, pose: Pose) -> tuple[FloatArr
     turned = located.points_body_m @ pose.rotation.T
     by_point = camera.jacobian(turned + pose.translation_m)
     first = by_point @ pose.rotation @ located.by_pose()
-    second = by_point @ np.concatenate([-skew(turned), np.broadcast_to(np.eye(3), (len(turned), 3, 3))], axis=2)
+    second = by_point @ np.concatenate([-cross_matrix(turned), np.broadcast_to(np.eye(3), (len(turned), 3, 3))], axis=2)
     by_height = np.einsum("nij,nj->ni", by_point @ pose.rotation, located.by_height())
     return np.concatenate([first, second], axis=2), by_height
 

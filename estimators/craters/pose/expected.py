@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from estimators.craters.contract import Ground
 from estimators.craters.database.landmarks import Landmarks
 from estimators.craters.matching.association import Expected, centre_noise
-from estimators.craters.matching.located import hidden, skew
+from estimators.craters.matching.located import hidden
 from estimators.craters.pose.options import CraterPoseOptions
-from scenarios.geometry import Camera, Pose, View, project_circles
+from scenarios.geometry import Camera, Pose, View, cross_matrix, project_circles
 from scenarios.observation import Frame
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +33,7 @@ def expected_craters(
     ellipses = project_circles(view, points, normals, landmarks.radius_m[rows])
     turned = points @ pose.rotation.T
     by_point = camera.jacobian(turned + pose.translation_m)
-    by_error = by_point @ np.concatenate([-skew(turned), np.broadcast_to(np.eye(3), (len(rows), 3, 3))], axis=2)
+    by_error = by_point @ np.concatenate([-cross_matrix(turned), np.broadcast_to(np.eye(3), (len(rows), 3, 3))], axis=2)
     across = by_point @ pose.rotation
     noise = centre_noise(ellipses, options.association)
     noise = noise + across @ landmarks.covariance_m2[rows] @ np.swapaxes(across, 1, 2)
