@@ -136,17 +136,24 @@ def test_the_same_data_give_the_same_bits(clean, solved):
 
 
 def test_wrong_numbers_are_edited_and_shared_ones_split():
-    world = orbit_world(sightings={"wrong_share": 0.06, "merged_share": 0.1, "wrong_within_px": 200.0})
-    truth, data = draw_orbit(world, 5, 1)
-    found = BatchFilter().determine(data)
-    assert found.status == "ok", found.reason
-    error = found.orbit.state - truth.states[0]
-    assert error @ np.linalg.solve(found.orbit.covariance, error) < 22.5
-    assert found.diagnostics["split_numbers"] > 0
-    assert (~found.orbit.used[truth.wrong]).mean() > 0.8
-    numbers, counts = np.unique(found.orbit.numbers, return_counts=True)
-    assert (counts == 2).any()
-    assert set(numbers) <= set(data.landmarks.numbers)
+    world, split, shared = (
+        orbit_world(sightings={"wrong_share": 0.06, "merged_share": 0.1, "wrong_within_px": 200.0}),
+        0.0,
+        0,
+    )
+    for trial in (1, 2, 4):
+        truth, data = draw_orbit(world, 5, trial)
+        found = BatchFilter().determine(data)
+        assert found.status == "ok", found.reason
+        error = found.orbit.state - truth.states[0]
+        assert error @ np.linalg.solve(found.orbit.covariance, error) < 22.5
+        assert (~found.orbit.used[truth.wrong]).mean() > 0.8
+        numbers, counts = np.unique(found.orbit.numbers, return_counts=True)
+        assert set(numbers) <= set(data.landmarks.numbers)
+        split += found.diagnostics["split_numbers"]
+        shared += int((counts == 2).sum())
+    # Not in every draw are both craters of a number seen often enough.
+    assert split >= shared > 0
 
 
 def test_solar_pressure_that_is_held_wrong_costs_accuracy_that_residuals_do_not_show():
