@@ -9,9 +9,10 @@ from campaign.experiments.crater_detection import CraterDetection
 from campaign.experiments.registry import Bench
 from campaign.resolve import ResolvedCampaign
 from campaign.worker import experiment_of
-from reports.crater_figures import example_figure
+from estimators.craters.detection.classic import CraterClassic
+from reports.crater_figures import example_figure, stages_figure
 from reports.named_figure import NamedFigure
-from reports.run_data import read_run, select
+from reports.run_data import RunData, read_run, select
 
 _EXAMPLES = 2
 
@@ -19,14 +20,48 @@ _EXAMPLES = 2
 def crater_examples(campaign: ResolvedCampaign, folder: Path) -> Iterator[NamedFigure]:
     """Draw, for each scenario and detector, the images with the most detectable craters, as figures 2 and 3 do."""
     run = read_run(folder)
-    for scenario, images in run.crater_images.groupby("scenario", sort=False):
-        richest = images.sort_values(["n_detectable", "trial"], ascending=[False, True])["trial"].head(_EXAMPLES)
-        experiment = experiment_of(campaign, str(scenario), Bench(folder, 0, keep_images=False))
-        if not isinstance(experiment, CraterDetection):
-            continue
-        for trial in (int(trial) for trial in richest):
-            _, frame, _ = experiment.see(trial)
-            for label in campaign.labels:
-                rows = select(run.rows, str(scenario), label)
-                if (rows.loc[rows["trial"] == trial, "status"] == "ok").any():
-                    yield example_figure(run, str(scenario), label, trial, frame.image)
+    for scenario in campaign.scenarios:
+        yield from detected(campaign, folder, run, scenario.spec.name, campaign.labels)
+
+
+def detected(
+    campaign: ResolvedCampaign, folder: Path, run: RunData, scenario: str, labels: tuple[str, ...]
+) -> Iterator[NamedFigure]:
+    """Draw the images of a scenario with the most detectable craters, once for each detector."""
+    experiment = _opened(campaign, folder, scenario)
+    for trial in _richest(run, scenario):
+        _, frame, _ = experiment.see(trial)
+        for label in labels:
+            rows = select(run.rows, scenario, label)
+            if (rows.loc[rows["trial"] == trial, "status"] == "ok").any():
+                yield example_figure(run, scenario, label, trial, frame.image)
+
+
+def stages_of(
+    campaign: ResolvedCampaign, folder: Path, run: RunData, scenario: str, label: str
+) -> Iterator[NamedFigure]:
+    """Draw what each stage of the classic detector finds in the image with the most detectable craters."""
+    experiment = _opened(campaign, folder, scenario)
+    detector = experiment.detectors[label]
+    if not isinstance(detector, CraterClassic):
+        return
+    for trial in _richest(run, scenario)[:1]:
+        _, frame, camera = experiment.see(trial)
+        stages = detector.stages(frame, camera)
+        arcs = {"shaded": [a.uv_px for a in stages.shaded], "lit": [a.uv_px for a in stages.lit]}
+        small, large = stages.edges
+        what = f"{scenario}, {label}, image {trial}"
+        yield stages_figure(frame.image, small.mask | large.mask, arcs, stages.detections.ellipses, what)
+
+
+def _opened(campaign: ResolvedCampaign, folder: Path, scenario: str) -> CraterDetection:
+    experiment = experiment_of(campaign, scenario, Bench(folder, 0, keep_images=False))
+    if not isinstance(experiment, CraterDetection):
+        raise TypeError(f"{folder} holds a run of {type(experiment).__name__}, not of {CraterDetection.__name__}")
+    return experiment
+
+
+def _richest(run: RunData, scenario: str) -> list[int]:
+    images = run.crater_images[run.crater_images["scenario"] == scenario]
+    ordered = images.sort_values(["n_detectable", "trial"], ascending=[False, True])
+    return [int(trial) for trial in ordered["trial"].head(_EXAMPLES)]

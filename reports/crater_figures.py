@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -18,6 +18,7 @@ from reports.figures.crater_rates import (
     draw_found_and_true,
     draw_rates,
 )
+from reports.figures.craters import draw_stages
 from reports.named_figure import NamedFigure, file_stem
 from reports.run_data import RunData
 from scenarios.geometry import Ellipses
@@ -94,6 +95,23 @@ def example_figure(run: RunData, scenario: str, estimator: str, trial: int, imag
         f"{title}: left, the image; middle, the true rims, bright where they are detectable; right, detections, blue"
         " where a crater is matched and red where none is.",
         "A cratered surface three times: plain, with the true rims, and with the detected ones.",
+    )
+
+
+def stages_figure(
+    image: NDArray[np.float32],
+    edges: NDArray[np.bool_],
+    arcs: Mapping[str, Sequence[NDArray[np.float64]]],
+    found: Ellipses,
+    what: str,
+) -> NamedFigure:
+    """Draw the stages of a detector of rims: figure 2 of Cheng et al. (2003)."""
+    return NamedFigure(
+        file_stem("crater_stages", what),
+        draw_stages(image, edges, arcs, found),
+        f"Results of the stages of detection, {what}: (a) the image; (b) Canny edges of both passes; (c) the convex rim"
+        " edges that are left, those of the shaded side blue and those of the lit side orange; (d) detected craters.",
+        "A cratered surface, its edges, those of them that are rims, and the detected craters.",
     )
 
 

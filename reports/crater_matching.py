@@ -7,18 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from reports.figures.matching import ShareCurve, draw_shares
 from reports.grid import NO_VALUE, Grid, value_of
+from reports.named_figure import NamedFigure, file_stem
 from reports.records import Record, unit_of
 from reports.run_data import RunData
 from reports.statistics import MEDIAN, Measured, cluster_interval, measure
 
 FloatArray = NDArray[np.float64]
-Drawn = tuple[str, Figure, str, str]
-"""Stem of the file, the figure, its caption and its description."""
 
 RECALL, WRONG, SECONDS = "matching_recall_share", "matching_wrong_share", "matching_seconds"
 MATCHING = "matching"
@@ -69,21 +67,24 @@ def matching_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
     ]
 
 
-def matching_figures(records: Sequence[Record], run: RunData) -> Iterator[Drawn]:
+def matching_figures(records: Sequence[Record], run: RunData) -> Iterator[NamedFigure]:
     """Draw recall and wrong share: along the Sun's angle, or along a campaign's grid."""
     if run.manifest.grid is not None:
         axis = run.manifest.grid.axes[0]
         places = {variation.name: variation.levels[axis.name] for variation in run.manifest.grid.scenarios}
         curves = _curves(records, [(name, level, _everything().stage) for name, level in places.items()])
         label = axis.label or axis.name
-        yield ("matching-" + axis.name, draw_shares(curves, label), f"Matching by {label}.", f"Recall by {label}.")
+        yield NamedFigure(
+            file_stem("matching", axis.name), draw_shares(curves, label), f"Matching by {label}.",
+            f"Recall and share of wrong matches by {label}.",
+        )  # fmt: skip
         return
     for scenario in dict.fromkeys(run.crater_matches["scenario"]):
         cells = [_Cell(_DRAWN, sun) for sun in _SUNS if sun != (0.0, 30.0)]
         curves = _curves(records, [(scenario, _span(cell.sun), cell.stage) for cell in cells])
         caption = f"Matching by the angle between the directions of the Sun, views {_span(_DRAWN)} apart, {scenario}."
-        label = "angle between the directions of the Sun"
-        yield f"matching-{scenario}", draw_shares(curves, label), caption, caption
+        label = "angle between the directions of the Sun, deg"
+        yield NamedFigure(file_stem("matching", str(scenario)), draw_shares(curves, label), caption, caption)
 
 
 def _cells(run: RunData, own: pd.DataFrame) -> list[_Cell]:

@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from reports.clusters import clusters_of
 from reports.comparison import ComparedValue
 from reports.comparison_tables import comparison_grid
 from reports.figures.orbit import draw_orbit_errors, draw_residuals
 from reports.grid import Grid, value_of
+from reports.named_figure import NamedFigure, file_stem
 from reports.records import Record, find, unit_of
 from reports.run_data import RunData, select
 from reports.statistics import MEAN, MEDIAN, RMS, Statistic, measure
 from reports.tables import diagnostic_grid, timing_grid
-
-Drawn = tuple[str, Figure, str, str]
-"""Stem of the file, the figure, its caption and its description."""
 
 ORBIT = "orbit"
 """Stage of what a trial of orbit determination comes to."""
@@ -96,32 +93,40 @@ def _grid(records: Sequence[Record], run: RunData) -> Grid:
     return Grid("Orbit determination", heads, tuple(rows), frozenset({0, 1}), _NOTE)
 
 
-def orbit_figures(run: RunData) -> Iterator[Drawn]:
+def orbit_figures(run: RunData) -> Iterator[NamedFigure]:
     """Draw residuals and errors over time; of a grid, those of the scenarios that it varies."""
-    for scenario in dict.fromkeys(name for name, _ in run.pairs()):
-        if run.manifest.grid is not None and not _is_reference(run, scenario):
-            continue
+    for scenario in reference_scenarios(run):
         errors = run.orbit_errors[run.orbit_errors["scenario"] == scenario]
         for estimator in dict.fromkeys(errors["estimator"]):
-            residuals = select(run.residuals, scenario, estimator)
-            title = f"Optical data residuals, {scenario}, {estimator}"
-            if len(residuals):
-                yield (
-                    f"residuals_{scenario}_{estimator}",
-                    draw_residuals(residuals, title),
-                    f"{title}: seen less predicted of the sightings that were not edited, in the first trial (figure 10"
-                    " of Cheng et al. 2003).",
-                    "Residuals of columns and rows in pixels against time.",
-                )
+            if len(select(run.residuals, scenario, estimator)):
+                yield residual_figure(run, scenario, estimator)
         if len(errors):
             title = f"Position error in inertial space, {scenario}"
-            yield (
-                f"orbit_errors_{scenario}",
+            yield NamedFigure(
+                file_stem("orbit_errors", scenario),
                 draw_orbit_errors(errors, title),
                 f"{title}: median over {errors['trial'].nunique()} trials and the band of 5 to 95 % of them; dashed:"
                 " what the covariance foretells; behind the line the orbit is predicted.",
                 "Position error against time for each estimator.",
             )
+
+
+def residual_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
+    """Draw the optical data residuals of the first trial."""
+    title = f"Optical data residuals, {scenario}, {estimator}"
+    return NamedFigure(
+        file_stem("residuals", scenario, estimator),
+        draw_residuals(select(run.residuals, scenario, estimator), title),
+        f"{title}: seen less predicted of the sightings that were not edited, in the first trial (figure 10 of Cheng et"
+        " al. 2003).",
+        "Residuals of columns and rows in pixels against time.",
+    )
+
+
+def reference_scenarios(run: RunData) -> list[str]:
+    """List the scenarios of a run, of a grid those that it varies."""
+    every = dict.fromkeys(name for name, _ in run.pairs())
+    return [name for name in every if run.manifest.grid is None or _is_reference(run, name)]
 
 
 def _is_reference(run: RunData, scenario: str) -> bool:

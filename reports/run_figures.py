@@ -45,15 +45,13 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
             yield NamedFigure(file_stem(stem), figure, caption, alt)
         return
     if not run.crater_matches.empty:
-        for stem, figure, caption, alt in matching_figures(content.records, run):
-            yield NamedFigure(file_stem(stem), figure, caption, alt)
+        yield from matching_figures(content.records, run)
         return
     if not run.craters.empty:
         yield from crater_figures(run)
         return
     if not run.orbits.empty:
-        for stem, figure, caption, alt in orbit_figures(run):
-            yield NamedFigure(file_stem(stem), figure, caption, alt)
+        yield from orbit_figures(run)
         return
     if run.manifest.grid is not None:
         for stem, figure, caption, alt in design_figures(run):

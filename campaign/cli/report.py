@@ -5,6 +5,7 @@ from __future__ import annotations
 from campaign.cli.terminal import console
 from campaign.crater_examples import crater_examples
 from campaign.fit_figures import fit_figures
+from campaign.matching_examples import matching_examples
 from campaign.resolve import reload
 from campaign.store import RunFolder
 from reports.build import write_report
@@ -32,6 +33,8 @@ def _fit_figures(folder: RunFolder) -> list[NamedFigure]:
         campaign = reload(manifest)
         if campaign is not None and campaign.spec.experiment == "crater-detection":
             return list(crater_examples(campaign, folder.path))
+        if campaign is not None and campaign.spec.experiment == "crater-matching":
+            return list(matching_examples(campaign, folder.path))
         if campaign is not None:
             return list(fit_figures(campaign, folder.path, folder.table("rows")))
     except BoresightError as error:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from campaign.crater_pairs import PairSource, open_pairs
 from campaign.experiments.fault import faulted
@@ -95,7 +96,7 @@ class CraterMatching:
 
     def _judged(self, matcher: CraterMatcher, pair: CraterPair) -> Records:
         """Let a matcher work and score what it returns: records without their key, whatever goes wrong."""
-        first, second = (self._image(number, look) for number, look in enumerate((pair.first, pair.second)))
+        first, second = self.images(pair)
         started = time.perf_counter()
         try:
             matches = matcher.match(first, second, self.known)
@@ -115,6 +116,10 @@ class CraterMatching:
             "timings": [{"stage": "matching", "seconds": seconds}],
         }
 
+    def images(self, pair: CraterPair) -> tuple[CraterImage, CraterImage]:
+        """Return what a matcher may see of a pair."""
+        return self._image(0, pair.first), self._image(1, pair.second)
+
     def _image(self, number: int, look: CraterLook) -> CraterImage:
         rims = look.detections.ellipses
         return CraterImage(number, look.frame, self.camera, CraterDetections(rims, np.ones(len(rims))))
@@ -124,8 +129,7 @@ def score_matches(matches: CraterMatches, pair: CraterPair) -> Record:
     """Count correct, wrong and missed matches of a pair by which crater each detection is."""
     one, other = pair.first.detections.crater, pair.second.detections.crater
     common = np.intersect1d(one[one != NO_CRATER], other[other != NO_CRATER])
-    here, there = one[matches.pairs[:, 0]], other[matches.pairs[:, 1]]
-    correct = int(np.sum((here == there) & (here != NO_CRATER)))
+    correct = int(right_matches(matches, pair).sum())
     return {
         "view_deg": pair.view_deg,
         "sun_deg": pair.sun_deg,
@@ -136,6 +140,13 @@ def score_matches(matches: CraterMatches, pair: CraterPair) -> Record:
         "n_wrong": len(matches.pairs) - correct,
         "n_missed": len(common) - correct,
     }
+
+
+def right_matches(matches: CraterMatches, pair: CraterPair) -> NDArray[np.bool_]:
+    """(k,) whether both detections of a match are the same crater."""
+    here = pair.first.detections.crater[matches.pairs[:, 0]]
+    there = pair.second.detections.crater[matches.pairs[:, 1]]
+    return np.asarray((here == there) & (here != NO_CRATER))
 
 
 def check_matches(matches: CraterMatches, first: CraterImage, second: CraterImage) -> None:

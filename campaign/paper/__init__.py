@@ -1,3 +1,3 @@
 """The figures and the table of a paper, gathered from stored runs; each paper is a module that defines ``PAPER``."""
 
-PAPERS = ("delpech2015", "rowell2015")
+PAPERS = ("cheng2003", "delpech2015", "rowell2015")

@@ -68,6 +68,8 @@ def paper_page(paper: Paper, runs: Path, jobs: int) -> PaperPage:
 def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int) -> list[NamedFigure]:
     """Draw one figure of the paper; the first of its campaigns gives it its number, further ones stand beside it.
 
+    A drawing whose stem begins with an underscore says itself what is put behind the number.
+
     Raises
     ------
     BoresightError
@@ -77,7 +79,10 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int) -> l
     if not runs:
         raise BoresightError(f"not drawn without a finished run of {' or '.join(figure.campaigns)}")
     names = list(runs)
-    return [figure.named(drawing, f"_{names[i]}" if i else "") for i, drawing in enumerate(figure.draw(runs, jobs))]
+    return [
+        figure.named(drawing, drawing.stem if drawing.stem.startswith("_") else f"_{names[i]}" if i else "")
+        for i, drawing in enumerate(figure.draw(runs, jobs))
+    ]
 
 
 def _reports(paper: Paper) -> dict[str, str]:

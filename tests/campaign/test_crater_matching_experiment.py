@@ -122,7 +122,7 @@ def test_a_run_is_stored_and_reported_with_shares_of_its_counts(campaign_file, t
     assert wrong.n == int(table["n_correct"].sum() + table["n_wrong"].sum())
     assert recall.low <= recall.value <= recall.high
     assert len(matching_grids(records, run)) == 1
-    assert (out / "report" / "matching-tiny-pairs.png").exists()
+    assert (out / "report" / "matching_tiny-pairs.png").exists()
 
 
 @pytest.mark.parametrize(("change", "said"), [

@@ -1,0 +1,66 @@
+"""Pairs of images of a stored run of crater matching with what was matched, made again from their seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pandas as pd
+
+from campaign.experiments.crater_matching import CraterMatching, right_matches
+from campaign.experiments.registry import Bench
+from campaign.resolve import ResolvedCampaign
+from campaign.worker import experiment_of
+from reports.figures.matched_pair import draw_matched_pair
+from reports.named_figure import NamedFigure, file_stem
+from reports.run_data import RunData, read_run, select
+
+_ALIKE_DEG = (20.0, 10.0)
+
+
+def matching_examples(campaign: ResolvedCampaign, folder: Path) -> Iterator[NamedFigure]:
+    """Draw a pair for each scenario and matcher; of a grid of scenarios none."""
+    run = read_run(folder)
+    for scenario, label in run.pairs() if run.manifest.grid is None else ():
+        figure = matching_example(campaign, folder, run, scenario, label)
+        if figure is not None:
+            yield figure
+
+
+def matching_example(
+    campaign: ResolvedCampaign, folder: Path, run: RunData, scenario: str, label: str
+) -> NamedFigure | None:
+    """Draw the pair in which a matcher finds its median number of craters; None where it never finds one."""
+    trial = _typical(select(run.crater_matches, scenario, label))
+    experiment = experiment_of(campaign, scenario, Bench(folder, 0, keep_images=False))
+    if trial is None or not isinstance(experiment, CraterMatching):
+        return None
+    pair = experiment.source.pair(experiment.seed, trial)
+    images = experiment.images(pair)
+    matches = experiment.matchers[label].match(*images, experiment.known)
+    right = right_matches(matches, pair)
+    angles = f"views {pair.view_deg:.0f} deg and Suns {pair.sun_deg:.0f} deg apart"
+    title = f"{label}, {scenario}, trial {trial}: {angles}"
+    return NamedFigure(
+        file_stem("matching_example", scenario, label),
+        draw_matched_pair(
+            (pair.first.frame.image, pair.second.frame.image),
+            (pair.first.detections.ellipses, pair.second.detections.ellipses),
+            matches.pairs,
+            right,
+            title,
+        ),
+        f"Craters that are the same by {title}. {len(matches.pairs)} matches, {int(right.sum())} of them right; one"
+        " number and colour is one crater, wrong matches are red and dashed, detections without a match are grey. Of"
+        " the pairs with views within 20 deg and Suns within 10 deg, where there are any, that with the median number"
+        " of right matches.",
+        "Two images of one area with detected craters, the identical ones numbered alike.",
+    )
+
+
+def _typical(table: pd.DataFrame) -> int | None:
+    """Return the trial of the median number of right matches, those of none left out."""
+    found = table[table["n_correct"] > 0]
+    alike = found[(found["view_deg"] <= _ALIKE_DEG[0]) & (found["sun_deg"] <= _ALIKE_DEG[1])]
+    ordered = (alike if len(alike) else found).sort_values(["n_correct", "trial"])["trial"]
+    return int(ordered.iloc[len(ordered) // 2]) if len(ordered) else None

@@ -1,0 +1,90 @@
+"""The figures of Cheng et al. (2003), each drawn from the newest finished runs of its campaigns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from campaign.crater_examples import detected, stages_of
+from campaign.matching_examples import matching_example
+from campaign.paper.gather import FinishedRun
+from campaign.paper.kinds import Paper, PaperFigure, Runs
+from reports.grid import Grid
+from reports.named_figure import NamedFigure
+from reports.orbits import reference_scenarios, residual_figure
+from reports.run_data import select
+from scenarios.errors import BoresightError
+
+_DETECTOR, _FILTER = "crater-classic", "batch-filter"
+_MATCHERS = ("invariants", "hybrid")
+_TABLES = ("Detection of craters", "Matching", "Orbit determination")
+_TABLES_OF = {"cheng2003-detection": 2}
+
+
+def _figure_2(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+    del jobs
+    run = runs["cheng2003-detection"]
+    campaign, label = run.campaign(), run.labels(_DETECTOR)[0]
+    scenario = campaign.scenarios[0].spec.name
+    yield from stages_of(campaign, run.folder.path, run.content.run, scenario, label)
+
+
+def _figure_3(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+    del jobs
+    run = runs["cheng2003-detection"]
+    campaign, data = run.campaign(), run.content.run
+    for number, drawn in enumerate(
+        detected(campaign, run.folder.path, data, campaign.scenarios[0].spec.name, campaign.labels)
+    ):
+        yield replace(drawn, stem=f"_{number + 1}")
+
+
+def _figure_6(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+    del jobs
+    drawn = [figure for run in runs.values() for figure in _matched(run)]
+    if not drawn:
+        raise BoresightError(f"no matcher of {', '.join(runs)} finds a crater")
+    yield from drawn
+
+
+def _matched(run: FinishedRun) -> Iterator[NamedFigure]:
+    """Draw a pair for the paper's way of matching by invariants, and one for the hybrid of all."""
+    campaign, data = run.campaign(), run.content.run
+    scenario = campaign.scenarios[0].spec.name
+    for label in (label for method in _MATCHERS for label in run.labels(method)[:1]):
+        figure = matching_example(campaign, run.folder.path, data, scenario, label)
+        if figure is not None:
+            yield replace(figure, stem=f"_{campaign.spec.name}_{label}")
+
+
+def _figure_10(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+    del jobs
+    run = runs["cheng2003-orbit"]
+    data, label = run.content.run, run.labels(_FILTER)[0]
+    solved = [scenario for scenario in reference_scenarios(data) if len(select(data.residuals, scenario, label))]
+    if not solved:
+        raise BoresightError(f"{run.folder.path}: the first trial of {label} has no solution to draw")
+    for scenario in solved:
+        yield replace(residual_figure(data, scenario, label), stem=f"_{scenario}")
+
+
+def _grids(run: FinishedRun) -> list[Grid]:
+    """Return what a run tells beside the published numbers."""
+    name = str(run.manifest["name"])
+    told = [grid for grid in run.content.grids() if grid.title.startswith(_TABLES)]
+    return [replace(grid, title=f"{name}: {grid.title}") for grid in told[: _TABLES_OF.get(name)]]
+
+
+_ORDER = ("detection", "matching", "matching-images", "invariants", "orbit", "endtoend")
+PAPER = Paper(
+    title="Cheng et al. (2003): every figure and every number",
+    campaigns=tuple(f"cheng2003-{name}" for name in _ORDER),
+    methods=(_DETECTOR, _FILTER),
+    figures=(
+        PaperFigure("2", ("cheng2003-detection",), _figure_2),
+        PaperFigure("3", ("cheng2003-detection",), _figure_3),
+        PaperFigure("6", ("cheng2003-matching-images", "cheng2003-matching", "cheng2003-invariants"), _figure_6),
+        PaperFigure("10", ("cheng2003-orbit",), _figure_10),
+    ),
+    grids=_grids,
+)
