@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from os import PathLike
 from pathlib import Path
 
 import pandas as pd
@@ -120,6 +121,17 @@ def read_content(folder: Path) -> Content:
     records = (*measure_run(run), *seen, *derived, *reductions, *outlier_records(run), *beside)
     compared, claims = beside_published(run, records, comparison) if comparison else ((), ())
     return Content(run, records, comparison, compared, claims, tuple(notes(run, comparison)))
+
+
+def summary(folder: str | PathLike[str]) -> pd.DataFrame:
+    """Work out every number of a run's report, as its table.csv has them: one row each, with n_ok, n and interval.
+
+    Raises
+    ------
+    BoresightError
+        If the folder is not a run, or holds no finished trial.
+    """
+    return read_content(Path(folder)).table()
 
 
 def beside_published(

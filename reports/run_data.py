@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -244,7 +245,7 @@ def select(table: pd.DataFrame, scenario: str, estimator: str) -> pd.DataFrame:
     return table[(table["scenario"] == scenario) & (table["estimator"] == estimator)]
 
 
-def read_run(folder: Path) -> RunData:
+def read_run(folder: str | PathLike[str]) -> RunData:
     """Read a run folder.
 
     Raises
@@ -252,6 +253,7 @@ def read_run(folder: Path) -> RunData:
     BoresightError
         If the manifest is missing or broken, or if no trial has been stored yet.
     """
+    folder = Path(folder)
     manifest = _read_manifest(folder / "manifest.json")
     tables = {name: _read_table(folder / name, columns, manifest) for name, columns in _COLUMNS.items()}
     rows = tables.pop("rows")

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from campaign.cli.progress import ProgressListener
-from campaign.cli.runs import RUNS, positive
+from campaign.cli.runs import positive
 from campaign.cli.terminal import console
 from campaign.machine import cores
 from campaign.paper import PAPERS
 from campaign.request import RunRequest
 from campaign.resolve import resolve
 from campaign.runner import run_campaign
+from campaign.start import RUNS
 from renderers.mitsuba3 import choose_variant
 from scenarios.atomic import explain
 from scenarios.errors import BoresightError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,18 +11,12 @@ from campaign.cli.progress import ProgressListener
 from campaign.cli.terminal import console
 from campaign.image_store import store_is_on, store_switched
 from campaign.machine import cores
-from campaign.request import RunRequest
-from campaign.resolve import ResolvedCampaign, resolve
-from campaign.runner import Listener, run_campaign
+from campaign.start import RUNS, start
 from campaign.store import RunFolder
-from campaign.world import trial_limit
-from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction
-
-RUNS = Path("runs")
 
 
 def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -72,50 +65,28 @@ def _integer(text: str, lowest: int) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    variant = choose_variant(arguments.variant)
-    campaign = resolve(arguments.name, arguments.overrides, arguments.seed, variant.name)
-    trials = _trials(campaign, arguments.trials)
-    runner = _runner(campaign, arguments.until)
-    out = console()
-    request = RunRequest(
-        out=arguments.out or RUNS / f"{campaign.spec.name}-{campaign.digest[:8]}",
-        trials=trials,
+    begun = start(
+        arguments.name,
+        overrides=arguments.overrides,
+        seed=arguments.seed,
+        trials=arguments.trials,
+        until=arguments.until,
         jobs=arguments.jobs,
+        out=arguments.out,
+        variant=arguments.variant,
         keep_images=arguments.keep_images,
         command=arguments.command,
     )
-    out.print(f"{campaign.spec.name}: {trials} trials into {request.out}, {request.jobs} job(s), {variant.name}")
-    if variant.advice:
-        out.print(variant.advice)
+    campaign, request = begun.campaign, begun.request
+    out = console()
+    name, variant = campaign.spec.name, campaign.variant
+    out.print(f"{name}: {request.trials} trials into {request.out}, {request.jobs} job(s), {variant}")
+    if begun.advice:
+        out.print(begun.advice)
     with store_switched(store_is_on() and not arguments.no_store), ProgressListener(out) as listener:
-        folder = runner(campaign, request, listener)
+        folder = begun.go(listener)
     _print_report(folder)
     return 3 if (folder.table("rows")["status"] == "error").any() else 0
-
-
-def _runner(
-    campaign: ResolvedCampaign, until: str | None
-) -> Callable[[ResolvedCampaign, RunRequest, Listener], RunFolder]:
-    """Choose how to run: all trials, or until a condition holds, which is checked before anything runs."""
-    if until is None:
-        return run_campaign
-    # Imported here: scipy.stats takes a third of the start-up, and most commands need none of it.
-    from campaign.until import parse_until, run_until
-
-    condition = parse_until(until, campaign.spec.experiment)
-    return lambda own, request, listener: run_until(own, request, condition, listener)
-
-
-def _trials(campaign: ResolvedCampaign, asked: int | None) -> int:
-    """Take the asked number, or the campaign's; more than there are real images for is refused before a start."""
-    trials = asked if asked is not None else campaign.spec.trials
-    for scenario in campaign.scenarios:
-        scenario_limit = trial_limit(scenario)
-        if scenario_limit is not None and trials > scenario_limit:
-            raise BoresightError(
-                f"--trials {trials}: {scenario.spec.name} has real images for {scenario_limit} trials at most"
-            )
-    return trials
 
 
 def _status(arguments: argparse.Namespace) -> int:

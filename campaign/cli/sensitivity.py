@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 
 from campaign.cli.catalog import add_overrides
 from campaign.cli.progress import ProgressListener
-from campaign.cli.runs import RUNS, positive
+from campaign.cli.runs import positive
 from campaign.cli.terminal import console
 from campaign.machine import cores
 from campaign.request import RunRequest
 from campaign.resolve import resolve
 from campaign.runner import run_campaign
+from campaign.start import RUNS
 from renderers.mitsuba3 import choose_variant
 from scenarios.atomic import explain
 from scenarios.errors import BoresightError

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pandas as pd
@@ -22,7 +23,12 @@ def tutorial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     text = README.read_text(encoding="utf-8")
     section = text[text.index("## Tutorial") : text.index("## More")]
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {**os.environ, "PATH": path, "BORESIGHT_CACHE": str(folder / "cache")}
+    environment = {
+        **os.environ,
+        "PATH": path,
+        "BORESIGHT_CACHE": str(folder / "cache"),
+        "PYTHONPATH": _python_path(folder),
+    }
     for language, body in BLOCK.findall(section):
         if language == "bash":
             done = subprocess.run(
@@ -30,11 +36,28 @@ def tutorial(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 cwd=folder, env=environment, capture_output=True, text=True, check=False,
             )  # fmt: skip
             assert done.returncode == 0, f"{body}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
+        elif language == "toml":
+            _install(folder, tomllib.loads(body)["project"]["entry-points"])
         else:
             name = re.match(r"# file: (\S+)\n", body)
             assert name is not None, f"a {language} block names no file:\n{body}"
             (folder / name.group(1)).write_text(body, encoding="utf-8")
     return folder
+
+
+def _python_path(folder: Path) -> str:
+    return os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
+
+
+def _install(folder: Path, groups: dict[str, dict[str, str]]) -> None:
+    """Leave the entry points of the user's package as pip would."""
+    info = folder / "my_estimator-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my_estimator\nVersion: 1.0\n")
+    lines = [
+        line for group, names in groups.items() for line in (f"[{group}]", *(f"{n} = {o}" for n, o in names.items()))
+    ]
+    (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
 
 
 @pytest.mark.parametrize(("run", "trials"), [("my_run", 20), ("real_run", 18)])
@@ -50,3 +73,11 @@ def test_the_real_campaign_names_its_images(tutorial: Path):
     rows = pd.read_parquet(tutorial / "real_run" / "rows")
     assert sorted(set(rows["image"])) == [f"{i}.png" for i in range(6)]
     assert (tutorial / "real_run" / "report" / "report.html").stat().st_size > 10_000
+
+
+def test_the_estimator_of_the_page_stands_beside_ours(tutorial: Path):
+    rows = pd.read_parquet(tutorial / "my_comparison" / "rows")
+    assert rows.groupby("estimator").size().to_dict() == {"prior": 20, "my-centroid": 20, "landmark-harris": 20}
+    median = rows.groupby("estimator")["position_error_m"].median()
+    assert (rows["status"] == "ok").all()
+    assert median["my-centroid"] < 0.8 * median["prior"]
