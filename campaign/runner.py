@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any, Protocol
 
 from campaign import manifest as manifests
+from campaign.costs import remember
 from campaign.experiments.registry import Bench, Records, experiment_class
 from campaign.images import left_out_notes
 from campaign.parallel import in_order
@@ -57,10 +59,13 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
         total = request.trials * len(campaign.scenarios)
         listener.started(stored, total)
         images: Counter[str] = Counter()
+        began = time.monotonic()
         for block, records in _computed(campaign, todo, request):
             folder.write_block(block, records)
             images.update(_images(records))
             listener.block(records, block.last - block.first)
+        if not campaign.overrides:
+            remember(campaign.spec.name, total - stored, time.monotonic() - began, request.jobs)
         if images:
             fresh, kept = images[FRESH_IMAGE], images[STORED_IMAGE]
             listener.message(f"images: {fresh} rendered or read, {kept} from the store")

@@ -12,11 +12,22 @@ from rich.table import Table
 from ruamel.yaml import YAML
 
 from campaign.cli.terminal import console
+from campaign.costs import rate_of
+from campaign.machine import cores
+from campaign.needs import data_needed
 from campaign.resolve import CATALOG, campaign_names, resolve
 from estimators.registry import estimator_names
 from estimators.slam.registry import sequence_estimator_names
 from scenarios.designs import cells
-from scenarios.load import canonical_json, file_kind, json_schema, load_campaign, load_scenario, scenario_names
+from scenarios.load import (
+    LoadedCampaign,
+    canonical_json,
+    file_kind,
+    json_schema,
+    load_campaign,
+    load_scenario,
+    scenario_names,
+)
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction
@@ -49,13 +60,15 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
 
 def _list(_: argparse.Namespace) -> int:
     out = console()
-    table = Table("campaign", "trials", "scenarios", "estimators", "what it is", box=None, pad_edge=False)
+    table = Table("campaign", "trials", "time here", "what it is", "data", box=None, pad_edge=False)
     for name in campaign_names():
-        spec = load_campaign(name, CATALOG).spec
-        labels = ", ".join(e.label for e in spec.estimators)
-        varied = f" (x {len(cells(spec.grid))}: {', '.join(spec.grid.axes)})" if spec.grid is not None else ""
-        table.add_row(name, str(spec.trials), ", ".join(spec.scenarios) + varied, labels, spec.title)
+        table.add_row(*_campaign_cells(load_campaign(name, CATALOG)))
     out.print(table)
+    out.print(
+        f"trials: of each scenario, x scenarios. time here: on {cores()} core(s), data bases aside, by the rate of the"
+        " last run on this machine; - where there was none. data: what is read from the data folder"
+        " (boresight fetch --list)."
+    )
     out.print()
     table = Table("scenario", "what it is", box=None, pad_edge=False)
     for name in scenario_names():
@@ -64,6 +77,19 @@ def _list(_: argparse.Namespace) -> int:
     out.print(f"\nestimators: {', '.join(estimator_names())}")
     out.print(f"estimators of sequences: {', '.join(sequence_estimator_names())}")
     return 0
+
+
+def _campaign_cells(loaded: LoadedCampaign) -> tuple[str, ...]:
+    """Return a campaign's line of the list."""
+    spec, rate = loaded.spec, rate_of(loaded.spec.name)
+    scenarios = len(spec.scenarios) * (1 if spec.grid is None else len(cells(spec.grid)))
+    return (
+        spec.name,
+        f"{spec.trials}" if scenarios == 1 else f"{spec.trials} x {scenarios}",
+        "-" if rate is None else rate.describe(spec.trials * scenarios, cores()),
+        spec.title,
+        ", ".join(map(str, data_needed(loaded))) or "-",
+    )
 
 
 def _show(arguments: argparse.Namespace) -> int:

@@ -1,0 +1,61 @@
+"""What the list says of a campaign: how long it takes here, and what data it needs."""
+
+from __future__ import annotations
+
+import pytest
+from tiny_campaign import run, write_campaign
+
+from campaign.costs import Rate, rate_of, remember
+from campaign.needs import data_needed
+from campaign.resolve import CATALOG, campaign_names
+from scenarios.load import load_campaign
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.mark.parametrize(
+    ("core_s", "trials", "cores", "said"),
+    [(0.001, 10, 2, "1 s"), (0.5, 100, 2, "25 s"), (2.0, 200, 2, "3.3 min"), (36.0, 1000, 2, "5 h")],
+)
+def test_a_rate_is_said_in_a_unit_that_one_can_read(core_s, trials, cores, said):
+    assert Rate(core_s).describe(trials, cores) == said
+
+
+def test_the_last_run_counts_and_one_trial_tells_nothing():
+    assert rate_of("mine") is None
+    remember("mine", trials=100, seconds=50.0, jobs=2)
+    remember("mine", trials=1, seconds=50.0, jobs=2)
+    assert rate_of("mine") == Rate(1.0)
+    remember("mine", trials=10, seconds=20.0, jobs=1)
+    assert rate_of("mine") == Rate(2.0)
+
+
+def test_a_run_leaves_its_rate_but_not_one_of_a_changed_world_or_of_nothing_new(tmp_path):
+    file, out = write_campaign(tmp_path), tmp_path / "run"
+    name = load_campaign(str(file), CATALOG).spec.name
+    assert run(file, tmp_path / "changed", "--trials", 10, "--set", "camera.fov_deg=12") == 0
+    assert rate_of(name) is None
+    assert run(file, out, "--trials", 10) == 0
+    first = rate_of(name)
+    assert first is not None
+    assert 0.0 < first.core_s < 60.0
+    assert run(file, out, "--trials", 10) == 0
+    assert rate_of(name) == first
+
+
+def test_data_that_are_not_there_are_named_as_missing(tmp_path, monkeypatch):
+    monkeypatch.setenv("BORESIGHT_DATA", str(tmp_path))
+    said = {name: [str(need) for need in data_needed(load_campaign(name, CATALOG))] for name in campaign_names()}
+    assert said["quickstart"] == []
+    assert said["navcam67p-real"] == ["67p-16k.obj (missing)", "rosetta_navcam_67p/ (missing)"]
+    assert set(said["delpech2015-sensitivity"]) == {
+        "apophis_lightcurve.obj (missing)",
+        "itokawa_gaskell_q64.ply (missing)",
+        "itokawa_radar.obj (missing)",
+    }
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes" / "67p-16k.obj").write_text("")
+    assert str(data_needed(load_campaign("navcam67p-real", CATALOG))[0]) == "67p-16k.obj"
