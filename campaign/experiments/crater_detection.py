@@ -22,7 +22,7 @@ from campaign.world import Sight, World, open_world
 from estimators.craters.contract import CraterDetections, CraterDetector
 from estimators.craters.registry import crater_detector_class
 from renderers.mitsuba3 import TiledRenderer
-from scenarios.craters import CraterTruth, crater_truth
+from scenarios.craters import CraterTruth, crater_truth, cratered_surface
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera
 from scenarios.load import LoadedScenario
@@ -62,13 +62,14 @@ class CraterDetection:
 
     @classmethod
     def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
-        """Refuse wrong options, and a scenario without craters; there is nothing to build."""
+        """Refuse wrong options and a scenario without craters, and build the surface, which workers then only read."""
         del shelf
         _detectors(campaign)
         if scenario.spec.craters is None or scenario.spec.viewpoint is None:
             raise BoresightError(
                 f"{scenario.path}: craters and viewpoint are needed by the experiment {cls.kind}: add the sections"
             )
+        cratered_surface(scenario.spec.body, scenario.spec.craters, scenario.search_dirs)
         return []
 
     @classmethod

@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 
 from campaign.world import typical_range_m
-from renderers.mitsuba3 import MitsubaRenderer
+from renderers.mitsuba3 import renderer_version
 from scenarios.craters import shape_digest
 from scenarios.load import LoadedScenario, canonical_json
 from scenarios.spec.base import SpecModel
@@ -35,7 +35,7 @@ def content_key(scenario: LoadedScenario, kind: str, options: SpecModel, version
         "scenario": [canonical_json(part) for part in (spec.camera, spec.brdf, spec.rendering)],
         "shading": spec.body.shading,
         "range_m": typical_range_m(scenario),
-        "versions": [*versions, MitsubaRenderer.version],
+        "versions": [*versions, renderer_version(spec)[1]],
         "variant": variant,
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
@@ -11,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.brdf import brdf_value
-from renderers.mitsuba3.parts import Part, Pieces, clear_of
+from renderers.mitsuba3.parts import Part, tiles_casting, tiles_seen
 from renderers.mitsuba3.rays import Window, body_window, grid_positions, outline_points, ray_bundle
 from renderers.mitsuba3.renderer import MitsubaRenderer
 from renderers.mitsuba3.surface import check_outside
 from renderers.mitsuba3.variant import Variant, choose_variant, load_mitsuba
 from renderers.mitsuba3.wavefront import drjit_math
 from scenarios.craters import CrateredSurface
+from scenarios.craters.meeting import Fan, facets_met
 from scenarios.geometry import SurfaceHits, TriangleMesh, View
 from scenarios.spec.brdf import BrdfSpec
 from scenarios.spec.scenario import ScenarioSpec
@@ -25,11 +25,9 @@ from scenarios.spec.scenario import ScenarioSpec
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.int64]
 
 _SHADOW_OFFSET = 1e-5
-_MARGIN_PX = 20.0
-_BEYOND = -0.1  # cosine: ground that faces away by more is neither seen nor lit, whatever its relief
-_MOST_FACETS = 12_000_000
 
 
 class BodyRenderer(Protocol):
@@ -61,9 +59,9 @@ class _Hits:
 class TiledRenderer:
     """Renders a cratered body lit by the Sun alone, with hard shadows, as `MitsubaRenderer` does a mesh.
 
-    Pieces of the fine surface are traced one by one, each in a scene of its own that stays in memory, and the nearest
-    hit counts; below them lies the coarse body. So an image costs no tree of all its facets, and there is no gap
-    where the fine surface ends.
+    Of the fine surface, Mitsuba is given the facets that a bundle of rays can meet: they are found by laying rays and
+    facets on a plane, which costs far less than a tree of all facets. Below lies the coarse body, in a scene of its
+    own, so that there is no gap where the fine surface ends; the nearer hit counts.
 
     Parameters
     ----------
@@ -78,13 +76,12 @@ class TiledRenderer:
     """
 
     name: ClassVar[str] = "mitsuba-tiled"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     ground: CrateredSurface
     brdf: BrdfSpec
     samples_per_pixel: int = 4
     variant: Variant = field(default_factory=choose_variant)
-    _parts: OrderedDict[int, Part] = field(default_factory=OrderedDict)
 
     def render(self, view: View) -> SingleArray:
         """Radiance factor I/F of every pixel, (H, W); 0 off the body and in shadow.
@@ -113,19 +110,27 @@ class TiledRenderer:
 
         ``facets`` are 0 where the body is hit: its facets have no lasting numbers.
         """
-        uv = np.asarray(uv_px, dtype=np.float64)
-        origins, directions = ray_bundle(view, self._radius_m, (0.0, 0.0)).at(uv)
-        hits = self._trace(view, uv, origins, directions)
+        points, hits = self._first(view, uv_px)
         met = np.isfinite(hits.distance_m)
-        points = np.where(met[:, None], origins + directions * np.where(met, hits.distance_m, 0.0)[:, None], np.nan)
         normals = np.where(met[:, None], hits.normal.astype(np.float64), np.nan)
         lit = np.zeros(len(met), dtype=bool)
         lit[met] = self._lit(view, points[met], hits.normal[met])
         return SurfaceHits(points, normals, np.where(met, 0, -1), lit)
 
+    def first_points(self, view: View, uv_px: FloatArray) -> FloatArray:
+        """Points (N, 3) of the surface on the lines of sight at pixel positions (N, 2); NaN off the body."""
+        return self._first(view, uv_px)[0]
+
     def clear(self, view: View, points_m: FloatArray, direction: FloatArray) -> BoolArray:
         """(N,): whether nothing that a view shows stands on the rays from points (N, 3) along a unit vector (3,)."""
-        return clear_of(self._mi, self._shown(view), points_m, direction)
+        fan = Fan.of_parallel(direction)
+        clear = np.ones(len(points_m), dtype=bool)
+        along = np.broadcast_to(direction, (len(points_m), 3))
+        for part in self._parts(tiles_casting(self.ground, view), fan, fan.of_points(points_m)):
+            if not clear.any():
+                break
+            clear[clear] = ~part.blocks(self._mi, points_m[clear], along[clear])
+        return clear
 
     @property
     def _mi(self) -> Any:
@@ -136,25 +141,14 @@ class TiledRenderer:
         return 1.01 * float(np.linalg.norm(self.ground.corners_m, axis=1).max())
 
     @cached_property
-    def _pieces(self) -> Pieces:
-        return Pieces.of(self.ground)
-
-    @cached_property
     def _under(self) -> Part:
-        return Part.of(self._mi, self.ground.under.vertices_m.astype(np.float32), self.ground.under.faces)
+        under = self.ground.under
+        return Part.of(self._mi, under.vertices_m.astype(np.float32)[under.faces])
 
-    def _shown(self, view: View) -> list[Part]:
-        """Make the pieces that a view needs, or take those of earlier views, with the coarse body."""
-        numbers = self._pieces.needed(view, _MARGIN_PX, _BEYOND)
-        for number in numbers:
-            if number in self._parts:
-                self._parts.move_to_end(number)
-            else:
-                self._parts[number] = Part.of(self._mi, *self._pieces.mesh(number))
-        total = sum(part.n_facets for part in self._parts.values())
-        while total > _MOST_FACETS and len(self._parts) > len(numbers):
-            total -= self._parts.popitem(last=False)[1].n_facets
-        return [self._under, *(self._parts[number] for number in numbers)]
+    def _parts(self, tiles: IndexArray, fan: Fan, rays: FloatArray) -> list[Part]:
+        """Give the coarse body, and the fine facets of tiles that rays (N, 2) of a fan may meet, where there are."""
+        corners_m = facets_met(self.ground, tiles, fan, rays)
+        return [self._under, Part.of(self._mi, corners_m)] if len(corners_m) else [self._under]
 
     def _window(self, view: View, window: Window) -> SingleArray:
         """Radiance factor (height, width) of the pixels of a window."""
@@ -163,7 +157,7 @@ class TiledRenderer:
         corner = np.stack([columns + window.column, rows + window.row], axis=-1).reshape(-1, 1, 2)
         uv = (corner + grid_positions(spp)).reshape(-1, 2)
         origins, directions = ray_bundle(view, self._radius_m, (0.0, 0.0)).at(uv)
-        hits = self._trace(view, uv, origins, directions)
+        hits = self._trace(view, origins, directions)
         met = np.flatnonzero(np.isfinite(hits.distance_m))
         normals = hits.normal[met]
         points = origins[met] + directions[met] * hits.distance_m[met, None]
@@ -173,18 +167,25 @@ class TiledRenderer:
         pixels: SingleArray = value.reshape(window.height, window.width, spp).mean(axis=2, dtype=np.float32)
         return pixels
 
-    def _trace(self, view: View, uv_px: FloatArray, origins_m: FloatArray, directions: FloatArray) -> _Hits:
-        """Nearest hit on all parts of the ray of each pixel position (N, 2)."""
+    def _first(self, view: View, uv_px: FloatArray) -> tuple[FloatArray, _Hits]:
+        uv = np.asarray(uv_px, dtype=np.float64)
+        origins, directions = ray_bundle(view, self._radius_m, (0.0, 0.0)).at(uv)
+        hits = self._trace(view, origins, directions)
+        met = np.isfinite(hits.distance_m)[:, None]
+        return np.where(met, origins + directions * np.where(met, hits.distance_m[:, None], 0.0), np.nan), hits
+
+    def _trace(self, view: View, origins_m: FloatArray, directions: FloatArray) -> _Hits:
+        """Nearest hits of lines of sight (N, 3)."""
         n = len(origins_m)
         hits = _Hits(np.full(n, np.inf, dtype=np.float32), np.zeros((n, 3), dtype=np.float32))
-        for part in self._shown(view):
-            rows = part.box.rows_within(view, uv_px)
-            if not len(rows):
-                continue
-            distance, facet = part.first_hits(self._mi, origins_m[rows], directions[rows])
-            nearer = distance < hits.distance_m[rows]
-            hits.distance_m[rows[nearer]] = distance[nearer]
-            hits.normal[rows[nearer]] = part.normals[facet[nearer]]
+        if n == 0:
+            return hits
+        fan = Fan.of_view(view)
+        for part in self._parts(tiles_seen(self.ground, view), fan, fan.of_directions(directions)):
+            distance, facet = part.first_hits(self._mi, origins_m, directions)
+            nearer = distance < hits.distance_m
+            hits.distance_m[nearer] = distance[nearer]
+            hits.normal[nearer] = part.normals(facet[nearer])
         return hits
 
     def _lit(self, view: View, points_m: FloatArray, normals: SingleArray) -> BoolArray:
@@ -212,14 +213,12 @@ class TiledRenderer:
 
     def one_mesh(self, view: View) -> TriangleMesh:
         """All facets that a view is rendered with, as one mesh."""
-        vertices, faces = [self.ground.under.vertices_m], [self.ground.under.faces.astype(np.int64)]
-        count = len(vertices[0])
-        for number in self._pieces.needed(view, _MARGIN_PX, _BEYOND):
-            piece_m, piece_faces = self._pieces.mesh(number)
-            vertices.append(piece_m.astype(np.float64))
-            faces.append(piece_faces + count)
-            count += len(piece_m)
-        return TriangleMesh(np.concatenate(vertices), np.concatenate(faces).astype(np.int32))
+        tiles = np.union1d(tiles_seen(self.ground, view), tiles_casting(self.ground, view))
+        under, facets = self.ground.under, self.ground.tiling.facets(tiles)
+        used, faces = np.unique(facets, return_inverse=True)
+        vertices_m = np.concatenate([under.vertices_m, self.ground.vertices_m[used].astype(np.float64)])
+        faces = faces.reshape(-1, 3) + len(under.vertices_m)
+        return TriangleMesh(vertices_m, np.concatenate([under.faces, faces]).astype(np.int32))
 
 
 def renderer_version(spec: ScenarioSpec) -> tuple[str, int]:

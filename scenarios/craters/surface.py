@@ -17,6 +17,7 @@ from scenarios.bodies.load import Body, body_digest, load_body
 from scenarios.bodies.topology import find_edges, unit, vertex_normals
 from scenarios.cache import Cache, default_cache
 from scenarios.craters.envelope import lower_envelope
+from scenarios.craters.facing import facing_cones
 from scenarios.craters.population import Craters, draw_craters
 from scenarios.craters.relief import add_roughness, crater_relief
 from scenarios.craters.rims import Rims, find_rims
@@ -29,7 +30,7 @@ from scenarios.spec.scenario import ScenarioSpec
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 
-CRATERS_VERSION = 2
+CRATERS_VERSION = 3
 """Part of every cratered surface's key: raise it when the same spec gives another surface."""
 
 _TILE_M = 100.0
@@ -47,6 +48,8 @@ class CrateredSurface:
         (N, 3) the vertices of all cuts with the relief.
     under_m
         (V, 3) corners of the tiles moved below the relief: see `lower_envelope`.
+    cones
+        (T, 4) which way the facets of each tile face: see `facing_cones`.
     craters
         The population.
     rims
@@ -58,6 +61,7 @@ class CrateredSurface:
     tiling: Tiling
     vertices_m: SingleArray
     under_m: FloatArray
+    cones: FloatArray
     craters: Craters
     rims: Rims
     sha256: str
@@ -91,6 +95,7 @@ def cratered_surface(
         vertices_m = (points_m + heights_m[:, None] * up).astype(np.float32)
         np.save(folder / "vertices_m.npy", vertices_m)
         np.save(folder / "under_m.npy", lower_envelope(tiling, vertices_m))
+        np.save(folder / "cones.npy", facing_cones(tiling, vertices_m))
         rims = find_rims(population, craters.known_diameter_m, tiling, points_m, vertices_m)
         np.savez(folder / "rims.npz", allow_pickle=False, **{f.name: getattr(rims, f.name) for f in fields(rims)})
 
@@ -98,7 +103,8 @@ def cratered_surface(
     with np.load(folder / "rims.npz") as stored:
         rims = Rims(**stored)
     vertices_m = np.load(folder / "vertices_m.npy", mmap_mode="r")
-    return CrateredSurface(tiling, vertices_m, np.load(folder / "under_m.npy"), population, rims, sha256)
+    under_m, cones = (np.load(folder / f"{name}.npy") for name in ("under_m", "cones"))
+    return CrateredSurface(tiling, vertices_m, under_m, cones, population, rims, sha256)
 
 
 def surface_digest(body: BodySpec, craters: CratersSpec, search_dirs: Sequence[Path] = ()) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scenarios.craters.ellipse_fit import fit_ellipses, rim_deviation
 from scenarios.craters.rims import Rims
-from scenarios.geometry import Ellipses, SurfaceHits, View
+from scenarios.geometry import Ellipses, View
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -30,8 +30,8 @@ _SAME_M, _SAME = 15.0, 0.03  # a line of sight that ends so far before a crest h
 class Sight(Protocol):
     """How lines of sight and of the Sun meet the surface that is rendered."""
 
-    def surface(self, view: View, uv_px: FloatArray) -> SurfaceHits:
-        """De-project pixel positions (N, 2)."""
+    def first_points(self, view: View, uv_px: FloatArray) -> FloatArray:
+        """(N, 3) where the lines of sight at pixel positions (N, 2) meet the body; NaN where they do not."""
         ...
 
     def clear(self, view: View, points_m: FloatArray, direction: FloatArray) -> BoolArray:
@@ -112,10 +112,10 @@ def crater_truth(rims: Rims, view: View, sight: Sight) -> CraterTruth:
     rows, uv = _in_frame_at_all(rims, view)
     crest_m, n, k = rims.crest_m[rows], len(rows), rims.crest_m.shape[1]
     radius_m = 0.5 * rims.diameter_m[rows]
-    hits = sight.surface(view, uv.reshape(-1, 2))
+    met_m = sight.first_points(view, uv.reshape(-1, 2))
     camera_m = view.T_cam_body.camera_position_m
     distance = np.linalg.norm(crest_m - camera_m, axis=2)
-    met = np.linalg.norm(hits.points_body_m - camera_m, axis=1).reshape(n, k)
+    met = np.linalg.norm(met_m - camera_m, axis=1).reshape(n, k)
     # NaN: the line passes the body, just beside a crest on the limb.
     visible = ~(met < distance - (_SAME_M + _SAME * radius_m[:, None]))
     in_frame = view.camera.contains(uv)

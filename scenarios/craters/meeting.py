@@ -1,0 +1,244 @@
+"""Which facets of a fine surface a bundle of rays may meet, found without a tree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.bodies.detail.placement import tangent_axes
+from scenarios.craters.jit import kernel
+from scenarios.craters.kernels import number_tile
+from scenarios.craters.surface import CrateredSurface
+from scenarios.geometry import View
+
+FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+_RAYS_A_CELL = 2
+# Single precision moves a ray by some 1e-7 of the body's radius: facets are tried that it passes by so much farther.
+_SLACK = 4e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fan:
+    """A plane on which each ray of a bundle is one point, and each facet that it may meet lies about that point.
+
+    Parameters
+    ----------
+    axes
+        (3, 3) axes of the plane, and the direction of parallel rays or that of sight, as rows, body frame.
+    origin_m
+        (3,) where the rays of a pencil meet; any place for parallel ones.
+    pencil
+        Whether the rays go through the origin; otherwise they are parallel.
+    """
+
+    axes: FloatArray
+    origin_m: FloatArray
+    pencil: bool
+
+    @classmethod
+    def of_view(cls, view: View) -> Fan:
+        """Lines of sight of a camera, whatever its lens."""
+        return cls(view.T_cam_body.rotation, view.T_cam_body.camera_position_m, True)
+
+    @classmethod
+    def of_parallel(cls, direction: FloatArray) -> Fan:
+        """Rays along one unit direction (3,)."""
+        return cls(np.concatenate([*tangent_axes(direction[None], np.zeros(1)), direction[None]]), np.zeros(3), False)
+
+    def of_directions(self, directions: FloatArray) -> FloatArray:
+        """Points (N, 2) of the rays of a pencil along (N, 3)."""
+        along = directions @ self.axes.T
+        return np.asarray(along[:, :2] / along[:, 2:], dtype=np.float64)
+
+    def of_points(self, points_m: FloatArray) -> FloatArray:
+        """Points (N, 2) of parallel rays through (N, 3)."""
+        return np.asarray((points_m - self.origin_m) @ self.axes[:2].T, dtype=np.float64)
+
+
+def facets_met(ground: CrateredSurface, tiles: IndexArray, fan: Fan, rays: FloatArray) -> SingleArray:
+    """Find the facets of some tiles that rays, points (N, 2) of a fan's plane, may meet: their corners (F, 3, 3).
+
+    None is left out that a tracer of single precision could find. A ray that is not a number meets nothing.
+    """
+    rays = rays[np.isfinite(rays).all(axis=1)]
+    if not len(rays) or not len(tiles):
+        return np.empty((0, 3, 3), dtype=np.float32)
+    low, high = rays.min(axis=0), rays.max(axis=0)
+    step = max(
+        float(np.sqrt(np.prod(high - low) * _RAYS_A_CELL / len(rays))),
+        float((high - low).max()) * _RAYS_A_CELL / len(rays),
+        float(np.finfo(np.float64).tiny),
+    )
+    n_columns, n_rows = (int(n) for n in np.floor((high - low) / step) + 1)
+    start, order = _sorted_into_cells(rays, low, step, n_columns, n_rows)
+    found = np.empty((int((ground.tiling.tile_pieces[tiles] ** 2).sum()), 3), dtype=np.int64)
+    slack_m = _SLACK * float(np.linalg.norm(ground.corners_m, axis=1).max())
+    count = _find_met(
+        found,
+        tiles,
+        ground.vertices_m,
+        np.ascontiguousarray(fan.axes),
+        fan.origin_m,
+        fan.pencil,
+        slack_m,
+        rays[order],
+        low,
+        step,
+        n_columns,
+        n_rows,
+        start,
+        *ground.tiling.layout,
+    )
+    return np.asarray(ground.vertices_m[found[:count].ravel()]).reshape(-1, 3, 3)
+
+
+@kernel
+def _cell(x: float, low: float, per_m: float, n: int) -> int:
+    """Column or row of a place, moved into the grid."""
+    return int(min(max((x - low) * per_m, 0.0), n - 1.0))
+
+
+@kernel
+def _sorted_into_cells(
+    rays: FloatArray, low: FloatArray, step: float, n_columns: int, n_rows: int
+) -> tuple[IndexArray, IndexArray]:
+    """First ray of each cell and one after the last, and the rays by cell, those of a cell in their order."""
+    cell = np.empty(len(rays), dtype=np.int64)
+    start = np.zeros(n_columns * n_rows + 1, dtype=np.int64)
+    for k in range(len(rays)):
+        row = _cell(rays[k, 1], low[1], 1.0 / step, n_rows)
+        cell[k] = row * n_columns + _cell(rays[k, 0], low[0], 1.0 / step, n_columns)
+        start[cell[k] + 1] += 1
+    for c in range(len(start) - 1):
+        start[c + 1] += start[c]
+    order = np.empty(len(rays), dtype=np.int64)
+    filled = start[:-1].copy()
+    for k in range(len(rays)):
+        order[filled[cell[k]]] = k
+        filled[cell[k]] += 1
+    return start, order
+
+
+@kernel
+def _find_met(
+    found: IndexArray,
+    tiles: IndexArray,
+    vertices: SingleArray,
+    axes: FloatArray,
+    origin: FloatArray,
+    pencil: bool,
+    slack_m: float,
+    rays: FloatArray,
+    low: FloatArray,
+    step: float,
+    n_columns: int,
+    n_rows: int,
+    start: IndexArray,
+    faces: IndexArray,
+    of_face: IndexArray,
+    ends: IndexArray,
+    edge_pieces: IndexArray,
+    edge_start: IndexArray,
+    tile_pieces: IndexArray,
+    tile_start: IndexArray,
+) -> int:
+    """Write the vertices of the facets that rays may meet, and return how many they are."""
+    count = 0
+    most = tile_pieces.max() + 1
+    ids = np.empty((most, most), dtype=np.int64)
+    # On the plane, and how wide the slack is there; negative behind the camera.
+    u, v, slack = np.empty((most, most)), np.empty((most, most)), np.empty((most, most))
+    per_m = 1.0 / step
+    right, bottom = low[0] + step * n_columns, low[1] + step * n_rows
+    for f in tiles:
+        n = tile_pieces[f]
+        number_tile(ids, f, faces, of_face, ends, edge_pieces, edge_start, n, tile_start[f])
+        least_u, least_v, most_u, most_v = np.inf, np.inf, -np.inf, -np.inf
+        for i in range(n + 1):
+            for j in range(n + 1 - i):
+                w = ids[i, j]
+                x, y, z = vertices[w, 0] - origin[0], vertices[w, 1] - origin[1], vertices[w, 2] - origin[2]
+                scale = 1.0
+                if pencil:
+                    scale = 1.0 / (axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z)
+                u[i, j] = scale * (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z)
+                v[i, j] = scale * (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z)
+                slack[i, j] = scale * slack_m
+                least_u, most_u = min(least_u, u[i, j]), max(most_u, u[i, j])
+                least_v, most_v = min(least_v, v[i, j]), max(most_v, v[i, j])
+        wide = abs(slack[0, 0]) * 2.0
+        if most_u + wide < low[0] or most_v + wide < low[1] or least_u - wide > right or least_v - wide > bottom:
+            continue
+        for i in range(n):
+            for j in range(n - i):
+                for half in range(1 if i + j == n - 1 else 2):
+                    a, b = i + half, j + half
+                    near = min(slack[a, j], slack[i + 1, b], slack[i, j + 1])
+                    if near > 0.0 and _is_met(
+                        u[a, j],
+                        v[a, j],
+                        u[i + 1, b],
+                        v[i + 1, b],
+                        u[i, j + 1],
+                        v[i, j + 1],
+                        1.5 * near,
+                        rays,
+                        low,
+                        per_m,
+                        n_columns,
+                        n_rows,
+                        start,
+                    ):
+                        found[count, 0], found[count, 1], found[count, 2] = ids[a, j], ids[i + 1, b], ids[i, j + 1]
+                        count += 1
+    return count
+
+
+@kernel
+def _is_met(
+    pu: float,
+    pv: float,
+    qu: float,
+    qv: float,
+    ru: float,
+    rv: float,
+    slack: float,
+    rays: FloatArray,
+    low: FloatArray,
+    per_m: float,
+    n_columns: int,
+    n_rows: int,
+    start: IndexArray,
+) -> bool:
+    """Whether a ray's point lies in the triangle p q r, or outside by less than the slack."""
+    left, right = min(pu, qu, ru) - slack, max(pu, qu, ru) + slack
+    top, bottom = min(pv, qv, rv) - slack, max(pv, qv, rv) + slack
+    first, last = _cell(left, low[0], per_m, n_columns), _cell(right, low[0], per_m, n_columns)
+    if (qu - pu) * (rv - pv) < (qv - pv) * (ru - pu):
+        qu, qv, ru, rv = ru, rv, qu, qv
+    for row in range(_cell(top, low[1], per_m, n_rows), _cell(bottom, low[1], per_m, n_rows) + 1):
+        for k in range(start[row * n_columns + first], start[row * n_columns + last + 1]):
+            x, y = rays[k, 0], rays[k, 1]
+            if x < left or x > right or y < top or y > bottom:
+                continue
+            if (
+                _left_of(pu, pv, qu, qv, x, y, slack)
+                and _left_of(qu, qv, ru, rv, x, y, slack)
+                and _left_of(ru, rv, pu, pv, x, y, slack)
+            ):
+                return True
+    return False
+
+
+@kernel
+def _left_of(au: float, av: float, bu: float, bv: float, x: float, y: float, slack: float) -> bool:
+    """Whether a point lies to the left of the line from a to b, or to the right of it within the slack."""
+    along, across = bu - au, bv - av
+    distance = along * (y - av) - across * (x - au)
+    return distance >= 0.0 or distance * distance <= slack * slack * (along * along + across * across)
