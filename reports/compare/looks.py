@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from reports.compare.factors import ESTIMATOR
 from reports.compare.subjects import RunComparison, Subject
+from reports.figures.looks import colour_of
 from reports.figures.style import GREY, SERIES_COLOURS
 from reports.records import CONTROL
 
@@ -12,7 +13,8 @@ def colours(found: RunComparison) -> dict[tuple[str, ...], str]:
     """Give each subject a colour: that of its estimator where each is of one, else one of its own; grey the control."""
     keys = [one.estimator or found.label(one.names) for one in found.subjects]
     named = [key for key in dict.fromkeys(keys) if key != CONTROL]
-    own = {key: SERIES_COLOURS[i % len(SERIES_COLOURS)] for i, key in enumerate(named)}
+    pooled = any(not one.estimator for one in found.subjects)
+    own = {key: SERIES_COLOURS[i % len(SERIES_COLOURS)] if pooled else colour_of(key) for i, key in enumerate(named)}
     return {one.names: own.get(key, GREY) for one, key in zip(found.subjects, keys, strict=True)}
 
 

@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from reports.figures.craters import draw_rims
-from reports.figures.style import LINE_STYLES, SERIES_COLOURS, FloatArray, hide_axes, new_figure, show_image, styled
+from reports.figures.looks import colour_of
+from reports.figures.style import LINE_STYLES, FloatArray, hide_axes, new_figure, show_image, styled
 from scenarios.geometry import Ellipses
 
 RimSet = tuple[Ellipses, str]
@@ -56,8 +57,8 @@ def draw_confidence_curves(curves: Mapping[str, tuple[FloatArray, FloatArray, Fl
     """
     figure, axes = new_figure(1, width_in=5.2, height_in=4.2)
     (place,) = axes
-    for k, (label, (false, detectable, clean)) in enumerate(curves.items()):
-        colour = SERIES_COLOURS[k % len(SERIES_COLOURS)]
+    for label, (false, detectable, clean) in curves.items():
+        colour = colour_of(label)
         place.plot(false, detectable, color=colour, linewidth=1.4, label=f"{label}: detectable")
         place.plot(false, clean, color=colour, linewidth=1.2, linestyle=LINE_STYLES[1], label=f"{label}: clean")
     place.plot(
@@ -85,7 +86,7 @@ def draw_rates(panels: Mapping[str, Mapping[str, Sequence[tuple[str, float, floa
             x = np.arange(len(bins)) + 0.12 * (k - 0.5 * (len(detectors) - 1))
             rate, low, high = (np.array([b[i] for b in bins], dtype=np.float64) for i in (1, 2, 3))
             spread = np.stack([rate - low, high - rate])
-            colour = SERIES_COLOURS[k % len(SERIES_COLOURS)]
+            colour = colour_of(label)
             place.errorbar(x, rate, np.maximum(spread, 0.0), marker="o", markersize=3.5, color=colour, label=label)
             place.set_xticks(np.arange(len(bins)), [b[0] for b in bins], rotation=30, ha="right")
         place.set(xlabel=what, ylim=(0, 101))

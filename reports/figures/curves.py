@@ -11,7 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from reports.figures.style import GREY, LINE_STYLES, SERIES_COLOURS, FloatArray, styled
+from reports.figures.looks import looks
+from reports.figures.style import FloatArray, styled
 
 _PANELS_A_ROW = 3
 _FEW_DECADES = 300.0
@@ -55,16 +56,16 @@ def draw_curves(panels: Sequence[CurvePanel], ordinate: str, title: str) -> Figu
 
 
 def _draw(axes: Axes, panel: CurvePanel) -> None:
-    for i, (label, points) in enumerate(panel.lines.items()):
+    drawn = looks(panel.lines)
+    for label, points in panel.lines.items():
         order = np.argsort(points.x)
         x, y, low_high = points.x[order], points.y[order], points.low_high[order]
-        colour = GREY if label == "prior" else SERIES_COLOURS[i % len(SERIES_COLOURS)]
         axes.errorbar(
             x,
             y,
             yerr=np.abs(low_high.T - y),
-            color=colour,
-            linestyle=LINE_STYLES[i % len(LINE_STYLES)],
+            color=drawn[label].colour,
+            linestyle=drawn[label].line,
             marker="o",
             markersize=3,
             linewidth=1.3,

@@ -9,7 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from reports.figures.style import LINE_STYLES, SERIES_COLOURS, grid_figure, styled
+from reports.figures.looks import looks
+from reports.figures.style import grid_figure, styled
 
 FloatArray = NDArray[np.float64]
 
@@ -30,6 +31,7 @@ def draw_shares(curves: Sequence[ShareCurve], label: str) -> Figure:
     figure, axes = grid_figure(1, 2, height_in=3.2)
     places = list(dict.fromkeys(name for curve in curves for name in curve.labels))
     for panel, name, title in zip(axes[0], ("recall", "wrong"), ("recall, %", "wrong matches, %"), strict=True):
+        drawn = looks(curve.name for curve in curves)
         for k, curve in enumerate(curves):
             at = np.array([places.index(one) for one in curve.labels]) + 0.06 * (k - 0.5 * (len(curves) - 1))
             values = getattr(curve, name)
@@ -38,8 +40,8 @@ def draw_shares(curves: Sequence[ShareCurve], label: str) -> Figure:
                 at,
                 values[:, 0],
                 yerr=spread,
-                color=SERIES_COLOURS[k % len(SERIES_COLOURS)],
-                linestyle=LINE_STYLES[k % len(LINE_STYLES)],
+                color=drawn[curve.name].colour,
+                linestyle=drawn[curve.name].line,
                 marker="o",
                 markersize=3,
                 capsize=2,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pandas as pd
 from matplotlib.figure import Figure
 
-from reports.figures.style import BLUE, GREY, LINE_STYLES, ORANGE, SERIES_COLOURS, grid_figure, new_figure, styled
+from reports.figures.looks import looks
+from reports.figures.style import BLUE, GREY, ORANGE, grid_figure, new_figure, styled
 
 
 @styled
@@ -42,12 +43,13 @@ def draw_orbit_errors(errors: pd.DataFrame, title: str) -> Figure:
         Printed above.
     """
     figure, (axes,) = new_figure(1, width_in=6.0)
-    for i, (name, own) in enumerate(errors.groupby("estimator", sort=False)):
-        colour = SERIES_COLOURS[i % len(SERIES_COLOURS)]
+    drawn = looks(map(str, errors["estimator"].unique()))
+    for name, own in errors.groupby("estimator", sort=False):
+        colour = drawn[str(name)].colour
         over = own.groupby("time_days")
         median = over["position_error_m"].median()
         low, high = (over["position_error_m"].quantile(q) for q in (0.05, 0.95))
-        axes.plot(median.index, median, color=colour, linestyle=LINE_STYLES[i % len(LINE_STYLES)], label=str(name))
+        axes.plot(median.index, median, color=colour, linestyle=drawn[str(name)].line, label=str(name))
         axes.fill_between(median.index, low, high, color=colour, alpha=0.2, linewidth=0)
         axes.plot(median.index, over["position_sigma_m"].median(), color=colour, linestyle="--", linewidth=0.9)
     arc = errors[~errors["predicted"].astype(bool)]

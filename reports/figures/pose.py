@@ -12,13 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from reports.figures.looks import looks
 from reports.figures.style import (
     BLUE,
     GREEN,
     GREY,
     LINE_STYLES,
     ORANGE,
-    SERIES_COLOURS,
     FloatArray,
     add_credits,
     beyond_text,
@@ -154,11 +154,12 @@ def draw_cumulative_errors(
     panels
         Columns of the errors, with what stands on their axes.
     colours
-        Of the curves by their labels; by default one after the other, grey for the prior.
+        Of the curves by their labels; by default those of the estimators of these names.
     """
     far_apart = any(_far_apart([_finite(errors[column]) for errors, _ in estimators.values()]) for column in panels)
     below = len(estimators) > _LEGEND_INSIDE or len(panels) == 1 or far_apart
     lines = -(-len(estimators) // 2) if below else 0
+    drawn = looks(estimators)
     figure, places = new_figure(len(panels), 3.75 * max(len(panels), 1.5), 3.4 + _LINE_IN * lines)
     for axes, (column, label) in zip(places, panels.items(), strict=True):
         samples = {name: np.sort(_finite(errors[column])) for name, (errors, _) in estimators.items()}
@@ -166,13 +167,12 @@ def draw_cumulative_errors(
         for i, (name, sample) in enumerate(samples.items()):
             n = estimators[name][1]
             shown, share = _thinned(sample[sample <= limit], n)
-            own = GREY if name == "prior" else SERIES_COLOURS[i % len(SERIES_COLOURS)]
             axes.step(
                 np.concatenate([[0.0], shown, [limit]]),
                 np.append(share, share[-1]),
                 where="post",
-                color=own if colours is None else colours[name],
-                linestyle=LINE_STYLES[i % len(LINE_STYLES)],
+                color=drawn[name].colour if colours is None else colours[name],
+                linestyle=drawn[name].line if colours is None else LINE_STYLES[i % len(LINE_STYLES)],
                 linewidth=1.6,
                 label=f"{name} ({len(sample)} of {n} ok)",
             )

@@ -9,7 +9,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from reports.figures.style import SERIES_COLOURS, new_figure, styled
+from reports.figures.looks import Look, looks
+from reports.figures.style import new_figure, styled
 from reports.statistics import MEAN, measure
 
 _PANELS = {"error_after_1_m": "after 1 revolution", "error_after_2_m": "after 2 revolutions"}
@@ -33,13 +34,15 @@ def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa:
     every = [table for levels in errors.values() for table in levels.values()]
     shown = [name for name in _PANELS if any(table[name].notna().any() for table in every)]
     figure, panels = new_figure(len(shown), width_in=4.0 * len(shown))
+    drawn = looks(errors)
     levels = list(dict.fromkeys(level for line in errors.values() for level in line))
     for axes, name in zip(panels, shown, strict=True):
         for i, (label, line) in enumerate(errors.items()):
             shift = _WIDTH * ((i + 0.5) / len(errors) - 0.5)
             _draw(
-                axes, {levels.index(level) + shift: table[[name, "cluster"]] for level, table in line.items()}, label, i
-            )
+                axes, {levels.index(level) + shift: table[[name, "cluster"]] for level, table in line.items()},
+                label, drawn[label],
+            )  # fmt: skip
         axes.set_xticks(range(len(levels)), levels)
         axes.set(xlabel=abscissa, ylabel=f"position error {_PANELS[name]}, m")
         axes.set_ylim(bottom=0.0)
@@ -49,8 +52,8 @@ def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa:
     return figure
 
 
-def _draw(axes: Axes, errors: Mapping[float, pd.DataFrame], label: str, index: int) -> None:
-    colour = SERIES_COLOURS[index % len(SERIES_COLOURS)]
+def _draw(axes: Axes, errors: Mapping[float, pd.DataFrame], label: str, look: Look) -> None:
+    colour = look.colour
     known = {x: table.dropna() for x, table in errors.items() if table.iloc[:, 0].notna().any()}
     means = []
     for x, table in known.items():
@@ -62,4 +65,6 @@ def _draw(axes: Axes, errors: Mapping[float, pd.DataFrame], label: str, index: i
         if found.low is not None and found.high is not None:
             axes.vlines(x, found.low, found.high, color=colour, linewidth=3.0)
         axes.plot(x, float(np.median(values)), marker="_", color=colour, markersize=9, linestyle="none")
-    axes.plot(list(known), means, marker="o", markersize=4, linewidth=1.0, color=colour, label=label)
+    axes.plot(
+        list(known), means, marker="o", markersize=4, linewidth=1.0, linestyle=look.line, color=colour, label=label
+    )

@@ -28,7 +28,8 @@ GREY, ORANGE, BLUE, GREEN, VERMILION, PURPLE, SKY = (
     "#cc79a7",
     "#56b4e9",
 )
-LINE_STYLES: tuple[str | tuple[int, tuple[int, ...]], ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+LineStyle = str | tuple[int, tuple[int, ...]]
+LINE_STYLES: tuple[LineStyle, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 SERIES_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY)
 _PARAMETERS: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so the same bytes on every machine

@@ -8,7 +8,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from reports.figures.style import LINE_STYLES, SERIES_COLOURS, add_credits, new_figure, styled
+from reports.figures.looks import Look, looks
+from reports.figures.style import add_credits, new_figure, styled
 from reports.figures.turns import mark_turns
 
 POSITION, LANDMARKS = "position_error_m", "landmark_rmse_m"
@@ -41,9 +42,10 @@ def draw_traces(
     """
     shown = [name for name in panels if any(table[name].notna().any() for table in epochs.values())]
     figure, places = new_figure(len(shown), width_in=4.4 * len(shown))
+    drawn = looks(epochs)
     for axes, name in zip(places, shown, strict=True):
-        for i, (estimator, table) in enumerate(epochs.items()):
-            _draw(axes, table, name, estimator, i)
+        for estimator, table in epochs.items():
+            _draw(axes, table, name, estimator, drawn[estimator])
         last = max((float(table["anomaly_deg"].max()) for table in epochs.values()), default=0.0)
         mark_turns(axes, last)
         axes.set(xlabel="anomaly, deg", ylabel=_PANELS[name])
@@ -64,12 +66,12 @@ def _scale(axes: Axes, errors: Sequence[pd.Series]) -> None:
         axes.set_ylim(bottom=0.0)
 
 
-def _draw(axes: Axes, table: pd.DataFrame, name: str, label: str, index: int) -> None:
+def _draw(axes: Axes, table: pd.DataFrame, name: str, label: str, look: Look) -> None:
     known = table.dropna(subset=[name])
     if known.empty:
         return
     over_trials = known.groupby("anomaly_deg")[name]
-    colour = SERIES_COLOURS[index % len(SERIES_COLOURS)]
+    colour = look.colour
     middle = over_trials.median()
     low, high = (over_trials.quantile(q).to_numpy() for q in _BAND)
     anomaly = middle.index.to_numpy(dtype=float)
@@ -77,4 +79,4 @@ def _draw(axes: Axes, table: pd.DataFrame, name: str, label: str, index: int) ->
     first = known[known["trial"] == known["trial"].min()]
     if len(first) < len(known):
         axes.plot(first["anomaly_deg"], first[name], color=colour, linewidth=0.5, alpha=0.8)
-    axes.plot(anomaly, middle.to_numpy(), color=colour, linestyle=LINE_STYLES[index % len(LINE_STYLES)], label=label)
+    axes.plot(anomaly, middle.to_numpy(), color=colour, linestyle=look.line, label=label)

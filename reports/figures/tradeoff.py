@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from reports.figures.style import GREY, SERIES_COLOURS, add_credits, grid_figure, styled
+from reports.figures.looks import looks
+from reports.figures.style import GREY, add_credits, grid_figure, styled
 from reports.statistics import Measured
 
-_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _FEW_DECADES = 300.0
 _ERRORS = (("position_error_m", "position error, m"), ("attitude_error_deg", "attitude error, deg"))
 
@@ -71,7 +71,8 @@ def draw_trade_off(
 
 
 def _draw(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str, float]) -> None:
-    for index, (label, error) in enumerate(errors.items()):
+    drawn = looks(errors)
+    for label, error in errors.items():
         if label not in costs or error.value is None:
             continue
         known = error.low is not None and error.high is not None
@@ -80,8 +81,8 @@ def _draw(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str, float]
             [costs[label]],
             [error.value],
             yerr=reach,
-            color=SERIES_COLOURS[index % len(SERIES_COLOURS)],
-            marker=_MARKERS[index % len(_MARKERS)],
+            color=drawn[label].colour,
+            marker=drawn[label].marker,
             markersize=6,
             linestyle="none",
             capsize=3,

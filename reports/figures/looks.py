@@ -1,0 +1,90 @@
+"""One look for one estimator: the same colour in every figure of the product, lines and marks that tell them apart."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from reports.figures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    LINE_STYLES,
+    ORANGE,
+    PURPLE,
+    SERIES_COLOURS,
+    SKY,
+    VERMILION,
+    LineStyle,
+)
+
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">")
+
+# Six colours serve more methods: those that stand in one figure most often have different ones. Controls are grey.
+_COLOURS: Mapping[str, str] = MappingProxyType(
+    {
+        "prior": GREY,
+        "landmark-harris": BLUE,
+        "whole-image": SKY,
+        "landmark-ransac": ORANGE,
+        "minimal-sets": SKY,
+        "photometric": PURPLE,
+        "lmaps": GREEN,
+        "landmark-altimeter": VERMILION,
+        "landmark-sift": VERMILION,
+        "landmark-orb": PURPLE,
+        "crater-pose": SKY,
+        "dead-reckoning": GREY,
+        "ba-slam": BLUE,
+        "ekf-slam": ORANGE,
+        "iterated-ekf-slam": VERMILION,
+        "consistent-ekf-slam": PURPLE,
+        "fixed-lag": GREEN,
+        "batch": SKY,
+        "dynamic-smoother": VERMILION,
+        "loop-smoother": PURPLE,
+        "gtsam-fixed-lag": ORANGE,
+        "gtsam-isam2": VERMILION,
+        "crater-classic": BLUE,
+        "crater-learned": ORANGE,
+        "correlation": PURPLE,
+        "context": BLUE,
+        "invariants": VERMILION,
+        "hybrid": ORANGE,
+        "vote": GREEN,
+        "batch-filter": BLUE,
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How an estimator is drawn: Matplotlib's colour, line style and marker."""
+
+    colour: str
+    line: LineStyle
+    marker: str
+
+
+def looks(labels: Iterable[str]) -> dict[str, Look]:
+    """Give the estimators of a figure their looks, by label.
+
+    The colour is that of the method whose name the label is or begins with (``ba-slam-5`` is a ``ba-slam``), of an
+    unknown one always the same by its name. Labels of one colour differ in line style and marker; no two are alike.
+    """
+    found: dict[str, Look] = {}
+    for place, label in enumerate(dict.fromkeys(labels)):
+        colour = colour_of(label)
+        alike = sum(look.colour == colour for look in found.values())
+        found[label] = Look(colour, LINE_STYLES[alike % len(LINE_STYLES)], MARKERS[place % len(MARKERS)])
+    return found
+
+
+def colour_of(label: str) -> str:
+    """Return the colour of a label, whatever else a figure shows."""
+    known = [name for name in _COLOURS if label == name or label.startswith(f"{name}-")]
+    if known:
+        return _COLOURS[max(known, key=len)]
+    return SERIES_COLOURS[zlib.crc32(label.encode()) % len(SERIES_COLOURS)]

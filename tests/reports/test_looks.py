@@ -1,0 +1,52 @@
+"""One estimator looks the same in every figure, and two never look alike in one."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from reports.figures.looks import colour_of, looks
+from reports.figures.style import GREY, SERIES_COLOURS
+
+
+@pytest.mark.parametrize("others", [(), ("ekf-slam", "batch"), ("my-own", "fixed-lag", "prior")])
+def test_the_colour_does_not_depend_on_what_else_is_shown(others):
+    assert looks([*others, "ba-slam"])["ba-slam"].colour == colour_of("ba-slam")
+
+
+@pytest.mark.parametrize(("label", "method"), [("ba-slam-5", "ba-slam"), ("fixed-lag-noisy", "fixed-lag")])
+def test_a_variant_has_the_colour_of_its_method(label, method):
+    assert colour_of(label) == colour_of(method)
+
+
+def test_the_longest_name_counts():
+    assert colour_of("batch-filter-tight") == colour_of("batch-filter") != colour_of("batch")
+
+
+@pytest.mark.parametrize("label", ["prior", "dead-reckoning"])
+def test_controls_are_grey_and_nothing_else_is(label):
+    assert colour_of(label) == GREY
+    assert colour_of("somebody's method") in SERIES_COLOURS
+
+
+def test_no_two_of_a_figure_look_alike():
+    labels = ["prior", "ba-slam", "ba-slam-3", "ba-slam-5", "landmark-harris", "fixed-lag", "lmaps", "mine", "yours"]
+    found = looks(labels)
+    assert list(found) == labels
+    for one, other in itertools.combinations(found.values(), 2):
+        assert one.colour != other.colour or one.line != other.line
+        assert one.marker != other.marker
+
+
+@pytest.mark.parametrize(
+    "family",
+    [
+        ("prior", "landmark-harris", "whole-image", "landmark-ransac", "photometric", "lmaps", "landmark-sift"),
+        ("dead-reckoning", "ba-slam", "ekf-slam", "fixed-lag", "batch", "consistent-ekf-slam", "iterated-ekf-slam"),
+        ("correlation", "context", "invariants", "hybrid", "vote"),
+        ("crater-classic", "crater-learned"),
+    ],
+)
+def test_methods_that_stand_together_differ_in_colour(family):
+    assert len({colour_of(name) for name in family}) == len(family)
