@@ -72,13 +72,16 @@ def looks(labels: Iterable[str]) -> dict[str, Look]:
     """Give the estimators of a figure their looks, by label.
 
     The colour is that of the method whose name the label is or begins with (``ba-slam-5`` is a ``ba-slam``), of an
-    unknown one always the same by its name. Labels of one colour differ in line style and marker; no two are alike.
+    unknown one always the same by its name. Neighbours differ in line style too, for print in grey, and labels of one
+    colour do; no two have the same marker.
     """
     found: dict[str, Look] = {}
     for place, label in enumerate(dict.fromkeys(labels)):
         colour = colour_of(label)
-        alike = sum(look.colour == colour for look in found.values())
-        found[label] = Look(colour, LINE_STYLES[alike % len(LINE_STYLES)], MARKERS[place % len(MARKERS)])
+        taken = {look.line for look in found.values() if look.colour == colour}
+        lines = LINE_STYLES[place % len(LINE_STYLES) :] + LINE_STYLES[: place % len(LINE_STYLES)]
+        line = next((line for line in lines if line not in taken), lines[0])
+        found[label] = Look(colour, line, MARKERS[place % len(MARKERS)])
     return found
 
 

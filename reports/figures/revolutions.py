@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from reports.figures.looks import Look, looks
-from reports.figures.style import new_figure, styled
+from reports.figures.style import new_figure, scale_ordinate, styled
 from reports.statistics import MEAN, measure
 
 _PANELS = {"error_after_1_m": "after 1 revolution", "error_after_2_m": "after 2 revolutions"}
@@ -45,7 +45,7 @@ def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa:
             )  # fmt: skip
         axes.set_xticks(range(len(levels)), levels)
         axes.set(xlabel=abscissa, ylabel=f"position error {_PANELS[name]}, m")
-        axes.set_ylim(bottom=0.0)
+        scale_ordinate(axes, [float(table[name].median()) for table in every])
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
     figure.suptitle(title, fontsize=9.5)

@@ -30,6 +30,7 @@ GREY, ORANGE, BLUE, GREEN, VERMILION, PURPLE, SKY = (
 )
 LineStyle = str | tuple[int, tuple[int, ...]]
 LINE_STYLES: tuple[LineStyle, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+_FAR_APART = 20.0
 SERIES_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY)
 _PARAMETERS: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so the same bytes on every machine
@@ -105,6 +106,15 @@ def hide_axes(axes: Axes) -> None:
     axes.set(xticks=[], yticks=[])
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
+
+
+def scale_ordinate(axes: Axes, typical: Sequence[float]) -> None:
+    """Choose a logarithmic ordinate where curves would else lie upon the axis: their typical values are far apart."""
+    known = [value for value in typical if np.isfinite(value)]
+    if known and max(known) > _FAR_APART * min(known) > 0.0:
+        axes.set_yscale("log")
+    else:
+        axes.set_ylim(bottom=0.0)
 
 
 def add_credits(figure: Figure, credit_lines: Sequence[str]) -> None:

@@ -9,13 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from reports.figures.looks import Look, looks
-from reports.figures.style import add_credits, new_figure, styled
+from reports.figures.style import add_credits, new_figure, scale_ordinate, styled
 from reports.figures.turns import mark_turns
 
 POSITION, LANDMARKS = "position_error_m", "landmark_rmse_m"
-_PANELS = {POSITION: "camera position error, m", LANDMARKS: "RMS error of the frame's landmarks, m"}
+_PANELS = {POSITION: "camera position error, m", LANDMARKS: "RMSE of the frame's landmarks, m"}
 _BAND = (0.05, 0.95)
-_FAR_APART = 20.0
+_BANDS_AT_MOST = 3
 
 
 @styled
@@ -27,6 +27,7 @@ def draw_traces(
 ) -> Figure:
     """Draw the median error over trials against the anomaly, with the band of 5 to 95 % of them and the first trial.
 
+    More estimators than three have no bands: they would hide each other.
     A panel of which no estimator has a value, such as the landmarks of dead reckoning, is left out.
 
     Parameters
@@ -45,11 +46,11 @@ def draw_traces(
     drawn = looks(epochs)
     for axes, name in zip(places, shown, strict=True):
         for estimator, table in epochs.items():
-            _draw(axes, table, name, estimator, drawn[estimator])
+            _draw(axes, table, name, estimator, drawn[estimator], banded=len(epochs) <= _BANDS_AT_MOST)
         last = max((float(table["anomaly_deg"].max()) for table in epochs.values()), default=0.0)
         mark_turns(axes, last)
         axes.set(xlabel="anomaly, deg", ylabel=_PANELS[name])
-        _scale(axes, [table[name] for table in epochs.values()])
+        scale_ordinate(axes, [float(table[name].median()) for table in epochs.values()])
     handles, labels = places[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
     figure.suptitle(title, fontsize=9.5)
@@ -57,26 +58,18 @@ def draw_traces(
     return figure
 
 
-def _scale(axes: Axes, errors: Sequence[pd.Series]) -> None:
-    """Choose a logarithmic ordinate where the curves would else lie upon the axis: estimators that are far apart."""
-    medians = [float(values.median()) for values in errors if values.notna().any()]
-    if medians and max(medians) > _FAR_APART * min(medians) > 0.0:
-        axes.set_yscale("log")
-    else:
-        axes.set_ylim(bottom=0.0)
-
-
-def _draw(axes: Axes, table: pd.DataFrame, name: str, label: str, look: Look) -> None:
+def _draw(axes: Axes, table: pd.DataFrame, name: str, label: str, look: Look, *, banded: bool) -> None:
     known = table.dropna(subset=[name])
     if known.empty:
         return
     over_trials = known.groupby("anomaly_deg")[name]
     colour = look.colour
     middle = over_trials.median()
-    low, high = (over_trials.quantile(q).to_numpy() for q in _BAND)
     anomaly = middle.index.to_numpy(dtype=float)
-    axes.fill_between(anomaly, low, high, color=colour, alpha=0.18, linewidth=0)
-    first = known[known["trial"] == known["trial"].min()]
-    if len(first) < len(known):
-        axes.plot(first["anomaly_deg"], first[name], color=colour, linewidth=0.5, alpha=0.8)
+    if banded:
+        low, high = (over_trials.quantile(q).to_numpy() for q in _BAND)
+        axes.fill_between(anomaly, low, high, color=colour, alpha=0.18, linewidth=0)
+        first = known[known["trial"] == known["trial"].min()]
+        if len(first) < len(known):
+            axes.plot(first["anomaly_deg"], first[name], color=colour, linewidth=0.5, alpha=0.8)
     axes.plot(anomaly, middle.to_numpy(), color=colour, linestyle=look.line, label=label)
