@@ -40,6 +40,7 @@ def make_manifest(
         "trials": max(request.trials, int(earlier.get("trials", 0))),
         "campaign": campaign.as_written(),
         "overrides": list(campaign.overrides),
+        "draft": campaign.draft,
         "files": {s.spec.name: [str(s.path), *map(str, s.search_dirs)] for s in campaign.scenarios},
         "estimators": list(campaign.labels),
         "scenarios": {s.spec.name: json.loads(canonical_json(s.spec)) for s in campaign.scenarios},
@@ -51,7 +52,7 @@ def make_manifest(
         "versions": package_versions(),
         "machine": {**describe(), "variant": campaign.variant, "kernels": campaign.kernels},
         "left_out": {s.spec.name: dict(open_images(s).left_out) for s in campaign.scenarios if s.spec.images},
-        "notes": [note for s in campaign.scenarios for note in left_out_notes(s)],
+        "notes": [note for s in campaign.scenarios for note in left_out_notes(s)] + _draft_notes(campaign),
         "products": [_product(request.out, product) for product in products],
     }
 
@@ -64,6 +65,12 @@ def updated(manifest: Mapping[str, object], **changes: object) -> dict[str, obje
 def now() -> str:
     """Return the time in UTC, to the second."""
     return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _draft_notes(campaign: ResolvedCampaign) -> list[str]:
+    if campaign.draft == 1.0:
+        return []
+    return [f"A draft of scale {campaign.draft:g}: fewer trials, and data bases of fewer images, than are meant."]
 
 
 def _grid(campaign: ResolvedCampaign) -> dict[str, object] | None:

@@ -44,7 +44,7 @@ class ResolvedCampaign:
 
     ``kernels`` are those of adjustments, '' where rows do not depend on them. ``variations`` tells, by the name of a
     scenario, where in the campaign's grid it stands. ``overrides`` are those of the command line, which the scenarios
-    hold already.
+    hold already. ``draft`` is the share of the images that data bases are made of, 1 for a run that is meant.
     Equality and hash are those of the digest, so a worker can keep what it built for a campaign.
     """
 
@@ -55,6 +55,7 @@ class ResolvedCampaign:
     kernels: str = ""
     variations: Mapping[str, Variation] = field(default_factory=dict)
     overrides: tuple[str, ...] = ()
+    draft: float = 1.0
 
     @cached_property
     def identity(self) -> dict[str, object]:
@@ -80,6 +81,7 @@ class ResolvedCampaign:
             "renderer": [MitsubaRenderer.name, MitsubaRenderer.version, self.variant],
             "detector": Detector.version,
             **({"kernels": self.kernels} if self.kernels else {}),
+            **({"draft": self.draft} if self.draft < 1.0 else {}),
         }
 
     @cached_property
@@ -198,5 +200,12 @@ def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
     except (KeyError, ValidationError):
         return None
     machine = manifest["machine"]
-    campaign = ResolvedCampaign(spec, scenarios, int(manifest["seed"]), machine["variant"], machine.get("kernels", ""))
+    campaign = ResolvedCampaign(
+        spec,
+        scenarios,
+        int(manifest["seed"]),
+        machine["variant"],
+        machine.get("kernels", ""),
+        draft=float(manifest.get("draft", 1.0)),
+    )
     return campaign if campaign.digest == manifest["digest"] else None

@@ -93,7 +93,8 @@ def _build_products(campaign: ResolvedCampaign, request: RunRequest, listener: L
     kind = experiment_class(campaign.spec.experiment)
     products: list[BuiltProduct] = []
     for scenario in campaign.scenarios:
-        shelf = Shelf(scenario, request.out / "products", request.jobs, campaign.variant, listener.message)
+        place = request.out / "products"
+        shelf = Shelf(scenario, place, request.jobs, campaign.variant, listener.message, campaign.draft)
         products += kind.prepare(campaign, scenario, shelf)
     return products
 

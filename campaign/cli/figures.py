@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import shlex
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,14 +25,25 @@ if TYPE_CHECKING:
     from argparse import _SubParsersAction
 
 
+ALL = "all"
+_LEAST_TRIALS = 2
+
+
 def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command to the parser."""
     figures = commands.add_parser("figures", help="draw every figure of a paper, and set every number beside ours")
-    figures.add_argument("paper", choices=PAPERS, help="which paper")
+    figures.add_argument("paper", choices=(*PAPERS, ALL), help="which paper, or all of them")
     figures.add_argument("--runs", type=Path, default=RUNS, help="where the runs are (default: runs)")
-    figures.add_argument("--out", type=Path, help="folder of the figures (default: figures/PAPER)")
+    figures.add_argument(
+        "--out", type=Path, help="folder of the figures, of all papers that of their folders (default: figures/PAPER)"
+    )
     figures.add_argument("--run", action="store_true", help="first run, or finish, the campaigns that are missing")
     figures.add_argument("--trials", type=positive, help="with --run: trials of each scenario at most")
+    figures.add_argument(
+        "--trials-scale", type=_share, default=1.0, metavar="SHARE",
+        help="make a draft: run what is missing with this share of its trials, and data bases of this share of their"
+        " images, 120 at least",
+    )  # fmt: skip
     figures.add_argument(
         "--jobs", type=positive, default=cores(),
         help="worker processes of what is run or built again for a figure (default: the cores)",
@@ -39,22 +51,40 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     figures.set_defaults(handler=_figures)
 
 
+def _share(text: str) -> float:
+    try:
+        share = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+    if not 0.0 < share <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0 and 1 at most")
+    return share
+
+
 def _figures(arguments: argparse.Namespace) -> int:
+    if arguments.trials is not None and not arguments.run:
+        raise BoresightError("--trials says how much is to be run: give --run too")
+    parent = Path("figures") if arguments.trials_scale == 1.0 else Path("figures") / f"draft-{arguments.trials_scale:g}"
+    if arguments.paper != ALL:
+        return _of_paper(arguments.paper, arguments.out or parent / arguments.paper, arguments)
+    for name in PAPERS:
+        _of_paper(name, (arguments.out or parent) / name, arguments)
+    return 0
+
+
+def _of_paper(name: str, folder: Path, arguments: argparse.Namespace) -> int:
     # Imported here: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
     from campaign.paper.page import gather, paper_called, paper_campaigns, paper_page
     from reports.console import rich_table
     from reports.paper import paper_grid, verdict_tally, write_paper
 
-    out = console()
-    if arguments.trials is not None and not arguments.run:
-        raise BoresightError("--trials says how much is to be run: give --run too")
-    paper = paper_called(arguments.paper)
-    if arguments.run:
-        found, _ = gather(paper, arguments.runs)
-        for name in (name for name in paper_campaigns(paper) if name not in found):
-            run_or_finish(name, arguments)
-    page = paper_page(paper, arguments.runs, arguments.jobs)
-    folder = arguments.out or Path("figures") / arguments.paper
+    out, scale = console(), arguments.trials_scale
+    paper = paper_called(name)
+    if arguments.run or scale < 1.0:
+        found, _ = gather(paper, arguments.runs, scale)
+        for missing in (campaign for campaign in paper_campaigns(paper) if campaign not in found):
+            run_or_finish(missing, arguments)
+    page = paper_page(paper, arguments.runs, arguments.jobs, scale)
     try:
         written = write_paper(page, folder)
     except OSError as error:
@@ -72,12 +102,16 @@ def run_or_finish(name: str, arguments: argparse.Namespace) -> None:
     """Run a campaign, or go on with it; one that cannot be run, for want of its data, is told and left out."""
     out = console()
     try:
-        campaign = resolve(name, variant=choose_variant().name)
-        trials = min(arguments.trials or campaign.spec.trials, campaign.spec.trials)
+        campaign = replace(resolve(name, variant=choose_variant().name), draft=arguments.trials_scale)
+        trials = _trials(campaign.spec.trials, arguments)
         folder = arguments.runs / f"{campaign.spec.name}-{campaign.digest[:8]}"
-        command = shlex.join(["boresight", "run", name, "--trials", str(trials), "--out", str(folder)])
         out.print(f"{name}: {trials} trials into {folder}")
         with ProgressListener(out) as listener:
-            run_campaign(campaign, RunRequest(folder, trials, arguments.jobs, command=command), listener)
+            run_campaign(campaign, RunRequest(folder, trials, arguments.jobs, command=arguments.command), listener)
     except BoresightError as error:
         out.print(f"{name}: {error}")
+
+
+def _trials(whole: int, arguments: argparse.Namespace) -> int:
+    scaled = max(min(whole, _LEAST_TRIALS), math.ceil(float(arguments.trials_scale) * whole))
+    return scaled if arguments.trials is None else min(int(arguments.trials), scaled)

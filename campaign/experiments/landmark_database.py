@@ -11,6 +11,7 @@ from campaign.experiments.registry import Bench, Record, Records
 from campaign.image_store import store_switched
 from campaign.products import BuiltProduct, Shelf, landmark_database
 from campaign.products.landmark_candidates import IN_THIS_PROCESS, candidates_of
+from campaign.products.shelf import drafted
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_pose_error
 from campaign.world import believed
@@ -115,7 +116,8 @@ def counts(built: BuiltDatabase, options: DatabaseOptions) -> dict[str, float]:
 
 def _makers(campaign: ResolvedCampaign) -> dict[str, DatabaseOptions]:
     return {
-        entry.label: parse_options(DatabaseOptions, entry.options, entry.name) for entry in campaign.spec.estimators
+        entry.label: drafted(parse_options(DatabaseOptions, entry.options, entry.name), campaign.draft)
+        for entry in campaign.spec.estimators
     }
 
 

@@ -75,7 +75,7 @@ class PoseConvergence:
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> PoseConvergence:
         """Read the data base."""
         solvers = _solvers(campaign)
-        shelf = Shelf(scenario, bench.run / "products", jobs=0, variant=campaign.variant)
+        shelf = Shelf(scenario, bench.run / "products", jobs=0, variant=campaign.variant, draft=campaign.draft)
         return cls(scenario, _database(solvers, shelf), solvers, campaign.seed)
 
     def run(self, trials: range) -> Records:

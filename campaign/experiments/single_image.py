@@ -77,7 +77,7 @@ class SingleImage:
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> SingleImage:
         """Open the world and build the estimators."""
-        shelf = Shelf(scenario, bench.run / "products", jobs=0, variant=campaign.variant)
+        shelf = Shelf(scenario, bench.run / "products", jobs=0, variant=campaign.variant, draft=campaign.draft)
         estimators = {
             entry.label: estimator_class(entry.name).from_options(entry.options, shelf)
             for entry in campaign.spec.estimators

@@ -56,8 +56,10 @@ class FinishedRun:
         return campaign
 
 
-def newest_finished(runs: Sequence[Path], name: str) -> FinishedRun | None:
+def newest_finished(runs: Sequence[Path], name: str, draft: float = 1.0) -> FinishedRun | None:
     """Return the run of a campaign that finished last among some folders; None without any.
+
+    Drafts are runs of fewer trials and smaller data bases: those of a scale are asked for by it.
 
     Runs with ``--set`` are of another world than the paper's, whatever campaign they began from.
     """
@@ -70,7 +72,7 @@ def newest_finished(runs: Sequence[Path], name: str) -> FinishedRun | None:
             continue
         if manifest is None or manifest.get("name") != name or manifest.get("overrides"):
             continue
-        if _is_whole(folder, manifest):
+        if float(manifest.get("draft", 1.0)) == draft and _is_whole(folder, manifest):
             finished.append(FinishedRun(folder, manifest))
     return max(finished, key=lambda run: str(run.manifest["finished"]), default=None)
 

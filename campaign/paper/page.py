@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from campaign.paper.gather import FinishedRun, newest_finished, run_folders
 from campaign.paper.kinds import Paper, PaperFigure
@@ -28,12 +28,17 @@ def paper_campaigns(paper: Paper) -> list[str]:
     return [name for name in paper.campaigns if name in known]
 
 
-def gather(paper: Paper, runs: Path) -> tuple[dict[str, FinishedRun], list[str]]:
-    """Find the newest finished run of each campaign of the paper; say of each that is missing how to run it."""
+def gather(paper: Paper, runs: Path, draft: float = 1.0) -> tuple[dict[str, FinishedRun], list[str]]:
+    """Find the newest finished run of each campaign of the paper, and say of each that is missing how to run it.
+
+    With a scale of ``draft`` below 1 a draft of that scale serves where there is no run that is meant.
+    """
     folders = run_folders(runs)
     found, missing = {}, []
     for name in paper_campaigns(paper):
         run = newest_finished(folders, name)
+        if run is None and draft < 1.0:
+            run = newest_finished(folders, name, draft)
         if run is None:
             missing.append(f"{name}: no finished run without --set under {runs}/; to run it: boresight run {name}")
         else:
@@ -41,9 +46,9 @@ def gather(paper: Paper, runs: Path) -> tuple[dict[str, FinishedRun], list[str]]
     return found, missing
 
 
-def paper_page(paper: Paper, runs: Path, jobs: int) -> PaperPage:
+def paper_page(paper: Paper, runs: Path, jobs: int, draft: float = 1.0) -> PaperPage:
     """Draw all figures and set all numbers of the paper beside ours, as far as they have been run."""
-    found, missing = gather(paper, runs)
+    found, missing = gather(paper, runs, draft)
     figures: list[NamedFigure] = []
     for figure in paper.figures:
         try:
@@ -99,6 +104,11 @@ def _lines(paper: Paper, name: str, report: str, run: FinishedRun | None) -> lis
 def _how(run: FinishedRun) -> str:
     manifest = run.manifest
     return (
-        f"{run.folder.path}, {manifest['trials']} trials, seed {manifest['seed']}, {manifest['finished']},"
+        f"{run.folder.path}, {_size(manifest)}, seed {manifest['seed']}, {manifest['finished']},"
         f" commit {manifest['commit'] or 'unknown'}"
     )
+
+
+def _size(manifest: Mapping[str, Any]) -> str:
+    draft = float(manifest.get("draft", 1.0))
+    return f"{manifest['trials']} trials" + (f" (a draft of scale {draft:g})" if draft < 1.0 else "")

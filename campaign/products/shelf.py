@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from campaign.products.keys import content_key
 from campaign.products.kinds import product_kind
@@ -21,6 +22,9 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
+
+Options = TypeVar("Options", bound=SpecModel)
+_LEAST_IMAGES = 120
 
 
 def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant: str) -> str:
@@ -55,6 +59,8 @@ class Shelf:
         The Mitsuba variant.
     tell
         Told before something is built.
+    draft
+        Share of the images that data bases are made of, see `drafted`.
     """
 
     def __init__(
@@ -64,6 +70,7 @@ class Shelf:
         jobs: int,
         variant: str,
         tell: Callable[[str], None] | None = None,
+        draft: float = 1.0,
     ) -> None:
         self._true_scenario = scenario
         self._scenario = believed(scenario)
@@ -71,11 +78,12 @@ class Shelf:
         self._jobs = jobs
         self._variant = variant
         self._tell = tell
+        self._draft = draft
         self._lent: list[tuple[str, str]] = []
 
     def empty(self) -> Shelf:
         """Return the same shelf with nothing lent yet."""
-        return Shelf(self._true_scenario, self._folder, self._jobs, self._variant, self._tell)
+        return Shelf(self._true_scenario, self._folder, self._jobs, self._variant, self._tell, self._draft)
 
     @property
     def camera(self) -> Camera:
@@ -99,7 +107,7 @@ class Shelf:
     def product(self, kind: str, options: Mapping[str, object]) -> object:
         """Return a product, built first where that is allowed."""
         maker = product_kind(kind)
-        wanted = maker.parse(options)
+        wanted = drafted(maker.parse(options), self._draft)
         folder = self._folder / f"{kind}-{product_key(self._scenario, kind, wanted, self._variant)}"
         if not folder.exists():
             self._fetch(kind, wanted, folder)
@@ -127,6 +135,14 @@ class Shelf:
 
         cached = default_cache().folder(kind, folder.name.rsplit("-", 1)[1], build)
         _place(cached, folder)
+
+
+def drafted(options: Options, draft: float) -> Options:
+    """Ask for a share of the images that a data base is made of; fewer than a floor tell nothing of a method."""
+    images = getattr(options, "images", None)
+    if draft >= 1.0 or not isinstance(images, int):
+        return options
+    return options.model_copy(update={"images": max(min(images, _LEAST_IMAGES), round(draft * images))})
 
 
 def _place(cached: Path, folder: Path) -> None:

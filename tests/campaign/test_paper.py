@@ -17,6 +17,7 @@ from campaign.cli.figures import run_or_finish
 from campaign.paper.gather import newest_finished, run_folders
 from campaign.paper.page import drawn, gather, paper_called, paper_campaigns
 from campaign.paper.shapes import broadside_view, built_again, cluster_view, surface_view
+from campaign.products.shelf import drafted
 from campaign.resolve import resolve
 from campaign.store import RunFolder
 from campaign.world import open_world
@@ -129,10 +130,38 @@ def test_what_is_missing_is_run_on_request_with_no_more_trials_than_the_campaign
     name = "rowell2015-centroid"
     file = write_campaign(tmp_path / "files", f"name: {name}\ntitle: T\n{HEAD}{CAMPAIGNS[name]}", SCENE)
     for asked, stored in ((1, 1), (None, 4), (100, 4)):
-        run_or_finish(str(file), argparse.Namespace(runs=tmp_path / "runs", trials=asked, jobs=1))
+        asked_for = {"trials": asked, "trials_scale": 1.0, "jobs": 1, "command": "boresight figures"}
+        run_or_finish(str(file), argparse.Namespace(runs=tmp_path / "runs", **asked_for))
         (folder,) = run_folders(tmp_path / "runs")
         assert RunFolder(folder).table("rows")["trial"].nunique() == stored
     assert newest_finished([folder], name) is not None
+
+
+def test_a_draft_has_a_share_of_the_trials_and_is_never_taken_for_a_run(cache, tmp_path):
+    name = "rowell2015-centroid"
+    file = write_campaign(tmp_path / "files", f"name: {name}\ntitle: T\n{HEAD}{CAMPAIGNS[name]}", SCENE)
+    asked_for = {"trials": None, "trials_scale": 0.6, "jobs": 1, "command": "boresight figures"}
+    run_or_finish(str(file), argparse.Namespace(runs=tmp_path / "runs", **asked_for))
+    folders = run_folders(tmp_path / "runs")
+    assert newest_finished(folders, name) is None
+    draft = newest_finished(folders, name, 0.6)
+    assert draft is not None
+    assert draft.folder.table("rows")["trial"].nunique() == 3
+    assert any("draft of scale 0.6" in note for note in draft.content.notes)
+    assert draft.campaign().draft == 0.6
+
+
+@pytest.mark.parametrize(
+    ("images", "share", "wanted"), [(500, 0.05, 120), (500, 0.5, 250), (80, 0.05, 80), (500, 1.0, 500)]
+)
+def test_a_draft_makes_data_bases_of_fewer_images_with_a_floor(images, share, wanted):
+    assert drafted(DatabaseOptions(images=images), share).images == wanted
+
+
+@pytest.mark.parametrize("share", ["0", "1.5", "much"])
+def test_a_share_that_is_none_is_refused(capsys, share):
+    assert main(["figures", "all", "--trials-scale", share]) == 2
+    assert "--trials-scale" in capsys.readouterr().err
 
 
 def test_campaigns_without_their_data_are_told_and_left_out(tmp_path, monkeypatch, capsys):
