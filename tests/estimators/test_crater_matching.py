@@ -189,6 +189,11 @@ def test_invariants_match_a_plane_of_exact_rims_and_leave_ambiguous_ones_out() -
     assert len(pairs) == 9
     votes = np.array([[20, 0, 0], [0, 20, 20], [0, 0, 20]])
     np.testing.assert_array_equal(unambiguous(votes, 4), [[0, 0]])
+    # With a margin the couple stays that outvotes its rivals, be they over the threshold or not.
+    votes = np.array([[30, 12, 0], [14, 25, 0], [0, 19, 18]])
+    np.testing.assert_array_equal(unambiguous(votes, 4), np.zeros((0, 2)))
+    np.testing.assert_array_equal(unambiguous(votes, 4, 1.3), [[0, 0], [1, 1]])
+    np.testing.assert_array_equal(unambiguous(votes, 4, 1.5), [[0, 0]])
 
 
 def test_the_linear_transform_of_three_points_is_opencvs() -> None:
