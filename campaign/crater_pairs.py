@@ -1,35 +1,45 @@
-"""Where pairs of looks at craters come from: drawn by geometry, or rendered and seen by a detector."""
+"""Where pairs of looks at craters come from: drawn by geometry, or rendered and seen by detectors."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from campaign.crater_score import match_detections
+from campaign.image_store import ImageStore
 from estimators.craters.contract import CraterDetector
 from estimators.craters.registry import crater_detector_class
 from renderers.detector import Detector
 from renderers.mitsuba3 import TiledRenderer, choose_variant
 from scenarios.bodies import load_body
-from scenarios.craters import Rims, crater_truth, cratered_surface
+from scenarios.craters import CraterTruth, Rims, crater_truth, cratered_surface
 from scenarios.craters.pairs import CraterLook, CraterPair, draw_pair, draw_views, known_frame, population
 from scenarios.craters.simulated import NO_CRATER, LabelledDetections, PlaneCraters
 from scenarios.draw import Stream, generator
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, View
 from scenarios.load import LoadedScenario
+from scenarios.observation import Frame
 from scenarios.sequences.ground import MeshGround
-from scenarios.spec.crater_pairs import CraterPairsSpec
+from scenarios.spec.crater_pairs import CraterPairsSpec, RenderedLooksSpec
 from scenarios.spec.world import PoseErrorSpec
+
+BY_GEOMETRY = ""
+"""Stands for the name of a detector where rims are projected and there is no image to look at."""
 
 
 class PairSource(Protocol):
     """Gives the two looks of a trial."""
 
-    def pair(self, seed: int, trial: int) -> CraterPair:
-        """Draw the pair of a trial."""
+    def pairs(self, seed: int, trial: int, detectors: Collection[str]) -> Mapping[str, CraterPair]:
+        """Draw the pair of a trial: the same views, as each of the detectors sees them."""
+        ...
+
+    def flush(self) -> None:
+        """Keep what was rendered."""
         ...
 
 
@@ -43,61 +53,97 @@ class SimulatedPairs:
     ground: MeshGround
     craters: PlaneCraters
 
-    def pair(self, seed: int, trial: int) -> CraterPair:
+    def pairs(self, seed: int, trial: int, detectors: Collection[str]) -> Mapping[str, CraterPair]:
         """Draw the pair of a trial."""
-        return draw_pair(self.spec, self.pose_error, self.camera, self.ground, self.craters, (seed, trial))
+        pair = draw_pair(self.spec, self.pose_error, self.camera, self.ground, self.craters, (seed, trial))
+        return dict.fromkeys(detectors, pair)
+
+    def flush(self) -> None:
+        """Do nothing: no image was rendered."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedPairs:
-    """Looks that are rendered; a detector finds the craters, and the truth says which they are."""
+    """Looks that are rendered, or taken from the store; detectors find the craters, the truth says which they are."""
 
     spec: CraterPairsSpec
+    images: RenderedLooksSpec
     pose_error: PoseErrorSpec
     camera: Camera
     ground: MeshGround
     renderer: TiledRenderer
     rims: Rims
     detector: Detector | None
-    finder: CraterDetector
+    finders: Mapping[str, CraterDetector]
+    store: ImageStore
 
-    def pair(self, seed: int, trial: int) -> CraterPair:
-        """Draw the pair of a trial, render it and look for craters."""
+    def pairs(self, seed: int, trial: int, detectors: Collection[str]) -> Mapping[str, CraterPair]:
+        """Draw the views of a trial, render them once and let every detector look for craters."""
         views, angles = draw_views(self.spec, self.camera, self.ground, generator(seed, Stream.TRUTH, trial))
         priors, noise = generator(seed, Stream.POSE_ERROR, trial), generator(seed, Stream.DETECTOR, trial)
-        looks = [self._look(view, priors, noise, float(number)) for number, view in enumerate(views)]
-        return CraterPair(looks[0], looks[1], *angles)
+        seen = []
+        for number, view in enumerate(views):
+            image, _ = self.store.image(seed, 2 * trial + number, view, self.renderer.render)
+            if self.detector is not None:
+                image = self.detector.expose(image, noise)
+            frame = known_frame(view, image, self.pose_error, priors, float(number))
+            seen.append((view, frame, crater_truth(self.rims, view, self.renderer)))
+        looks = {name: [self._look(self.finders[name], *one) for one in seen] for name in detectors}
+        return {name: CraterPair(first, second, *angles) for name, (first, second) in looks.items()}
 
-    def _look(self, view: View, priors: np.random.Generator, noise: np.random.Generator, time_s: float) -> CraterLook:
-        image = self.renderer.render(view)
-        if self.detector is not None:
-            image = self.detector.expose(image, noise)
-        frame = known_frame(view, image, self.pose_error, priors, time_s)
-        rims = self.finder.detect(frame, self.camera).ellipses[: self.spec.most_detections]
-        truth = crater_truth(self.rims, view, self.renderer)
+    def _look(self, finder: CraterDetector, view: View, frame: Frame, truth: CraterTruth) -> CraterLook:
+        rims = finder.detect(frame, self.camera).ellipses[: self.images.most_detections]
         # The last of the numbers is that of no crater, which is row -1 as well.
         numbers = np.append(truth.crater, NO_CRATER).astype(np.int64)
         which = match_detections(rims, truth.ellipses).crater
         return CraterLook(view, LabelledDetections(rims, numbers[which]), frame)
 
+    def flush(self) -> None:
+        """Keep what was rendered."""
+        self.store.flush()
 
-def open_pairs(scenario: LoadedScenario, section: CraterPairsSpec, variant: str) -> PairSource:
-    """Make ready what the section asks for.
+
+def check_detectors(scenario: LoadedScenario, section: CraterPairsSpec, detectors: Mapping[str, str]) -> None:
+    """Refuse matchers (label to the detector that each names) that cannot see the looks of a scenario.
 
     Raises
     ------
     BoresightError
-        If a detector is to look at a body without craters, or is unknown.
+        If a detector is to look where nothing is rendered, or none where something is, or is unknown.
     """
+    for label, name in detectors.items():
+        if section.images is None and name != BY_GEOMETRY:
+            raise BoresightError(
+                f"estimators: {label}: detector: {name} has no image to look at: {scenario.path} draws detections by"
+                " geometry (crater_pairs.craters); leave the option out"
+            )
+        if section.images is not None:
+            if name == BY_GEOMETRY:
+                raise BoresightError(
+                    f"estimators: {label}: detector: missing, but the looks of {scenario.path} are rendered: name one,"
+                    " for example {" + label + ": {detector: crater-classic}}"
+                )
+            crater_detector_class(name)
+    if section.images is not None and scenario.spec.craters is None:
+        raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.images renders them")
+
+
+def open_pairs(
+    scenario: LoadedScenario, section: CraterPairsSpec, variant: str, detectors: Collection[str]
+) -> PairSource:
+    """Make ready what the section asks for, checked before by ``check_detectors``."""
     spec = scenario.spec
     camera = spec.camera.camera().pinhole
     ground = MeshGround(load_body(spec.body, scenario.search_dirs).mesh)
     if section.craters is not None:
         return SimulatedPairs(section, spec.pose_error, camera, ground, population(ground, section.craters))
-    if spec.craters is None or section.detector is None:
-        raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.detector looks for them")
+    if spec.craters is None or section.images is None:
+        raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.images renders them")
     surface = cratered_surface(spec.body, spec.craters, scenario.search_dirs)
     renderer = TiledRenderer(surface, spec.brdf, spec.rendering.samples_per_pixel, choose_variant(variant))
-    finder = crater_detector_class(section.detector).from_options({})
+    finders = {name: crater_detector_class(name).from_options({}) for name in detectors}
     exposed = None if spec.detector is None else Detector(spec.detector)
-    return RenderedPairs(section, spec.pose_error, camera, ground, renderer, surface.rims, exposed, finder)
+    store = ImageStore.open(scenario, variant, Stream.TRUTH, section)
+    return RenderedPairs(
+        section, section.images, spec.pose_error, camera, ground, renderer, surface.rims, exposed, finders, store
+    )

@@ -35,7 +35,7 @@ def matching_example(
     experiment = experiment_of(campaign, scenario, Bench(folder, 0, keep_images=False))
     if trial is None or not isinstance(experiment, CraterMatching):
         return None
-    pair = experiment.source.pair(experiment.seed, trial)
+    pair = experiment.pair(trial, label)
     images = experiment.images(pair)
     matches = experiment.matchers[label].match(*images, experiment.known)
     right = right_matches(matches, pair)

@@ -161,6 +161,8 @@ def _scenarios(loaded: LoadedCampaign, overrides: Sequence[str]) -> Iterator[tup
 def _versions(campaign: CampaignSpec, entry: EstimatorSpec) -> list[int]:
     """Return the versions of a method and of the one that it builds on; refuse an unknown one."""
     names = [entry.name, base_of(entry.name, entry.options)]
+    if campaign.experiment == "crater-matching" and "detector" in entry.options:
+        names.append(str(entry.options["detector"]))
     return [experiment_class(campaign.experiment).method_version(name) for name in names if name is not None]
 
 

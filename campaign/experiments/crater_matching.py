@@ -10,14 +10,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.crater_pairs import PairSource, open_pairs
+from campaign.crater_pairs import BY_GEOMETRY, PairSource, check_detectors, open_pairs
 from campaign.experiments.fault import faulted
 from campaign.experiments.registry import Bench, Record, Records
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
-from estimators.craters.registry import crater_matcher_class
+from estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
 from scenarios.beliefs import believed_spec
 from scenarios.bodies import load_body
 from scenarios.craters.pairs import CraterLook, CraterPair
@@ -45,6 +45,8 @@ class CraterMatching:
         The a priori shape.
     matchers
         Label to matcher.
+    detectors
+        Label to the name of the detector whose craters the matcher sees, `campaign.crater_pairs.BY_GEOMETRY` for none.
     seed
         Seed of the campaign.
     """
@@ -54,6 +56,7 @@ class CraterMatching:
     camera: Camera
     known: MeshGround
     matchers: Mapping[str, CraterMatcher]
+    detectors: Mapping[str, str]
     seed: int
 
     kind: ClassVar[str] = "crater-matching"
@@ -63,14 +66,15 @@ class CraterMatching:
 
     @classmethod
     def method_version(cls, name: str) -> int:
-        """Return the version of a matcher."""
-        return crater_matcher_class(name).version
+        """Return the version of a matcher, or of a detector."""
+        known = crater_detector_class if name in crater_detector_names() else crater_matcher_class
+        return known(name).version
 
     @classmethod
     def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
         """Refuse wrong options and a missing section; there is nothing to build."""
         del shelf
-        _section(scenario)
+        check_detectors(scenario, _section(scenario), _detectors(campaign))
         _matchers(campaign)
         return []
 
@@ -80,19 +84,27 @@ class CraterMatching:
         del bench
         spec = scenario.spec
         known = MeshGround(load_body(believed_spec(spec).body, scenario.search_dirs).mesh)
-        source = open_pairs(scenario, _section(scenario), campaign.variant)
-        return cls(spec.name, source, spec.camera.camera().pinhole, known, _matchers(campaign), campaign.seed)
+        detectors = _detectors(campaign)
+        source = open_pairs(scenario, _section(scenario), campaign.variant, set(detectors.values()))
+        camera = spec.camera.camera().pinhole
+        return cls(spec.name, source, camera, known, _matchers(campaign), detectors, campaign.seed)
 
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and matchers."""
         records: Records = {}
         for trial in trials:
-            pair = self.source.pair(self.seed, trial)
+            pairs = self.source.pairs(self.seed, trial, sorted(set(self.detectors.values())))
             for label, matcher in self.matchers.items():
                 key: Record = {"trial": trial, "scenario": self.name, "estimator": label}
-                for table, added in self._judged(matcher, pair).items():
+                for table, added in self._judged(matcher, pairs[self.detectors[label]]).items():
                     records.setdefault(table, []).extend({**key, **record} for record in added)
+        self.source.flush()
         return records
+
+    def pair(self, trial: int, label: str) -> CraterPair:
+        """Return the pair of a trial as a matcher sees it."""
+        detector = self.detectors[label]
+        return self.source.pairs(self.seed, trial, [detector])[detector]
 
     def _judged(self, matcher: CraterMatcher, pair: CraterPair) -> Records:
         """Let a matcher work and score what it returns: records without their key, whatever goes wrong."""
@@ -189,6 +201,12 @@ def _section(scenario: LoadedScenario) -> CraterPairsSpec:
 
 
 def _matchers(campaign: ResolvedCampaign) -> dict[str, CraterMatcher]:
-    return {
-        entry.label: crater_matcher_class(entry.name).from_options(entry.options) for entry in campaign.spec.estimators
-    }
+    found = {}
+    for entry in campaign.spec.estimators:
+        own = {key: option for key, option in entry.options.items() if key != "detector"}
+        found[entry.label] = crater_matcher_class(entry.name).from_options(own)
+    return found
+
+
+def _detectors(campaign: ResolvedCampaign) -> dict[str, str]:
+    return {entry.label: str(entry.options.get("detector", BY_GEOMETRY)) for entry in campaign.spec.estimators}

@@ -34,14 +34,20 @@ class DetectionErrorSpec(SpecModel):
     height_m: float = Field(20.0, ge=0, description="Of a crater above the a priori shape")
 
 
+class RenderedLooksSpec(SpecModel):
+    """Images of the scenario's craters, in which detectors look for them."""
+
+    most_detections: int = Field(20, ge=1, description="Of an image by a detector, the most confident ones")
+
+
 class CraterPairsSpec(SpecModel):
     """Two looks at one place of the body from one range, with the pose error of the scenario each.
 
-    Either craters are drawn here and detected by geometry, or images of the scenario's ``craters`` are rendered and a
-    detector finds them.
+    Either craters are drawn here and detected by geometry, or images of the scenario's ``craters`` are rendered and
+    each matcher sees what the detector finds that its entry names.
     """
 
-    alternatives: ClassVar = (("craters", "detector"),)
+    alternatives: ClassVar = (("craters", "images"),)
 
     range_m: float = Field(gt=0, description="Distance of both cameras from the place")
     view_deg: Uniform = Field(description="Between the directions to the two cameras")
@@ -51,8 +57,7 @@ class CraterPairsSpec(SpecModel):
     aim_sigma_m: float = Field(1000.0, ge=0, description="Of where each camera points about the place, by coordinate")
     craters: PlaneCratersSpec | None = Field(None, description="Plane rims, detected by geometry without any image")
     errors: DetectionErrorSpec = Field(DetectionErrorSpec(), description="Of detections by geometry")
-    detector: str | None = Field(None, description="Name of a detector of craters, which looks at rendered images")
-    most_detections: int = Field(20, ge=1, description="Of an image by the detector, the most confident ones")
+    images: RenderedLooksSpec | None = Field(None, description="Rendered looks, {} for the defaults")
 
     @model_validator(mode="after")
     def _angles(self) -> Self:

@@ -142,6 +142,13 @@ def test_a_scenario_without_pairs_and_an_unknown_matcher_are_refused(campaign_fi
     campaign = resolve(str(tmp_path / "tiny-matching.yaml"))
     with pytest.raises(BoresightError, match="crater_pairs: missing"):
         CraterMatching.prepare(campaign, campaign.scenarios[0], None)  # type: ignore[arg-type]
+    for detector, said in (("crater-classic", "crater-classic has no image to look at"), ("coin", "'coin' is unknown")):
+        entry = f"vote: {{detector: {detector}}}"
+        (tmp_path / "seen.yaml").write_text(_CAMPAIGN.replace("vote", entry).replace("tiny-matching", "seen"))
+        (tmp_path / "tiny-pairs.yaml").write_text(_SCENARIO)
+        with pytest.raises(BoresightError, match=said):
+            campaign = resolve(str(tmp_path / "seen.yaml"))
+            CraterMatching.prepare(campaign, campaign.scenarios[0], None)  # type: ignore[arg-type]
     (tmp_path / "other.yaml").write_text(_CAMPAIGN.replace("vote", "coin").replace("tiny-matching", "other"))
     (tmp_path / "tiny-pairs.yaml").write_text(_SCENARIO)
     with pytest.raises(BoresightError, match="'coin' is unknown; there are: context"):

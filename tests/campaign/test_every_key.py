@@ -19,7 +19,7 @@ import pytest
 import trimesh
 from tiny_mission import make_mission
 
-from campaign.crater_pairs import open_pairs
+from campaign.crater_pairs import BY_GEOMETRY, open_pairs
 from campaign.experiments.orbit_determination import open_orbit_world
 from campaign.experiments.sequence import ground_of
 from campaign.experiments.single_image import SingleImage
@@ -102,9 +102,8 @@ crater_pairs:
   view_deg: {uniform: [0, 10]}
   sun_deg: {uniform: [0, 10]}
   aim_sigma_m: 5
-  detector: crater-classic
+  images: {}
 """
-BY_GEOMETRY = SEEN.replace("detector: crater-classic", "craters: {count: 400, min_diameter_m: 30, max_diameter_m: 100}")
 REAL = """
 body: {shape: sphere}
 camera: {width_px: 48, height_px: 40, fov_deg: 18.3}
@@ -282,8 +281,7 @@ CHANGES: dict[str, tuple[str, str]] = {
     "crater_pairs.errors.false_share": (PAIRS, "0.5"),
     "crater_pairs.errors.least_radius_px": (PAIRS, "6"),
     "crater_pairs.errors.height_m": (PAIRS, "2"),
-    "crater_pairs.detector": (BY_GEOMETRY, "crater-classic"),
-    "crater_pairs.most_detections": (SEEN, "1"),
+    "crater_pairs.images.most_detections": (SEEN, "1"),
     "sequence.sphere_radius_m": (SEQUENCE, "170"),
     "sequence.orbit.radius_m": (SEQUENCE, "800"),
     "sequence.orbit.normal_body": (SEQUENCE, "[0, 1, 1]"),
@@ -556,10 +554,11 @@ def sequence_fingerprint(scenario: LoadedScenario) -> str:
 
 def pairs_fingerprint(scenario: LoadedScenario) -> str:
     """Hash what two pairs of looks show to a matcher, and their truth."""
-    source = open_pairs(scenario, scenario.spec.crater_pairs, choose_variant().name)
+    detector = BY_GEOMETRY if scenario.spec.crater_pairs.images is None else "crater-classic"
+    source = open_pairs(scenario, scenario.spec.crater_pairs, choose_variant().name, [detector])
     parts: list[bytes] = []
     for trial in range(2):
-        pair = source.pair(3, trial)
+        pair = source.pairs(3, trial, [detector])[detector]
         for one in (pair.first, pair.second):
             rims, pose = one.detections.ellipses, one.frame.prior_T_cam_body
             arrays = [one.detections.crater, rims.centre_px, rims.semi_axes_px, rims.angle_rad, pose.rotation]
