@@ -9,6 +9,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
+from scenarios.craters import pairs
 from scenarios.craters.simulated import (
     NO_CRATER,
     DetectionErrors,
@@ -47,10 +48,7 @@ class Look:
 
 def turned(direction: FloatArray, angle_deg: float, azimuth_rad: float) -> FloatArray:
     """Turn a unit vector by an angle, towards an azimuth."""
-    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
-    first /= np.linalg.norm(first)
-    across = np.cos(azimuth_rad) * first + np.sin(azimuth_rad) * np.cross(direction, first)
-    return np.cos(np.radians(angle_deg)) * direction + np.sin(np.radians(angle_deg)) * across
+    return pairs.turned(direction, np.radians(angle_deg), azimuth_rad)
 
 
 def look(
