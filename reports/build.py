@@ -15,6 +15,7 @@ from reports.content import Content, read_content
 from reports.figures.style import save_figure
 from reports.html import html_page, reproduce_command
 from reports.named_figure import NamedFigure
+from reports.row_files import write_row_files
 from reports.run_figures import draw_figures
 from scenarios.errors import BoresightError
 
@@ -31,6 +32,8 @@ class ReportFiles:
         ``report.html`` and ``report.md``.
     tables
         ``table.csv`` (every measured number beside the published one), ``timings.csv``, ``failures.csv``.
+    rows
+        Files that the tables of the page link to.
     figures
         PNG and PDF of each figure.
     content
@@ -41,6 +44,7 @@ class ReportFiles:
     html: Path
     markdown: Path
     tables: tuple[Path, ...]
+    rows: tuple[Path, ...]
     figures: tuple[Path, ...]
     content: Content
 
@@ -74,6 +78,7 @@ def write_report(run: Path, out: Path | None = None, extra: Sequence[NamedFigure
     try:
         names = _write_all(content, work, extra)
         for name in names:
+            (folder / name).parent.mkdir(exist_ok=True)
             (work / name).replace(folder / name)
     except OSError as error:
         raise BoresightError(
@@ -86,7 +91,8 @@ def write_report(run: Path, out: Path | None = None, extra: Sequence[NamedFigure
         folder,
         folder / "report.html",
         folder / "report.md",
-        tuple(path for path in paths if path.suffix == ".csv"),
+        tuple(path for path in paths if path.suffix == ".csv" and path.parent == folder),
+        tuple(path for path in paths if path.parent != folder),
         tuple(path for path in paths if path.suffix in (".png", ".pdf")),
         content,
     )
@@ -119,7 +125,7 @@ def _write_tables(content: Content, folder: Path) -> list[str]:
     }
     for name, frame in frames.items():
         frame.to_csv(folder / name, index=False, lineterminator="\n")
-    return list(frames)
+    return [*frames, *write_row_files(content.run, folder)]
 
 
 def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:

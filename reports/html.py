@@ -1,4 +1,4 @@
-"""One self-contained page: no script, nothing fetched from elsewhere."""
+"""One self-contained page: nothing is fetched from elsewhere, and all of it is there without its script."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from importlib import resources
 from jinja2 import Environment, StrictUndefined
 
 from reports.content import Content
+from reports.distributions import distributions
 from reports.named_figure import NamedFigure
+from reports.row_files import row_links
 
 
 def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) -> str:
@@ -33,7 +35,9 @@ def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) ->
         progress=content.run.progress(),
         facts=_facts(content),
         notes=content.notes,
-        grids=content.grids(),
+        js=files.joinpath("page.js").read_text(encoding="utf-8"),
+        grids=[(grid, row_links(content.run, grid)) for grid in content.grids()],
+        distributions=list(distributions(content.run)),
         figures=[(figure, base64.b64encode(png).decode()) for figure, png in figures],
         resolved={
             "scenarios": json.dumps(dict(manifest.scenarios), indent=2, ensure_ascii=False),

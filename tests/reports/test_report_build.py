@@ -53,9 +53,8 @@ def test_report_holds_every_table_and_figure(report):
         "landmark_counts_itokawa_landmark-harris",
         "cumulative_errors_itokawa",
     }
-    assert sorted(p.name for p in files.folder.iterdir()) == sorted(
-        p.name for p in (*files.tables, *files.figures, files.html, files.markdown)
-    )
+    written = {*files.tables, *files.rows, *files.figures, files.html, files.markdown}
+    assert {path for path in files.folder.rglob("*") if path.is_file()} == written
 
 
 def test_csv_carries_the_numbers_behind_the_tables(report):
@@ -75,9 +74,10 @@ def test_csv_carries_the_numbers_behind_the_tables(report):
 def test_page_is_self_contained_and_accessible(report):
     files = report
     page = _page(files)
-    assert not page.all("script")
+    assert [script.get("src") for script in page.all("script")] == [None]
     assert not page.all("link")
-    assert not page.all("a")
+    assert page.all("a")
+    assert all((files.folder / link["href"]).is_file() for link in page.all("a"))
     images = page.all("img")
     assert len(images) == len(files.figures) / 2
     assert all(i["src"].startswith("data:image/png;base64,") and len(i["alt"]) > 20 for i in images)
@@ -154,17 +154,14 @@ def test_no_figure_takes_the_place_of_another(builder):
 
 def test_same_rows_give_the_same_bytes(report, tmp_path):
     first, second = report, write_report(report.folder.parent, tmp_path / "b")
-    names = sorted(p.name for p in first.folder.iterdir())
-    assert names == sorted(p.name for p in second.folder.iterdir())
-    for name in names:
-        assert (first.folder / name).read_bytes() == (second.folder / name).read_bytes(), name
+    assert _contents(first.folder) == _contents(second.folder)
 
 
 def test_failed_writing_leaves_the_former_report_untouched(report, tmp_path, monkeypatch):
     run, out = report.folder.parent, tmp_path / "out"
     shutil.copytree(report.folder, out)
     (out / "mine.txt").write_text("kept")
-    before = {p.name: p.read_bytes() for p in out.iterdir()}
+    before = _contents(out)
 
     def full_disk(*_):
         raise OSError(28, "No space left on device")
@@ -172,7 +169,11 @@ def test_failed_writing_leaves_the_former_report_untouched(report, tmp_path, mon
     monkeypatch.setattr("reports.build.save_figure", full_disk)
     with pytest.raises(BoresightError, match="No space left on device"):
         write_report(run, out)
-    assert {p.name: p.read_bytes() for p in out.iterdir()} == before
+    assert _contents(out) == before
+
+
+def _contents(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_out_that_is_a_file_is_refused(full_run, tmp_path):

@@ -1,0 +1,94 @@
+"""The page of a run in a real browser: it opens from its file, sorts, answers the pointer and prints."""
+
+from __future__ import annotations
+
+import csv
+import re
+
+import numpy as np
+import pytest
+from browser import needs_chromium, opened
+from stored_runs import ESTIMATOR, SCENARIO, RunBuilder
+
+from reports.build import write_report
+
+pytestmark = needs_chromium
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    """Report two estimators whose errors are 1, 2, ... m and 10, 20, ... m; one trial of the latter fails."""
+    builder = RunBuilder(tmp_path_factory.mktemp("run"))
+    for trial in range(20):
+        far = (np.array([1.0, 2.0, 40.0 + trial]), 1.0)
+        builder.trial(trial, far, (np.array([0.0, 0.0, trial + 1.0]), 0.1), n_landmarks=9)
+        other = None if trial == 7 else (np.array([0.0, 0.0, 10.0 * (trial + 1)]), 0.3)
+        builder.trial(trial, far, other, estimator="mine", reason="" if other else "nothing was found", n_landmarks=3)
+    return write_report(builder.write(estimators=[ESTIMATOR, "mine"]))
+
+
+@pytest.fixture(scope="module")
+def page(report):
+    with opened(report.html) as page:
+        yield page
+
+
+def column(page, table, heading):
+    """Return a table's cells under a heading, from the top."""
+    headings = [text.strip() for text in table.locator("thead th").all_inner_texts()]
+    return [row.locator("td").nth(headings.index(heading)).inner_text() for row in table.locator("tbody tr").all()]
+
+
+def test_a_click_on_a_heading_sorts_and_a_second_turns_it_round(page):
+    table = page.locator("table.sortable").first
+    heading = table.locator("thead th.number").first
+    name = heading.inner_text().strip()
+    before = column(page, table, name)
+    heading.click()
+    assert heading.get_attribute("aria-sort") == "ascending"
+    ascending = column(page, table, name)
+    assert sorted(ascending) == sorted(before)
+    numbers = [float(re.search(r"[\d.]+", cell)[0]) for cell in ascending if re.search(r"\d", cell)]
+    assert numbers == sorted(numbers)
+    heading.press("Enter")
+    assert heading.get_attribute("aria-sort") == "descending"
+    turned = [float(re.search(r"[\d.]+", cell)[0]) for cell in column(page, table, name) if re.search(r"\d", cell)]
+    assert turned == sorted(numbers, reverse=True)
+
+
+def test_the_pointer_reads_the_shares_of_all_trials(page):
+    drawing = page.locator("svg.distribution").first
+    drawing.scroll_into_view_if_needed()
+    box = drawing.bounding_box()
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    said = page.locator(".readout").first.inner_text()
+    found = re.match(rf"at most ([\d.]+) m: {ESTIMATOR} ([\d.]+) %, mine ([\d.]+) % of all trials", said)
+    assert found is not None, said
+    value, ours, other = map(float, found.groups())
+    assert 2.0 < value < 100.0
+    assert ours == pytest.approx(5.0 * min(20, np.floor(value)), abs=5.0)
+    assert other == pytest.approx(5.0 * np.floor(value / 10.0), abs=5.0), "of twenty trials, the failed one among them"
+    page.mouse.move(1.0, 1.0)
+    assert page.locator(".readout").first.inner_text() == ""
+
+
+def test_every_number_leads_to_its_rows(page, report):
+    links = {link.get_attribute("href") for link in page.locator("td a").all()}
+    assert f"rows/{SCENARIO}_mine.csv" in links
+    for link in links:
+        with (report.folder / link).open(encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        assert len(rows) == 20
+        assert len({row["estimator"] for row in rows}) == 1
+
+
+def test_it_prints(page):
+    assert page.pdf().startswith(b"%PDF")
+
+
+def test_all_of_it_is_there_without_its_script(report):
+    text = report.html.read_text(encoding="utf-8")
+    bare = re.sub(r"<script>.*?</script>", "", text, flags=re.S)
+    assert bare.count("<svg") == 1
+    assert "nothing was found" in bare
+    assert not re.search(r"""(src|href)=["'](https?:)?//""", text), "nothing comes from elsewhere"
