@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from estimators.orbit.contract import Orbit, OrbitEstimate
 from scenarios.orbits.data import OrbitData
-from scenarios.orbits.draw import DAY_S, OrbitTruth
+from scenarios.orbits.draw import OrbitTruth
+from scenarios.orbits.flown import DAY_S
 
 FloatArray = NDArray[np.float64]
 Record = dict[str, object]

@@ -44,6 +44,8 @@ class Stream(IntEnum):
     ORBIT_RADIOMETRY = 36
     ORBIT_FORCES = 37
     ORBIT_KNOWLEDGE = 38
+    ORBIT_CONTROL = 39
+    ORBIT_DETECTIONS = 40
 
 
 def generator(seed: int, stream: Stream, trial: int) -> np.random.Generator:

@@ -16,7 +16,7 @@ from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
 from campaign.sequence_score import no_summary
-from estimators.orbit.contract import OrbitEstimator
+from estimators.orbit.contract import OrbitEstimate, OrbitEstimator
 from estimators.orbit.registry import orbit_estimator_class
 from scenarios.bodies import body_digest, load_body
 from scenarios.errors import BoresightError
@@ -54,14 +54,7 @@ class OrbitTrials:
         """Refuse wrong options, and an orbit that begins in the body; there is nothing to build."""
         del shelf
         _estimators(campaign)
-        section = _section(scenario)
-        reach = load_body(scenario.spec.body, scenario.search_dirs).mesh.radius_m
-        nearest = section.arc.semi_major_axis_m * (1.0 - section.arc.eccentricity)
-        if nearest <= reach:
-            raise BoresightError(
-                f"{scenario.path}: orbit.arc: its pericentre at {nearest:g} m is not above the body, which reaches"
-                f" {reach:.6g} m from its origin: choose a larger semi_major_axis_m"
-            )
+        checked_orbit_section(scenario)
         return []
 
     @classmethod
@@ -86,9 +79,22 @@ class OrbitTrials:
         try:
             truth, data = draw_orbit(self.world, self.seed, trial)
         except OrbitLostError as error:
-            row = {**_empty_row(), "status": "failed", "reason": f"there is no such trial: {error}"}
+            row = {**empty_row(), "status": "failed", "reason": f"there is no such trial: {error}"}
             return {label: {"rows": [row]} for label in self.estimators}
         return {label: _judged(estimator, truth, data, trial == 0) for label, estimator in self.estimators.items()}
+
+
+def checked_orbit_section(scenario: LoadedScenario) -> OrbitSpec:
+    """Return the orbit section of a scenario; refuse a missing one, and an orbit that begins in the body."""
+    section = _section(scenario)
+    reach = load_body(scenario.spec.body, scenario.search_dirs).mesh.radius_m
+    nearest = section.arc.semi_major_axis_m * (1.0 - section.arc.eccentricity)
+    if nearest <= reach:
+        raise BoresightError(
+            f"{scenario.path}: orbit.arc: its pericentre at {nearest:g} m is not above the body, which reaches"
+            f" {reach:.6g} m from its origin: choose a larger semi_major_axis_m"
+        )
+    return section
 
 
 def open_orbit_world(scenario: LoadedScenario, seed: int) -> OrbitWorld:
@@ -101,37 +107,49 @@ def open_orbit_world(scenario: LoadedScenario, seed: int) -> OrbitWorld:
 
 def _judged(estimator: OrbitEstimator, truth: OrbitTruth, data: OrbitData, with_residuals: bool) -> Records:
     """Let an estimator solve and score what it returns: records without their key, whatever goes wrong."""
-    row = {**_empty_row(), "range_m": float(np.linalg.norm(truth.states[0, :3]))}
+    row = {**empty_row(), "range_m": float(np.linalg.norm(truth.states[0, :3]))}
     try:
         estimate = estimator.determine(data)
-        check_orbit(estimate, data)
-        orbit = estimate.orbit
         timings: Records = {"timings": [{"stage": "orbit", "seconds": estimate.seconds}]}
-        diagnostics: list[Record] = [{"name": str(n), "value": float(v)} for n, v in estimate.diagnostics.items()]
-        if estimate.status == "failed" or orbit is None:
-            failed = {**row, "status": "failed", "reason": estimate.reason}
-            return {"rows": [failed], "diagnostics": diagnostics, **timings}
-        summary = orbit_summary(estimate, orbit, truth, data)
-        row |= {
-            "status": "ok",
-            "position_error_m": summary["epoch_error_m"],
-            "nees": _STATE * float(str(summary["epoch_nees"])),
-            "position_sigma_m": float(np.sqrt(np.trace(orbit.covariance[:3, :3]))),
-            "n_landmarks": len(orbit.numbers),
-        }
-        return {
-            "rows": [row],
-            "orbits": [summary],
-            "orbit_errors": list(orbit_errors(orbit, truth, data)),
-            "residuals": list(residual_records(orbit, data)) if with_residuals else [],
-            "diagnostics": diagnostics,
-            **timings,
-        }
+        return scored_orbit(estimate, truth, data, row, with_residuals) | timings
     except Exception:  # noqa: BLE001  an estimator's fault is a result, recorded with its trace
         return faulted("estimator", row)
 
 
-def _empty_row() -> Record:
+def scored_orbit(
+    estimate: OrbitEstimate, truth: OrbitTruth, data: OrbitData, row: Record, with_residuals: bool
+) -> Records:
+    """Score an estimate: records without their key; ``row`` is what its row says already.
+
+    Raises
+    ------
+    ValueError
+        If the estimate does not keep the contract.
+    """
+    check_orbit(estimate, data)
+    orbit = estimate.orbit
+    diagnostics: list[Record] = [{"name": str(n), "value": float(v)} for n, v in estimate.diagnostics.items()]
+    if estimate.status == "failed" or orbit is None:
+        return {"rows": [{**row, "status": "failed", "reason": estimate.reason}], "diagnostics": diagnostics}
+    summary = orbit_summary(estimate, orbit, truth, data)
+    filled = {
+        **row,
+        "status": "ok",
+        "position_error_m": summary["epoch_error_m"],
+        "nees": _STATE * float(str(summary["epoch_nees"])),
+        "position_sigma_m": float(np.sqrt(np.trace(orbit.covariance[:3, :3]))),
+        "n_landmarks": len(orbit.numbers),
+    }
+    return {
+        "rows": [filled],
+        "orbits": [summary],
+        "orbit_errors": list(orbit_errors(orbit, truth, data)),
+        "residuals": list(residual_records(orbit, data)) if with_residuals else [],
+        "diagnostics": diagnostics,
+    }
+
+
+def empty_row() -> Record:
     """Fill the columns of a row that an orbit has no number for."""
     errors = no_pose_error()
     return {
@@ -180,7 +198,7 @@ def _believed(asteroid: Asteroid, degree: int, spec: OrbitSpec) -> BelievedShape
 
 def _section(scenario: LoadedScenario) -> OrbitSpec:
     if scenario.spec.orbit is None:
-        raise BoresightError(f"{scenario.path}: orbit: missing, but the experiment orbit-determination needs it")
+        raise BoresightError(f"{scenario.path}: orbit: missing, but orbits cannot be determined without it")
     return scenario.spec.orbit
 
 

@@ -69,6 +69,7 @@ _KINDS: Mapping[str, str] = MappingProxyType(
         "crater-detection": "campaign.experiments.crater_detection:CraterDetection",
         "sequence": "campaign.experiments.sequence:SequenceTrials",
         "orbit-determination": "campaign.experiments.orbit_determination:OrbitTrials",
+        "crater-navigation": "campaign.experiments.crater_navigation:CraterNavigationTrials",
     }
 )
 

@@ -28,6 +28,7 @@ _RAYLEIGH_MEDIAN = 1.17741
 _COARSE_SHARE, _FINE = 0.01, 0.02
 _MOST_SCALES = 4
 _MOST_EDITS = 4
+_MOST_ATTEMPTS = 2
 _LEAST_SIGHTINGS = 20
 
 
@@ -76,20 +77,22 @@ class BatchFilter:
             return OrbitEstimate("failed", None, reason, seconds=time.perf_counter() - began)
         layout = Layout.of(data, self.options)
         solution, growth = Solution.begin(data, layout), self.options.growth
-        reason, attempts = "", 0
-        for attempts in (1, 2):
+        reason, found, told = "", None, {"attempts": 0.0}
+        for _ in range(_MOST_ATTEMPTS):
+            told["attempts"] += 1.0
             try:
                 fit = self._fit(data, layout, solution, growth)
+                found = _orbit(data, layout, fit)
             except (OrbitLostError, np.linalg.LinAlgError) as error:
                 reason, growth = f"the orbit diverged: {error}", 1.0 + 0.5 * (growth - 1.0)
                 continue
             reason = self._rejected(fit)
+            told |= _diagnostics(layout, fit)
             if not reason:
-                diagnostics = {**_diagnostics(layout, fit), "attempts": float(attempts)}
-                return OrbitEstimate("ok", _orbit(data, layout, fit), "", diagnostics, time.perf_counter() - began)
+                break
             solution = replace(Solution.begin(data, layout), x=fit.solution.x)
             growth = 1.0 + 0.5 * (growth - 1.0)
-        return OrbitEstimate("failed", None, reason, {"attempts": float(attempts)}, time.perf_counter() - began)
+        return OrbitEstimate("failed" if reason else "ok", found, reason, told, time.perf_counter() - began)
 
     def _fit(self, data: OrbitData, layout: Layout, solution: Solution, growth: float) -> _Fit:
         """Let the arc grow; on the whole of it split, edit and adjust by least squares."""

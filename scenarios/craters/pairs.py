@@ -27,7 +27,9 @@ from scenarios.spec.world import PoseErrorSpec
 FloatArray = NDArray[np.float64]
 
 _MOST_DRAWS = 2000
-_LIMITS_DEG = (60.0, 20.0, 75.0)  # largest emission, least and largest incidence at which a crater is detected
+LIMITS_DEG = (60.0, 20.0, 75.0)
+"""Largest emission, least and largest incidence at which a crater is detected."""
+
 _SECOND_DEG = (55.0, 15.0, 70.0)  # the same of the place that both look at
 
 
@@ -77,7 +79,7 @@ def draw_pair(
     real = raised(craters, errors.height_m, noise)  # one height in both looks
     looks = []
     for number, view in enumerate(views):
-        visible = in_view(craters, ground, view, _LIMITS_DEG)
+        visible = in_view(craters, ground, view, LIMITS_DEG)
         found = detect_simulated(real, visible, view, errors, noise)
         black = np.zeros((camera.height_px, camera.width_px), dtype=np.float32)
         looks.append(CraterLook(view, found, known_frame(view, black, pose_error, priors, float(number))))

@@ -6,26 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from scenarios.draw import Stream, generator
 from scenarios.geometry import Camera
-from scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, Radiometry
-from scenarios.orbits.elements import state_at_epoch
-from scenarios.orbits.field import Field
-from scenarios.orbits.harmonics import Harmonics
+from scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures
+from scenarios.orbits.flown import DAY_S, Flown, fly
+from scenarios.orbits.known import draw_knowledge, draw_radiometry
 from scenarios.orbits.motion import OrbitLostError, Pushes, travelled
+from scenarios.orbits.pointing import PointingErrors
 from scenarios.orbits.sightings import found_craters, lit_and_seen, merged_numbers, mistaken
 from scenarios.orbits.world import OrbitWorld
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-
-DAY_S = 86_400.0
-_PUSHES_A_TIME = 4
-_WANTED_S = 6 * 3600.0
-_ANOMALOUS = (2, 3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,18 +51,6 @@ class OrbitTruth:
     light_m_s2: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Flight:
-    """The true motion, and the errors of the forces that are believed."""
-
-    times_s: FloatArray
-    wanted_s: FloatArray
-    radio_s: FloatArray
-    image_states: FloatArray
-    wanted_states: FloatArray
-    radio_states: FloatArray
-
-
 def draw_orbit(world: OrbitWorld, seed: int, trial: int) -> tuple[OrbitTruth, OrbitData]:
     """Draw a trial.
 
@@ -77,12 +59,14 @@ def draw_orbit(world: OrbitWorld, seed: int, trial: int) -> tuple[OrbitTruth, Or
     OrbitLostError
         If the true orbit leads into the body.
     """
-    flown = _fly(world, seed, trial)
+    arc, images = world.spec.arc.days * DAY_S, world.spec.sightings.images
+    times = np.sort(generator(seed, Stream.ORBIT_IMAGES, trial).uniform(0.0, arc, images))
+    flown = fly(world, times, seed, trial)
     pointing = _Pointing.of(world, flown, seed, trial)
-    knowledge = _knowledge(world, flown, seed, trial)
+    knowledge = draw_knowledge(world, flown.wanted_states[0], seed, trial)
     pictures, crater, wrong = _pictures(world, flown, pointing, seed, trial)
     landmarks = _landmarks(world, knowledge, pictures)
-    data = OrbitData(knowledge, pictures, landmarks, _radiometry(world, flown, seed, trial), flown.wanted_s)
+    data = OrbitData(knowledge, pictures, landmarks, draw_radiometry(world, flown, seed, trial), flown.wanted_s)
     truth = OrbitTruth(
         states=flown.wanted_states,
         image_states=flown.image_states,
@@ -95,45 +79,6 @@ def draw_orbit(world: OrbitWorld, seed: int, trial: int) -> tuple[OrbitTruth, Or
     return truth, data
 
 
-def _fly(world: OrbitWorld, seed: int, trial: int) -> _Flight:
-    arc, sightings = world.spec.arc, world.spec.sightings
-    end, last = arc.days * DAY_S, (arc.days + arc.predicted_days) * DAY_S
-    times = np.sort(generator(seed, Stream.ORBIT_IMAGES, trial).uniform(0.0, end, sightings.images))
-    wanted = np.unique(np.concatenate([np.arange(0.0, end, _WANTED_S), [end], np.arange(end, last, _WANTED_S), [last]]))
-    radio = np.zeros(0)
-    if world.spec.radiometry is not None:
-        radio = np.arange(0.0, end, 3600.0 * world.spec.radiometry.interval_h)
-    every, place = np.unique(np.concatenate([times, wanted, radio]), return_inverse=True)
-    field, pushes = _true_forces(world, seed, trial)
-    states = travelled(field, state_at_epoch(arc, world.spec.asteroid.gm_m3_s2), every, pushes)[place]
-    parts = np.split(states, [len(times), len(times) + len(wanted)])
-    return _Flight(times, wanted, radio, parts[0], parts[1], parts[2])
-
-
-def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[Field, Pushes]:
-    """Gravity with its anomalies, and what nothing models: a Gauss-Markov process, held over quarters of its time."""
-    rng = generator(seed, Stream.ORBIT_FORCES, trial)
-    harmonics, arc, light = world.asteroid.harmonics, world.spec.arc, world.spec.light
-    c, s = harmonics.c.copy(), harmonics.s.copy()
-    for n in _ANOMALOUS:
-        c[n, : n + 1] += world.spec.asteroid.anomaly_sigma * rng.normal(size=n + 1)
-        s[n, 1 : n + 1] += world.spec.asteroid.anomaly_sigma * rng.normal(size=n)
-    field = world.field(Harmonics(harmonics.gm_m3_s2, harmonics.radius_m, c, s))
-    end = (arc.days + arc.predicted_days) * DAY_S
-    sigma = light.noise_share * float(np.linalg.norm(world.light_m_s2))
-    if sigma == 0.0:
-        return field, Pushes.none(end)
-    step = light.noise_days * DAY_S / _PUSHES_A_TIME
-    pieces = int(np.ceil(end / step))
-    kept = np.exp(-1.0 / _PUSHES_A_TIME)
-    push = np.empty((pieces, 3))
-    now = rng.normal(size=3)
-    for p in range(pieces):
-        push[p] = sigma * now
-        now = kept * now + np.sqrt(1.0 - kept**2) * rng.normal(size=3)
-    return field, Pushes(step * np.arange(pieces + 1, dtype=np.float64), push)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pointing:
     """Where the camera looked, as reported and in truth, and with what focal length."""
@@ -144,13 +89,10 @@ class _Pointing:
     rows: tuple[IndexArray, ...]
 
     @classmethod
-    def of(cls, world: OrbitWorld, flown: _Flight, seed: int, trial: int) -> _Pointing:
+    def of(cls, world: OrbitWorld, flown: Flown, seed: int, trial: int) -> _Pointing:
         """Point each image at a crater that is lit and seen, drawn at random, and at the origin where none is."""
-        rng, spec = generator(seed, Stream.ORBIT_POINTING, trial), world.spec.pointing
-        images = len(flown.times_s)
-        mounting = 1e-6 * spec.misalignment_urad * rng.normal(size=3)
-        shake = 1e-6 * spec.attitude_urad * rng.normal(size=(images, 3))
-        focal = 1.0 + spec.focal_error * rng.normal()
+        rng, images = generator(seed, Stream.ORBIT_POINTING, trial), len(flown.times_s)
+        errors = PointingErrors.draw(world, images, rng)
         aims = rng.uniform(size=images)
         turns = world.rotation.at(flown.times_s)
         sun = np.array(world.spec.light.sun_dir) / np.linalg.norm(world.spec.light.sun_dir)
@@ -160,12 +102,7 @@ class _Pointing:
             target = turns[i].T @ horizons.points_m[seen[int(aims[i] * len(seen))]] if len(seen) else np.zeros(3)
             reported[i] = _looking(state, target)
             rows.append(seen)
-        true = Rotation.from_rotvec(shake).as_matrix() @ Rotation.from_rotvec(mounting).as_matrix() @ reported
-        known = world.camera
-        camera = Camera(
-            known.width_px, known.height_px, known.fx_px * focal, known.fy_px * focal, known.cx_px, known.cy_px
-        )
-        return cls(reported, true, camera, tuple(rows))
+        return cls(reported, errors.R_true_reported @ reported, errors.camera, tuple(rows))
 
 
 def _looking(state: FloatArray, target_m: FloatArray) -> FloatArray:
@@ -178,7 +115,7 @@ def _looking(state: FloatArray, target_m: FloatArray) -> FloatArray:
 
 
 def _pictures(
-    world: OrbitWorld, flown: _Flight, pointing: _Pointing, seed: int, trial: int
+    world: OrbitWorld, flown: Flown, pointing: _Pointing, seed: int, trial: int
 ) -> tuple[Pictures, IndexArray, BoolArray]:
     """Find craters in the images and number them: also the true crater of each sighting, and which are wrong."""
     rng, spec, asteroid = generator(seed, Stream.ORBIT_SIGHTINGS, trial), world.spec.sightings, world.asteroid
@@ -201,34 +138,6 @@ def _pictures(
     return pictures, crater, wrong
 
 
-def _knowledge(world: OrbitWorld, flown: _Flight, seed: int, trial: int) -> Knowledge:
-    """Draw how wrong is what is known before."""
-    rng, spec, known = generator(seed, Stream.ORBIT_KNOWLEDGE, trial), world.spec, world.spec.knowledge
-    rate = np.sqrt(spec.asteroid.gm_m3_s2 / spec.arc.semi_major_axis_m**3)
-    ways = rng.normal(size=(2, 3))
-    ways *= known.position_m / np.linalg.norm(ways, axis=1, keepdims=True)
-    error = np.concatenate([ways[0], rate * ways[1]])
-    gm, light = 1.0 + known.gm_sigma * rng.normal(), 1.0 + known.light_sigma * rng.normal()
-    believed = world.believed.harmonics
-    harmonics = Harmonics(believed.gm_m3_s2 * gm, believed.radius_m, believed.c, believed.s)
-    return Knowledge(
-        camera=world.camera,
-        field=world.field(harmonics, light),
-        state=flown.wanted_states[0] + error,
-        position_sigma_m=known.position_m / np.sqrt(3.0),
-        velocity_sigma_m_s=float(rate * known.position_m / np.sqrt(3.0)),
-        noise_px=spec.sightings.noise_px,
-        attitude_sigma_rad=1e-6 * spec.pointing.attitude_urad,
-        misalignment_sigma_rad=1e-6 * spec.pointing.misalignment_urad,
-        focal_sigma=spec.pointing.focal_error,
-        gm_sigma=known.gm_sigma,
-        light_sigma=known.light_sigma,
-        coefficient_sigma=world.coefficient_sigma,
-        noise_m_s2=spec.light.noise_share * float(np.linalg.norm(world.light_m_s2)),
-        noise_time_s=spec.light.noise_days * DAY_S,
-    )
-
-
 def _landmarks(world: OrbitWorld, knowledge: Knowledge, pictures: Pictures) -> LandmarkFile:
     """Place each number where the line of sight of its first image meets the a priori shape, by the a priori orbit."""
     numbers, first = np.unique(pictures.landmark, return_index=True)
@@ -246,19 +155,3 @@ def _landmarks(world: OrbitWorld, knowledge: Knowledge, pictures: Pictures) -> L
     points = world.believed.shape.intersect(origins, rays)
     sigma = float(np.hypot(world.believed.shape.rms_m, world.spec.knowledge.position_m))
     return LandmarkFile(numbers, points, np.full(len(numbers), sigma))
-
-
-def _radiometry(world: OrbitWorld, flown: _Flight, seed: int, trial: int) -> Radiometry | None:
-    spec = world.spec.radiometry
-    if spec is None:
-        return None
-    rng = generator(seed, Stream.ORBIT_RADIOMETRY, trial)
-    earth = np.array(world.spec.light.earth_dir) / np.linalg.norm(world.spec.light.earth_dir)
-    n = len(flown.radio_s)
-    bias = spec.range_bias_sigma_m * rng.normal()
-    # The station is on the Earth's side: the nearer the spacecraft is to it, the shorter the range.
-    ranges = -flown.radio_states[:, :3] @ earth + bias + spec.range_sigma_m * rng.normal(size=n)
-    rates = -flown.radio_states[:, 3:] @ earth + spec.range_rate_sigma_m_s * rng.normal(size=n)
-    return Radiometry(
-        earth, flown.radio_s, ranges, rates, spec.range_sigma_m, spec.range_rate_sigma_m_s, spec.range_bias_sigma_m
-    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,28 +32,38 @@ class Asteroid:
     ----------
     mesh
         Its shape; the origin is the centre of mass at one density.
+    centre_m
+        (3,) where the centre of mass lies in the axes that the shape came with.
     harmonics
         Of that density, to the scenario's degree.
-    horizons
-        Of the craters' centres.
+    points_m, normals
+        (n, 3) centres of the craters and outward unit normals there.
     prominence
         (n,) weight of each crater when some of those in view are found.
     """
 
     mesh: TriangleMesh
+    centre_m: FloatArray
     harmonics: Harmonics
-    horizons: Horizons
+    points_m: FloatArray
+    normals: FloatArray
     prominence: FloatArray
 
     @classmethod
     def of(cls, mesh: TriangleMesh, spec: OrbitSpec, seed: int) -> Asteroid:
         """Centre a shape and lay craters on it."""
-        centred = about_centre_of_mass(mesh)
+        centre = centre_of_mass(mesh)
+        centred = TriangleMesh(mesh.vertices_m - centre, mesh.faces)
         harmonics = shape_gravity(centred, spec)
         rng = generator(seed, Stream.ORBIT_CRATERS, 0)
         points, normals = MeshGround(centred).sample(spec.sightings.craters, rng)
         prominence = np.exp(_PROMINENCE * rng.normal(size=len(points)))
-        return cls(centred, harmonics, Horizons.of(centred, points, normals), prominence)
+        return cls(centred, centre, harmonics, points, normals, prominence)
+
+    @cached_property
+    def horizons(self) -> Horizons:
+        """What stands about the craters' centres."""
+        return Horizons.of(self.mesh, self.points_m, self.normals)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +110,11 @@ class OrbitWorld:
         return Field(harmonics, self.rotation, self.light_m_s2 * light_factor)
 
 
-def about_centre_of_mass(mesh: TriangleMesh) -> TriangleMesh:
-    """Shift a mesh so that the origin is its centre of volume."""
+def centre_of_mass(mesh: TriangleMesh) -> FloatArray:
+    """(3,) centre of the volume of a closed mesh: the centre of mass at one density."""
     corners = mesh.corners_m
     volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
-    centre = np.einsum("f,fi->i", volumes, corners.sum(axis=1)) / 4.0 / volumes.sum()
-    return TriangleMesh(mesh.vertices_m - centre, mesh.faces)
+    return np.asarray(np.einsum("f,fi->i", volumes, corners.sum(axis=1)) / 4.0 / volumes.sum())
 
 
 def shape_gravity(mesh: TriangleMesh, spec: OrbitSpec) -> Harmonics:

@@ -70,6 +70,7 @@ class CampaignSpec(SpecModel):
         "crater-detection",
         "crater-matching",
         "orbit-determination",
+        "crater-navigation",
     ] = Field("single-image", description="The kind of trial")
     scenarios: tuple[str, ...] = Field(min_length=1, description="Scenarios by name, or by path from this file")
     overrides: Mapping[str, JsonValue] = Field(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel
+from scenarios.spec.crater_pairs import DetectionErrorSpec, PlaneCratersSpec
 
 Vector = tuple[float, float, float]
 
@@ -109,6 +110,22 @@ class OrbitKnowledgeSpec(SpecModel):
     )
 
 
+class ImagingSpec(SpecModel):
+    """Planned images in which craters are detected and matched, in place of sightings that come with their numbers."""
+
+    epochs: int = Field(
+        240, ge=2, le=5000, description="At even steps over the arc; each has an image where ground is lit and in sight"
+    )
+    detections: Literal["rendered", "drawn"] = Field(
+        "rendered", description="Images of the scenario's craters, or rims of drawn ones projected by geometry"
+    )
+    control_urad: float = Field(
+        300.0, ge=0, description="How far the camera points off the plan about each axis, 1 sigma; telemetry tells it"
+    )
+    craters: PlaneCratersSpec = Field(PlaneCratersSpec(count=600), description="Of detections that are drawn")
+    errors: DetectionErrorSpec = Field(DetectionErrorSpec(), description="Of detections that are drawn")
+
+
 class OrbitSpec(SpecModel):
     """Orbit determination by craters: the world and what is known of it."""
 
@@ -119,3 +136,9 @@ class OrbitSpec(SpecModel):
     pointing: PointingSpec = PointingSpec()
     radiometry: RadiometrySpec | None = Field(RadiometrySpec(), description="null for optical data alone")
     knowledge: OrbitKnowledgeSpec = OrbitKnowledgeSpec()
+    imaging: ImagingSpec | None = Field(
+        None,
+        # Left out of digests where it is not given: such a scenario is the same as ever.
+        exclude_if=lambda imaging: imaging is None,
+        description="Images that are planned and taken, in place of sightings",
+    )

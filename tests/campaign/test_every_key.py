@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import UnionType
@@ -20,19 +21,24 @@ import trimesh
 from tiny_mission import make_mission
 
 from campaign.crater_pairs import BY_GEOMETRY, open_pairs
+from campaign.crater_sights import open_sights
 from campaign.experiments.orbit_determination import open_orbit_world
 from campaign.experiments.sequence import ground_of
 from campaign.experiments.single_image import SingleImage
 from campaign.image_tracks import ImageTracks
+from campaign.navigation_trial import NavigationTrial
 from campaign.orbit_images import OrbitImages
 from campaign.products import Shelf
 from campaign.world import open_world
+from estimators.craters.navigation.rounds import CraterNavigation
+from estimators.craters.navigation.stages import Stages
 from estimators.slam.registry import sequence_estimator_class
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
 from scenarios.geometry import View, look_at
 from scenarios.load import LoadedScenario, load_scenario
 from scenarios.orbits.draw import draw_orbit
+from scenarios.orbits.imaging import imaging_of
 from scenarios.sequences import draw_sequence
 from scenarios.spec.base import SpecModel
 from scenarios.spec.scenario import ScenarioSpec
@@ -119,6 +125,20 @@ orbit:
   sightings: {images: 20, craters: 120, wrong_share: 0.2, merged_share: 0.1}
   pointing: {focal_error: 0.001}
   knowledge: {position_m: 100, shape_degree: 4}
+"""
+IMAGED = """
+body: {shape: sphere}
+craters: {count: 40, min_diameter_m: 24, max_diameter_m: 120, edge_m: 6, known_diameter_m: 30, roughness: null}
+camera: {width_px: 48, height_px: 40, fov_deg: 12}
+orbit:
+  arc: {semi_major_axis_m: 2000, days: 0.3}
+  asteroid: {gm_m3_s2: 5, gravity_degree: 2}
+  knowledge: {position_m: 10, shape_degree: 4}
+  imaging:
+    epochs: 3
+    detections: drawn
+    craters: {count: 3000, min_diameter_m: 20, max_diameter_m: 100}
+    errors: {least_radius_px: 0.5}
 """
 SEQUENCE = """
 camera: {width_px: 64, height_px: 64, fov_deg: 30}
@@ -397,6 +417,27 @@ CHANGES |= {
         "knowledge.shape_degree": "3",
     }.items()
 }
+CHANGES |= {
+    f"orbit.imaging.{key}": (IMAGED, value)
+    for key, value in {
+        "epochs": "4",
+        "detections": "rendered",
+        "control_urad": "900",
+        "craters.count": "2500",
+        "craters.min_diameter_m": "24",
+        "craters.max_diameter_m": "80",
+        "craters.exponent": "2.5",
+        "craters.seed": "1",
+        "errors.centre_px": "1",
+        "errors.centre_radii": "0.1",
+        "errors.axes_px": "0.5",
+        "errors.axes_ratio": "0.1",
+        "errors.recall": "0.5",
+        "errors.false_share": "0.5",
+        "errors.least_radius_px": "1.5",
+        "errors.height_m": "2",
+    }.items()
+}
 SAME_TERMS = {"onboard.brdf", "onboard.body", "onboard.height_error"}
 # Keys that change no result, each with its reason.
 NO_RESULT = {
@@ -477,7 +518,8 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
     if scenario.spec.crater_pairs is not None:
         return pairs_fingerprint(scenario)
     if scenario.spec.orbit is not None:
-        return orbit_fingerprint(scenario)
+        imaged = scenario.spec.orbit.imaging is not None
+        return imaging_fingerprint(scenario) if imaged else orbit_fingerprint(scenario)
     world = open_world(scenario, variant)
     experiment = SingleImage(world, {}, seed=3)
     parts = [*lent(Shelf(scenario, file.parent / "products", 0, variant))]
@@ -521,6 +563,21 @@ def orbit_fingerprint(scenario: LoadedScenario) -> str:
     numbers += [radio.range_sigma_m, radio.range_rate_sigma_m_s, radio.range_bias_sigma_m, field.rotation.rate_rad_s]
     parts = [np.ascontiguousarray(array).tobytes() for array in arrays] + [repr(numbers).encode()]
     return hashlib.sha256(b"|".join(parts)).hexdigest()
+
+
+def imaging_fingerprint(scenario: LoadedScenario) -> str:
+    """Hash what the images of a trial show to a chain of crater navigation, and their truth."""
+    world = open_orbit_world(scenario, 3)
+    sights = open_sights(scenario, imaging_of(world), choose_variant().name)
+    with tempfile.TemporaryDirectory() as folder:
+        taken = NavigationTrial.take(world, sights, 3, 0, Stages(Path(folder)))
+        searched = taken.search(CraterNavigation.from_options({}), Stages(Path(folder)))
+    arrays = [taken.flown.image_states, taken.task.shape.ground.mesh.vertices_m]
+    for view, image in zip(taken.views, searched, strict=True):
+        shown, rims = image.exposure, image.exposure.detections.ellipses
+        arrays += [view.T_cam_body.rotation, shown.R_cam_inertial, shown.sun_dir_cam, shown.pixels, image.crater]
+        arrays += [rims.centre_px, rims.semi_axes_px, rims.angle_rad]
+    return hashlib.sha256(b"|".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
 
 
 def sequence_fingerprint(scenario: LoadedScenario) -> str:

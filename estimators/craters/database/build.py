@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from estimators.craters.contract import CraterImage, CraterMatcher, Ground
 from estimators.craters.database.files import CraterDatabase
 from estimators.craters.database.landmarks import locate_landmarks
 from estimators.craters.database.numbering import Numbering, PairMatches, number_craters
-from estimators.craters.database.pictures import Picture, pictures_of
+from estimators.craters.database.pictures import placed_pictures
 from estimators.craters.matching.preliminary import ImagePairs, PreliminaryOptions, preliminary_pairs
 
 
@@ -49,19 +47,5 @@ def build_database(
     found = tuple(PairMatches(int(i), int(j), matcher.match(images[i], images[j], ground)) for i, j in pairs.pairs)
     numbering = number_craters([len(image.detections.ellipses) for image in images], found)
     landmarks = locate_landmarks(images, numbering, ground, options.height_sigma_m)
-    pictures = tuple(_placed(picture, landmarks.number) for picture in pictures_of(images, numbering))
+    pictures = placed_pictures(images, numbering, landmarks.number)
     return BuiltDatabase(CraterDatabase(pictures, landmarks), pairs, found, numbering)
-
-
-def _placed(picture: Picture, known: np.typing.NDArray[np.int64]) -> Picture:
-    """Leave out the sightings of craters that have no place."""
-    rows = np.flatnonzero(np.isin(picture.landmark, known))
-    return Picture(
-        picture.number,
-        picture.time_s,
-        picture.camera,
-        picture.T_cam_body,
-        picture.sun_dir_cam,
-        picture.landmark[rows],
-        picture.ellipses[rows],
-    )

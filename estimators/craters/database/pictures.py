@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,3 +65,12 @@ def pictures_of(images: Sequence[CraterImage], numbering: Numbering) -> tuple[Pi
         pose = frame.prior_T_cam_body
         pictures.append(Picture(image.number, frame.time_s, image.camera, pose, frame.sun_dir_cam, numbers[rows], rims))
     return tuple(sorted(pictures, key=lambda picture: (picture.time_s, picture.number)))
+
+
+def placed_pictures(images: Sequence[CraterImage], numbering: Numbering, placed: IndexArray) -> tuple[Picture, ...]:
+    """Write the same without the sightings of craters whose number is not among the (n,) that have a place."""
+    pictures = []
+    for picture in pictures_of(images, numbering):
+        rows = np.flatnonzero(np.isin(picture.landmark, placed))
+        pictures.append(replace(picture, landmark=picture.landmark[rows], ellipses=picture.ellipses[rows]))
+    return tuple(pictures)

@@ -17,6 +17,8 @@ from scenarios.sequences.ground import MeshGround
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+_AT_ONCE = 64
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ephemeris:
@@ -27,7 +29,7 @@ class Ephemeris:
     time_s
         (n,) ascending.
     position_inertial_m
-        (n, 3) of the spacecraft about the body's centre of mass: the a priori orbit.
+        (n, 3) of the spacecraft about the origin of the axes of the ground: the a priori orbit.
     R_body_inertial
         (n, 3, 3) attitude of the body.
     sun_dir_inertial
@@ -117,10 +119,12 @@ def find_target(
     rows = np.flatnonzero(of_kind(kind, emission, incidence) & is_lit(emission, incidence))
     rays = places[rows] - position_body_m
     off_nadir = rays @ -position_body_m / np.linalg.norm(rays, axis=1)
-    for row in rows[np.argsort(-off_nadir, kind="stable")]:
-        one = slice(row, row + 1)
-        if ground.in_sight(places[one], normals[one], position_body_m)[0]:
-            return np.asarray(places[row], dtype=np.float64)
+    rows = rows[np.argsort(-off_nadir, kind="stable")]
+    for start in range(0, len(rows), _AT_ONCE):
+        some = rows[start : start + _AT_ONCE]
+        seen = ground.in_sight(places[some], normals[some], position_body_m)
+        if seen.any():
+            return np.asarray(places[some[int(np.argmax(seen))]], dtype=np.float64)
     return None
 
 

@@ -1,0 +1,161 @@
+"""The crater-navigation experiment: images are planned, taken, searched and matched, and an orbit comes of them.
+
+Truth takes the images and scores what comes out; the chain between sees images, telemetry and what is known before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from campaign.crater_sights import CraterSights, open_sights
+from campaign.experiments.fault import faulted
+from campaign.experiments.orbit_determination import checked_orbit_section, empty_row, open_orbit_world, scored_orbit
+from campaign.experiments.registry import Bench, Record, Records
+from campaign.navigation_score import (
+    at_times,
+    image_records,
+    landmark_records,
+    navigation_summary,
+    truth_of_sightings,
+)
+from campaign.navigation_trial import NavigationTrial, SearchedImage, searched_in
+from campaign.products import BuiltProduct, Shelf
+from campaign.resolve import ResolvedCampaign
+from estimators.craters.navigation.rounds import CraterNavigation, Navigation
+from estimators.craters.navigation.stages import Stages
+from estimators.craters.registry import (
+    crater_detector_class,
+    crater_detector_names,
+    crater_matcher_class,
+    crater_matcher_names,
+)
+from estimators.orbit.batch_filter import BatchFilter
+from scenarios.errors import BoresightError
+from scenarios.load import LoadedScenario
+from scenarios.orbits.imaging import epochs_s, imaging_of
+from scenarios.orbits.motion import OrbitLostError
+from scenarios.orbits.world import OrbitWorld
+
+_FOLDER = "chain"
+
+
+@dataclass(frozen=True, eq=False)
+class CraterNavigationTrials:
+    """Trials of one scenario with a set of labelled chains; all see the same images.
+
+    Parameters
+    ----------
+    name
+        Of the scenario.
+    world, sights
+        The truth, and what a camera sees of it.
+    navigators
+        Label to chain.
+    seed
+        Seed of the campaign.
+    folder
+        Where the stages leave their files, a folder for each trial.
+    """
+
+    name: str
+    world: OrbitWorld
+    sights: CraterSights
+    navigators: Mapping[str, CraterNavigation]
+    seed: int
+    folder: Path
+
+    kind: ClassVar[str] = "crater-navigation"
+    version: ClassVar[int] = 1
+    block_trials: ClassVar[int] = 1
+    kernels: ClassVar[bool] = False
+
+    @classmethod
+    def method_version(cls, name: str) -> int:
+        """Return the version of the chain: the sum of those of its parts, which only rise."""
+        if name != CraterNavigation.name:
+            raise BoresightError(f"estimators: {name} is no chain of {cls.kind}; there is: {CraterNavigation.name}")
+        detectors = [crater_detector_class(one).version for one in crater_detector_names()]
+        matchers = [crater_matcher_class(one).version for one in crater_matcher_names()]
+        return CraterNavigation.version + BatchFilter.version + sum(detectors) + sum(matchers)
+
+    @classmethod
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+        """Refuse wrong options and missing sections; there is nothing to build."""
+        del shelf
+        _navigators(campaign)
+        section = checked_orbit_section(scenario)
+        if section.imaging is None:
+            raise BoresightError(f"{scenario.path}: orbit.imaging: missing, but the experiment {cls.kind} needs it")
+        return []
+
+    @classmethod
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> CraterNavigationTrials:
+        """Open the world and build the chains."""
+        world = open_orbit_world(scenario, campaign.seed)
+        sights = open_sights(scenario, imaging_of(world), campaign.variant)
+        folder = bench.run / _FOLDER / scenario.spec.name
+        return cls(scenario.spec.name, world, sights, _navigators(campaign), campaign.seed, folder)
+
+    def run(self, trials: range) -> Records:
+        """Run trials, in the order of trials and chains."""
+        records: Records = {}
+        for trial in trials:
+            for label, found in self._trial(trial).items():
+                key: Record = {"trial": trial, "scenario": self.name, "estimator": label}
+                for table, added in found.items():
+                    records.setdefault(table, []).extend({**key, **record} for record in added)
+        return records
+
+    def _trial(self, trial: int) -> dict[str, Records]:
+        """Take the images of a trial and let each chain work; where there is no arc, none has images."""
+        stages = Stages(self.folder / f"{trial:07d}")
+        try:
+            taken = NavigationTrial.take(self.world, self.sights, self.seed, trial, stages)
+        except BoresightError as error:
+            row = {**empty_row(), "status": "failed", "reason": f"there is no such trial: {error}"}
+            return {label: {"rows": [row]} for label in self.navigators}
+        return {label: self._judged(one, taken, stages) for label, one in self.navigators.items()}
+
+    def _judged(self, navigator: CraterNavigation, taken: NavigationTrial, stages: Stages) -> Records:
+        """Let a chain work and score what it comes to: records without their key, whatever goes wrong."""
+        row = {**empty_row(), "range_m": float(np.linalg.norm(taken.flown.wanted_states[0, :3]))}
+        try:
+            searched = taken.search(navigator, stages)
+            navigation = navigator.navigate([image.exposure for image in searched], taken.task, stages)
+            timings: Records = {"timings": _timings(navigation, stages, searched_in(navigator, stages))}
+            return self._scored(navigation, taken, searched, row) | timings
+        except OrbitLostError as error:
+            return {"rows": [{**row, "status": "failed", "reason": f"the a priori orbit: {error}"}]}
+        except Exception:  # noqa: BLE001  a fault of a part is a result, recorded with its trace
+            return faulted("chain", row)
+
+    def _scored(
+        self, navigation: Navigation, taken: NavigationTrial, searched: Sequence[SearchedImage], row: Record
+    ) -> Records:
+        """Score images, matches, landmarks and the orbit."""
+        last, crater = navigation.rounds[-1], [image.crater for image in searched]
+        records: Records = {
+            "navigation": [navigation_summary(navigation, searched, len(epochs_s(self.world)))],
+            "navigated_images": image_records(taken, searched, last),
+        }
+        truth = truth_of_sightings(self.world, taken, last, crater)
+        estimate, data = at_times(last.estimate, last.data, taken.task.wanted_s)
+        scored = scored_orbit(estimate, truth, data, row, with_residuals=taken.address.trial == 0)
+        used = estimate.orbit.used if estimate.status == "ok" and estimate.orbit is not None else None
+        records["navigated_landmarks"] = landmark_records(data, truth.crater, used)
+        return records | scored
+
+
+def _timings(navigation: Navigation, stages: Stages, searched: Stages) -> list[Record]:
+    """List the time of each stage over all starts of the trial."""
+    spent = {**stages.seconds(), **searched.seconds(), **navigation.seconds}
+    return [{"stage": stage, "seconds": seconds} for stage, seconds in spent.items()]
+
+
+def _navigators(campaign: ResolvedCampaign) -> dict[str, CraterNavigation]:
+    return {entry.label: CraterNavigation.from_options(entry.options) for entry in campaign.spec.estimators}

@@ -1,0 +1,50 @@
+"""What the stages of the chain leave behind: files in a folder, from which an interrupted chain goes on."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from scenarios.atomic import write_text
+
+T = TypeVar("T")
+
+_SECONDS = "seconds.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Stages:
+    """A folder of files that each stand for a finished piece of work, and of the time that the stages took."""
+
+    folder: Path
+
+    def below(self, name: str) -> Stages:
+        """Return a folder within."""
+        return Stages(self.folder / name)
+
+    def kept(self, name: str, stage: str, make: Callable[[Path], None], read: Callable[[Path], T]) -> T:
+        """Read a file back, made first where it is not there; the time of making it counts for its stage."""
+        path = self.folder / name
+        if not path.exists():
+            with self.timed(stage):
+                make(path)
+        return read(path)
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Add the time of the work within to that of a stage, unless it fails."""
+        started = time.perf_counter()
+        yield
+        spent = self.seconds()
+        spent[stage] = spent.get(stage, 0.0) + time.perf_counter() - started
+        write_text(self.folder / _SECONDS, json.dumps(spent))
+
+    def seconds(self) -> dict[str, float]:
+        """Return the time that each stage took, over all starts."""
+        path = self.folder / _SECONDS
+        return dict(json.loads(path.read_text(encoding="utf-8"))) if path.exists() else {}

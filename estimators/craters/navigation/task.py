@@ -1,0 +1,79 @@
+"""What the chain is given: what is known before, the a priori shape, radiometric data, images with their craters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.craters.contract import CraterDetections
+from scenarios.orbits.data import Knowledge, Radiometry
+from scenarios.sequences.ground import MeshGround
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AprioriShape:
+    """The shape that landmarks are located on.
+
+    Parameters
+    ----------
+    ground
+        In axes whose origin need not be the centre of mass.
+    centre_of_mass_m
+        (3,) where that is in them.
+    height_sigma_m
+        Standard deviation of the shape's height.
+    """
+
+    ground: MeshGround
+    centre_of_mass_m: FloatArray
+    height_sigma_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exposure:
+    """An image with its craters, without a place: that is what the trajectory tells.
+
+    Parameters
+    ----------
+    number, time_s
+        Of the image; the time counts from the epoch of the orbit.
+    R_cam_inertial
+        (3, 3) attitude as telemetry tells it.
+    sun_dir_cam
+        (3,) unit vector towards the Sun.
+    pixels
+        (H, W).
+    detections
+        Its craters.
+    """
+
+    number: int
+    time_s: float
+    R_cam_inertial: FloatArray
+    sun_dir_cam: FloatArray
+    pixels: NDArray[np.float32]
+    detections: CraterDetections
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NavigationTask:
+    """All that the chain knows beside its images.
+
+    Parameters
+    ----------
+    knowledge, radiometry
+        As orbit determination takes them.
+    shape
+        A priori.
+    wanted_s
+        (E,) times at which the orbit is asked for; later than the last image for a prediction.
+    """
+
+    knowledge: Knowledge
+    shape: AprioriShape
+    radiometry: Radiometry | None
+    wanted_s: FloatArray

@@ -1,0 +1,87 @@
+"""The true motion of a trial: forces with what nothing models, and the states at all times that are asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.draw import Stream, generator
+from scenarios.orbits.elements import state_at_epoch
+from scenarios.orbits.field import Field
+from scenarios.orbits.harmonics import Harmonics
+from scenarios.orbits.motion import Pushes, travelled
+from scenarios.orbits.world import OrbitWorld
+
+FloatArray = NDArray[np.float64]
+
+DAY_S = 86_400.0
+_PUSHES_A_TIME = 4
+_WANTED_S = 6 * 3600.0
+_ANOMALOUS = (2, 3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flown:
+    """True states, inertial axes, at the times of images, of the wanted orbit and of radiometric records.
+
+    Parameters
+    ----------
+    times_s, wanted_s, radio_s
+        (I,), (E,) and (N,) seconds after the epoch, ascending; the first wanted one is the epoch.
+    image_states, wanted_states, radio_states
+        (I, 6), (E, 6) and (N, 6) m and m/s.
+    """
+
+    times_s: FloatArray
+    wanted_s: FloatArray
+    radio_s: FloatArray
+    image_states: FloatArray
+    wanted_states: FloatArray
+    radio_states: FloatArray
+
+
+def fly(world: OrbitWorld, times_s: FloatArray, seed: int, trial: int) -> Flown:
+    """Follow the true orbit of a trial, with images at ``times_s``, ascending.
+
+    Raises
+    ------
+    OrbitLostError
+        If the true orbit leads into the body.
+    """
+    arc = world.spec.arc
+    end, last = arc.days * DAY_S, (arc.days + arc.predicted_days) * DAY_S
+    wanted = np.unique(np.concatenate([np.arange(0.0, end, _WANTED_S), [end], np.arange(end, last, _WANTED_S), [last]]))
+    radio = np.zeros(0)
+    if world.spec.radiometry is not None:
+        radio = np.arange(0.0, end, 3600.0 * world.spec.radiometry.interval_h)
+    every, place = np.unique(np.concatenate([times_s, wanted, radio]), return_inverse=True)
+    field, pushes = _true_forces(world, seed, trial)
+    states = travelled(field, state_at_epoch(arc, world.spec.asteroid.gm_m3_s2), every, pushes)[place]
+    parts = np.split(states, [len(times_s), len(times_s) + len(wanted)])
+    return Flown(times_s, wanted, radio, parts[0], parts[1], parts[2])
+
+
+def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[Field, Pushes]:
+    """Gravity with its anomalies, and what nothing models: a Gauss-Markov process, held over quarters of its time."""
+    rng = generator(seed, Stream.ORBIT_FORCES, trial)
+    harmonics, arc, light = world.asteroid.harmonics, world.spec.arc, world.spec.light
+    c, s = harmonics.c.copy(), harmonics.s.copy()
+    for n in _ANOMALOUS:
+        c[n, : n + 1] += world.spec.asteroid.anomaly_sigma * rng.normal(size=n + 1)
+        s[n, 1 : n + 1] += world.spec.asteroid.anomaly_sigma * rng.normal(size=n)
+    field = world.field(Harmonics(harmonics.gm_m3_s2, harmonics.radius_m, c, s))
+    end = (arc.days + arc.predicted_days) * DAY_S
+    sigma = light.noise_share * float(np.linalg.norm(world.light_m_s2))
+    if sigma == 0.0:
+        return field, Pushes.none(end)
+    step = light.noise_days * DAY_S / _PUSHES_A_TIME
+    pieces = int(np.ceil(end / step))
+    kept = np.exp(-1.0 / _PUSHES_A_TIME)
+    push = np.empty((pieces, 3))
+    now = rng.normal(size=3)
+    for p in range(pieces):
+        push[p] = sigma * now
+        now = kept * now + np.sqrt(1.0 - kept**2) * rng.normal(size=3)
+    return field, Pushes(step * np.arange(pieces + 1, dtype=np.float64), push)

@@ -1,0 +1,54 @@
+"""Planned images as they are taken: from the true orbit, with a camera that is not quite as it is reported."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.draw import Stream, generator
+from scenarios.errors import BoresightError
+from scenarios.geometry import Pose, View
+from scenarios.orbits.flown import DAY_S, Flown
+from scenarios.orbits.pointing import PointingErrors
+from scenarios.orbits.world import OrbitWorld
+from scenarios.spec.orbit import ImagingSpec
+
+FloatArray = NDArray[np.float64]
+
+
+def imaging_of(world: OrbitWorld) -> ImagingSpec:
+    """Return the section of a world whose images are planned and taken."""
+    if world.spec.imaging is None:
+        raise BoresightError("orbit.imaging: missing, so there are no images to take")
+    return world.spec.imaging
+
+
+def epochs_s(world: OrbitWorld) -> FloatArray:
+    """(I,) times at which an image can be taken: even steps over the arc, each in the middle of its part."""
+    count = imaging_of(world).epochs
+    return (np.arange(count) + 0.5) / count * world.spec.arc.days * DAY_S
+
+
+def sun_dir_inertial(world: OrbitWorld) -> FloatArray:
+    """(3,) unit vector towards the Sun."""
+    sun = np.array(world.spec.light.sun_dir)
+    return np.asarray(sun / np.linalg.norm(sun))
+
+
+def control_errors(world: OrbitWorld, images: int, seed: int, trial: int) -> FloatArray:
+    """(I, 3) rotation vectors, camera axes, from the planned pointing to the one that telemetry reports."""
+    rng = generator(seed, Stream.ORBIT_CONTROL, trial)
+    return 1e-6 * imaging_of(world).control_urad * rng.normal(size=(images, 3))
+
+
+def true_views(world: OrbitWorld, flown: Flown, R_cam_inertial: FloatArray, seed: int, trial: int) -> tuple[View, ...]:
+    """Give the views of images whose attitude (I, 3, 3) telemetry reports, in the axes that the shape came with."""
+    errors = PointingErrors.draw(world, len(flown.times_s), generator(seed, Stream.ORBIT_POINTING, trial))
+    sun, turns = sun_dir_inertial(world), world.rotation.at(flown.times_s)
+    attitudes = errors.R_true_reported @ R_cam_inertial
+    views = []
+    for state, turn, attitude in zip(flown.image_states, turns, attitudes, strict=True):
+        rotation = attitude @ turn.T
+        position = turn @ state[:3] + world.asteroid.centre_m
+        views.append(View(errors.camera, Pose(rotation, -rotation @ position), turn @ sun))
+    return tuple(views)

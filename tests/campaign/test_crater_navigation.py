@@ -1,0 +1,145 @@
+"""The chain from planned images to an orbit: drawn detections, resumed, scored by hand, and what goes wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from orbit_worlds import orbit_world
+
+from campaign.crater_sights import DrawnSights
+from campaign.experiments.crater_navigation import CraterNavigationTrials
+from campaign.navigation_score import match_counts, told_apart
+from campaign.store.columns import TABLES
+from estimators.craters.contract import CraterDetections, CraterMatches
+from estimators.craters.database.numbering import Numbering, PairMatches
+from estimators.craters.navigation.rounds import CraterNavigation, Round
+from estimators.orbit.contract import OrbitEstimate
+from scenarios.craters.pairs import population
+from scenarios.craters.simulated import NO_CRATER
+from scenarios.errors import BoresightError
+from scenarios.geometry import TriangleMesh
+from scenarios.orbits.imaging import imaging_of
+from scenarios.sequences.ground import MeshGround
+
+SHIFT_M = np.array([7.0, -4.0, 11.0])
+IMAGING = {
+    "epochs": 40,
+    "detections": "drawn",
+    "craters": {"count": 500, "min_diameter_m": 9.0, "max_diameter_m": 60.0},
+    "errors": {"height_m": 0.5, "least_radius_px": 5.0},
+}
+
+
+def _world(**changes):
+    """Build the small world; its shape's axes have their origin off the centre of mass."""
+    world = orbit_world(
+        arc={"days": 1.0},
+        knowledge={"position_m": 15.0, "shape_degree": 8, **changes.pop("knowledge", {})},
+        imaging={**IMAGING, **changes.pop("imaging", {})},
+        **changes,
+    )
+    return replace(world, asteroid=replace(world.asteroid, centre_m=SHIFT_M))
+
+
+class _Lost(DrawnSights):
+    """Some images show nothing, one a single crater, and one has a detector that sees nothing at all."""
+
+    def drawn(self, view, address):
+        found, crater = super().drawn(view, address)
+        kept = {2: 0, 3: 1}.get(address.image, len(crater))
+        return CraterDetections(found.ellipses[:kept], found.confidence[:kept]), crater[:kept]
+
+
+def _trials(tmp_path, world, navigators=None, sights=DrawnSights):
+    mesh = world.asteroid.mesh
+    ground = MeshGround(TriangleMesh(mesh.vertices_m + SHIFT_M, mesh.faces))
+    spec = imaging_of(world)
+    drawn = sights(spec, ground, population(ground, spec.craters))
+    navigators = navigators or {"vote": CraterNavigation.from_options({"matcher": "vote"})}
+    return CraterNavigationTrials("small", world, drawn, navigators, 5, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("chain")
+    trials = _trials(folder, _world())
+    return folder, trials, trials.run(range(1))
+
+
+def test_the_chain_comes_to_an_orbit_that_is_far_better_than_the_a_priori_one(done):
+    _, _, records = done
+    (row,), (orbit,), (chain,) = records["rows"], records["orbits"], records["navigation"]
+    assert row["status"] == "ok", row["reason"]
+    assert orbit["arc_rms_m"] < 3.0
+    assert 0.05 < orbit["epoch_nees"] < 4.0
+    assert chain["n_wrong"] < 0.05 * chain["n_correct"]
+    assert chain["n_correct"] > 0.6 * chain["n_common"]
+    assert chain["n_numbered"] <= chain["n_detections"]
+    assert len(records["navigated_images"]) == chain["n_images"] <= 40
+    assert sum(line["hits"] for line in records["navigated_landmarks"]) == chain["n_numbered"]
+    for table, lines in records.items():
+        wanted = {column.name for column in TABLES[table]}
+        assert all(set(line) <= wanted for line in lines), table
+
+
+def test_an_interrupted_chain_goes_on_and_comes_to_the_same(done):
+    folder, trials, records = done
+    kept = {path: path.stat().st_mtime_ns for path in folder.rglob("*.txt")}
+    lost = [path for path in kept if path.name == "landmarks.txt" or path.stem in ("00007", "pairs-00001")]
+    assert len(lost) == 3
+    for path in lost:
+        path.unlink()
+    again = trials.run(range(1))
+    assert {name: lines for name, lines in again.items() if name != "timings"} == {
+        name: lines for name, lines in records.items() if name != "timings"
+    }
+    untouched = [path for path in kept if path not in lost and path.name != "pictures.txt"]
+    assert all(path.stat().st_mtime_ns == kept[path] for path in untouched)
+
+
+def test_images_without_a_crater_and_with_one_do_not_stop_it(tmp_path):
+    records = _trials(tmp_path, _world(), sights=_Lost).run(range(1))
+    assert [line["n_detections"] for line in records["navigated_images"]][2:4] == [0, 1]
+    assert records["rows"][0]["status"] == "ok"
+
+
+def test_an_a_priori_orbit_in_the_body_fails_with_its_reason(tmp_path):
+    far = _world(knowledge={"position_m": 2900.0})
+    rows = [row for trial in range(4) for row in _trials(tmp_path, far).run(range(trial, trial + 1))["rows"]]
+    assert {row["status"] for row in rows} <= {"failed", "ok"}
+    assert any(row["status"] == "failed" and row["reason"] for row in rows)
+
+
+def test_no_craters_at_all_fail_with_a_reason(tmp_path):
+    bare = _world(imaging={"errors": {"least_radius_px": 1e3}})
+    (row,) = _trials(tmp_path, bare).run(range(1))["rows"]
+    assert (row["status"], row["reason"]) == ("failed", "0 sightings are too few: at least 20 are needed")
+
+
+class _Raises(CraterNavigation):
+    def navigate(self, exposures, task, stages):
+        raise RuntimeError("on purpose")
+
+
+def test_a_fault_of_one_chain_leaves_the_others(tmp_path):
+    good = CraterNavigation.from_options({"matcher": "vote"})
+    world = _world(imaging={"epochs": 25})
+    records = _trials(tmp_path, world, {"raises": _Raises(good.options), "vote": good}).run(range(1))
+    assert records["rows"][0]["status"] == "error"
+    assert "on purpose" in records["tracebacks"][0]["traceback"]
+    assert [row["estimator"] for row in records["rows"]] == ["raises", "vote"]
+
+
+def test_two_false_detections_are_never_the_same_crater():
+    crater = [np.array([4, NO_CRATER, 6]), np.array([NO_CRATER, 4, 9])]
+    told = told_apart(crater)
+    assert len(np.intersect1d(told[0], told[1])) == 1
+    matches = CraterMatches(np.array([[0, 1], [1, 0], [2, 2]]), np.ones(3))
+    numbering = Numbering((np.array([0, 1, 2]), np.array([1, 0, 2])), 0)
+    once = Round((PairMatches(0, 1, matches),), numbering, None, OrbitEstimate("failed", None, "x"))
+    assert match_counts(once, crater) == (1, 2, 1)
+
+
+def test_a_wrong_matcher_is_refused():
+    with pytest.raises(BoresightError, match="nonsense"):
+        CraterNavigation.from_options({"matcher": "nonsense"})
