@@ -68,7 +68,7 @@ def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[Field, Pushe
     rng = generator(seed, Stream.ORBIT_FORCES, trial)
     harmonics, arc, light = world.asteroid.harmonics, world.spec.arc, world.spec.light
     c, s = harmonics.c.copy(), harmonics.s.copy()
-    for n in _ANOMALOUS:
+    for n in (n for n in _ANOMALOUS if n <= harmonics.degree):
         c[n, : n + 1] += world.spec.asteroid.anomaly_sigma * rng.normal(size=n + 1)
         s[n, 1 : n + 1] += world.spec.asteroid.anomaly_sigma * rng.normal(size=n)
     field = world.field(Harmonics(harmonics.gm_m3_s2, harmonics.radius_m, c, s))
