@@ -21,6 +21,7 @@ from estimators.landmark.visibility import visible_landmarks
 from reports.figures import Fit, Overlay, draw_fit_panels
 from reports.named_figure import NamedFigure, file_stem
 from scenarios.geometry import Camera, Pose, TriangleMesh
+from scenarios.observation import Observation
 from scenarios.spec.scenario import ScenarioSpec
 
 
@@ -55,10 +56,14 @@ def second_look(experiment: SingleImage, label: str, trial: int) -> SecondLook |
     if not isinstance(estimator, LandmarkRecognizer):
         return None
     sight = experiment.world.source.sight(experiment.seed, trial)
-    observation = experiment.observe(sight, trial)
+    return recognised_again(estimator, experiment.observe(sight, trial), sight.image_name)
+
+
+def recognised_again(estimator: LandmarkRecognizer, observation: Observation, image_name: str) -> SecondLook:
+    """Recognise the landmarks of an observation and keep all that comes about in between."""
     frame = observation.frames[0]
     found = estimator.recognise(frame, observation.camera)
-    return SecondLook(frame.image, sight.image_name, observation.camera, estimator.database, found)
+    return SecondLook(frame.image, image_name, observation.camera, estimator.database, found)
 
 
 def single_image(campaign: ResolvedCampaign, scenario: str, run: Path) -> SingleImage | None:

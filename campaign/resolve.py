@@ -189,6 +189,34 @@ def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
     BoresightError
         If the data that it needs are gone.
     """
+    campaign = _read_again(manifest)
+    return campaign if campaign is not None and campaign.digest == manifest["digest"] else None
+
+
+def unlike(manifest: Mapping[str, Any]) -> list[str]:
+    """Name what decides the rows of a stored run and is not as it was; empty where its manifest cannot be read."""
+    campaign = _read_again(manifest)
+    if campaign is None:
+        return []
+    now = json.loads(json.dumps(campaign.identity))
+    return list(_unlike(manifest["identity"], now, ""))
+
+
+def _unlike(then: Any, now: Any, where: str) -> Iterator[str]:
+    """Walk down two plain values to what differs; entries of a list go by their name, where they have one."""
+    if isinstance(then, dict) and isinstance(now, dict):
+        for key in sorted(then.keys() | now.keys()):
+            yield from _unlike(then.get(key), now.get(key), f"{where}.{key}" if where else key)
+    elif isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
+        for index, (old, new) in enumerate(zip(then, now, strict=True)):
+            name = old.get("label", old.get("name", index)) if isinstance(old, dict) else index
+            yield from _unlike(old, new, f"{where}[{name}]")
+    elif then != now:
+        yield where
+
+
+def _read_again(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
+    """Read the campaign of a manifest; None where it is not one that this version writes."""
     try:
         spec = CampaignSpec.model_validate_json(json.dumps(manifest["campaign"]))
         scenarios = tuple(
@@ -202,7 +230,7 @@ def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
     except (KeyError, ValidationError):
         return None
     machine = manifest["machine"]
-    campaign = ResolvedCampaign(
+    return ResolvedCampaign(
         spec,
         scenarios,
         int(manifest["seed"]),
@@ -210,4 +238,3 @@ def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
         machine.get("kernels", ""),
         draft=float(manifest.get("draft", 1.0)),
     )
-    return campaign if campaign.digest == manifest["digest"] else None

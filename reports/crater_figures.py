@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from reports.craters import BINNINGS, Shown, binned_rates, confidence_curve, shown
@@ -77,20 +77,35 @@ def _span(low: float, high: float) -> str:
 
 
 def example_figure(run: RunData, scenario: str, estimator: str, trial: int, image: NDArray[np.float32]) -> NamedFigure:
-    """Draw one image with its craters and a detector's: figures 2 and 3 of Cheng et al. (2003)."""
+    """Draw one image of a stored run with its craters and a detector's: figures 2 and 3 of Cheng et al. (2003)."""
     truth = run.craters[(run.craters["scenario"] == scenario) & (run.craters["trial"] == trial)]
     found = run.detections
     found = found[(found["scenario"] == scenario) & (found["estimator"] == estimator) & (found["trial"] == trial)]
-    detectable, matched = truth["detectable"].astype(bool), found["crater"] >= 0
-    title = f"{scenario}, {estimator}, image {trial}"
+    detectable, matched = (values.to_numpy(dtype=np.bool_) for values in (truth["detectable"], found["crater"] >= 0))
+    return draw_example(
+        image,
+        (ellipses_of(truth.to_dict("records")), detectable),
+        (ellipses_of(found.to_dict("records")), matched),
+        file_stem("crater_example", scenario, estimator, str(trial)),
+        f"{scenario}, {estimator}, image {trial}",
+    )
+
+
+Marked = tuple[Ellipses, NDArray[np.bool_]]
+"""Rims, and which of them are detectable or matched."""
+
+
+def draw_example(image: NDArray[np.float32], truth: Marked, found: Marked, stem: str, title: str) -> NamedFigure:
+    """Draw an image with its true rims, bright where detectable, and with detected ones, red where none is matched."""
+    (true_rims, detectable), (found_rims, matched) = truth, found
     figure = draw_found_and_true(
         image,
-        [(_ellipses(truth[~detectable]), OTHER_COLOUR), (_ellipses(truth[detectable]), TRUE_COLOUR)],
-        [(_ellipses(found[matched]), FOUND_COLOUR), (_ellipses(found[~matched]), FALSE_COLOUR)],
+        [(true_rims[~detectable], OTHER_COLOUR), (true_rims[detectable], TRUE_COLOUR)],
+        [(found_rims[matched], FOUND_COLOUR), (found_rims[~matched], FALSE_COLOUR)],
         title,
     )
     return NamedFigure(
-        file_stem("crater_example", scenario, estimator, str(trial)),
+        stem,
         figure,
         f"{title}: left, the image; middle, the true rims, bright where they are detectable; right, detections, blue"
         " where a crater is matched and red where none is.",
@@ -115,6 +130,7 @@ def stages_figure(
     )
 
 
-def _ellipses(rows: pd.DataFrame) -> Ellipses:
-    numbers = rows[_ELLIPSE].to_numpy(dtype=np.float64)
+def ellipses_of(rows: Sequence[Mapping[Any, object]]) -> Ellipses:
+    """Read rims from rows of a stored table."""
+    numbers = np.array([[float(str(row[name])) for name in _ELLIPSE] for row in rows]).reshape(-1, len(_ELLIPSE))
     return Ellipses(numbers[:, :2], numbers[:, 2:4], np.radians(numbers[:, 4]))

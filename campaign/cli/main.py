@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import NoReturn
 
-from campaign.cli import bench, catalog, compare, craters, fetch, figures, machine, runs, sensitivity
+from campaign.cli import bench, catalog, compare, craters, fetch, figures, inspect, machine, runs, sensitivity
 from scenarios.atomic import explain
 from scenarios.errors import BoresightError
 
@@ -19,7 +19,8 @@ EXIT_OK, EXIT_USER_ERROR, EXIT_ESTIMATOR_ERRORS, EXIT_INTERRUPTED = 0, 2, 3, 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code.
 
-    0: done; 2: bad input, said in one line; 3: done, but an estimator raised in some trials; 130: interrupted.
+    0: done; 1: an inspected trial is not the stored one; 2: bad input, said in one line; 3: done, but an estimator
+    raised in some trials; 130: interrupted.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
@@ -59,6 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     catalog.add_commands(commands)
     runs.add_commands(commands)
+    inspect.add_commands(commands)
     compare.add_commands(commands)
     sensitivity.add_commands(commands)
     figures.add_commands(commands)

@@ -30,7 +30,7 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
         ' "... < 5 %%"; --trials stays the most',
     )  # fmt: skip
     run.add_argument("--jobs", type=positive, default=cores(), help="worker processes (default: the cores)")
-    run.add_argument("--seed", type=_not_negative, help="seed (default: what the campaign says)")
+    run.add_argument("--seed", type=not_negative, help="seed (default: what the campaign says)")
     run.add_argument("--out", type=Path, help="run folder (default: runs/NAME-DIGEST)")
     run.add_argument("--variant", help="Mitsuba variant (default: the fastest that works; see boresight doctor)")
     run.add_argument("--keep-images", action="store_true", help="keep every image as TIFF in the run folder")
@@ -50,7 +50,8 @@ def positive(text: str) -> int:
     return _integer(text, 1)
 
 
-def _not_negative(text: str) -> int:
+def not_negative(text: str) -> int:
+    """Read a whole number from 0 on from the command line."""
     return _integer(text, 0)
 
 

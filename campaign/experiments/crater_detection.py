@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 import numpy as np
 
 from campaign.crater_score import NONE, check_detections, ellipse_errors, match_detections
 from campaign.experiments.fault import faulted
 from campaign.experiments.kept_images import ImageSink, image_sink
-from campaign.experiments.registry import Bench, Record, Records
+from campaign.experiments.registry import Bench, Record, Records, Witness
 from campaign.experiments.single_image import SingleImage
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
@@ -29,6 +29,15 @@ from scenarios.load import LoadedScenario
 from scenarios.observation import Frame
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectedImage:
+    """A trial as a witness is shown it: what a detector sees, and what is true of it."""
+
+    sight: Sight
+    frame: Frame
+    truth: CraterTruth
+
+
 @dataclass(frozen=True, eq=False)
 class CraterDetection:
     """Trials of one scenario with labelled detectors; a trial is an image, and all see the same.
@@ -43,12 +52,15 @@ class CraterDetection:
         Seed of the campaign.
     keep_image
         Called with the trial and its image, to keep it; or None.
+    witness
+        Shown the `DetectedImage` of every trial; or None.
     """
 
     world: World
     detectors: Mapping[str, CraterDetector]
     seed: int
     keep_image: ImageSink | None = None
+    witness: Witness | None = None
 
     kind: ClassVar[str] = "crater-detection"
     version: ClassVar[int] = 1
@@ -78,6 +90,10 @@ class CraterDetection:
         sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
         return cls(open_world(scenario, campaign.variant), _detectors(campaign), campaign.seed, sink)
 
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one detector, shown to a witness."""
+        return replace(self, detectors={label: self.detectors[label]}, witness=witness)
+
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and detectors."""
         records: Records = {}
@@ -95,6 +111,8 @@ class CraterDetection:
         if self.keep_image is not None:
             self.keep_image(trial, sight.image)
         truth = self.truth(sight)
+        if self.witness is not None:
+            self.witness(DetectedImage(sight, frame, truth))
         image_key: Record = {"trial": trial, "scenario": self.world.scenario.spec.name}
         records: Records = {
             "crater_images": [{**image_key, **_image_facts(sight, truth)}],

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from campaign.crater_pairs import BY_GEOMETRY, PairSource, check_detectors, open_pairs
 from campaign.experiments.fault import faulted
-from campaign.experiments.registry import Bench, Record, Records
+from campaign.experiments.registry import Bench, Record, Records, Witness
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
@@ -27,6 +27,14 @@ from scenarios.geometry import Camera
 from scenarios.load import LoadedScenario
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.crater_pairs import CraterPairsSpec
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchedPair:
+    """A trial of one matcher as a witness is shown it; ``matches`` is None where the matcher raised."""
+
+    pair: CraterPair
+    matches: CraterMatches | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +57,8 @@ class CraterMatching:
         Label to the name of the detector whose craters the matcher sees, `campaign.crater_pairs.BY_GEOMETRY` for none.
     seed
         Seed of the campaign.
+    witness
+        Shown the `MatchedPair` of every trial and matcher; or None.
     """
 
     name: str
@@ -58,6 +68,7 @@ class CraterMatching:
     matchers: Mapping[str, CraterMatcher]
     detectors: Mapping[str, str]
     seed: int
+    witness: Witness | None = None
 
     kind: ClassVar[str] = "crater-matching"
     version: ClassVar[int] = 2
@@ -89,6 +100,10 @@ class CraterMatching:
         camera = spec.camera.camera().pinhole
         return cls(spec.name, source, camera, known, _matchers(campaign), detectors, campaign.seed)
 
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one matcher, shown to a witness."""
+        return replace(self, matchers={label: self.matchers[label]}, witness=witness)
+
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and matchers."""
         records: Records = {}
@@ -109,13 +124,16 @@ class CraterMatching:
     def _judged(self, matcher: CraterMatcher, pair: CraterPair) -> Records:
         """Let a matcher work and score what it returns: records without their key, whatever goes wrong."""
         first, second = self.images(pair)
-        started = time.perf_counter()
+        started, matches = time.perf_counter(), None
         try:
             matches = matcher.match(first, second, self.known)
             seconds = time.perf_counter() - started
             check_matches(matches, first, second)
         except Exception:  # noqa: BLE001  a matcher's fault is a result, recorded with its trace
             return faulted("matcher", _circumstances(pair))
+        finally:
+            if self.witness is not None:
+                self.witness(MatchedPair(pair, matches))
         row: Record = {
             **_circumstances(pair),
             "status": "failed" if matches.reason else "ok",

@@ -6,16 +6,22 @@ Truth takes the images and scores what comes out; the chain between sees images,
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
 from campaign.crater_sights import CraterSights, open_sights
 from campaign.experiments.fault import faulted
-from campaign.experiments.orbit_determination import checked_orbit_section, empty_row, open_orbit_world, scored_orbit
-from campaign.experiments.registry import Bench, Record, Records
+from campaign.experiments.orbit_determination import (
+    DeterminedOrbit,
+    checked_orbit_section,
+    empty_row,
+    open_orbit_world,
+    scored_orbit,
+)
+from campaign.experiments.registry import Bench, Record, Records, Witness
 from campaign.navigation_score import (
     at_times,
     image_records,
@@ -60,6 +66,8 @@ class CraterNavigationTrials:
         Seed of the campaign.
     folder
         Where the stages leave their files, a folder for each trial.
+    witness
+        Shown the `DeterminedOrbit` that every chain comes to; or None.
     """
 
     name: str
@@ -68,6 +76,7 @@ class CraterNavigationTrials:
     navigators: Mapping[str, CraterNavigation]
     seed: int
     folder: Path
+    witness: Witness | None = None
 
     kind: ClassVar[str] = "crater-navigation"
     version: ClassVar[int] = 1
@@ -100,6 +109,10 @@ class CraterNavigationTrials:
         sights = open_sights(scenario, imaging_of(world), campaign.variant)
         folder = bench.run / _FOLDER / scenario.spec.name
         return cls(scenario.spec.name, world, sights, _navigators(campaign), campaign.seed, folder)
+
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one chain, shown to a witness; stages that are stored are read back."""
+        return replace(self, navigators={label: self.navigators[label]}, witness=witness)
 
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and chains."""
@@ -145,6 +158,8 @@ class CraterNavigationTrials:
         }
         truth = truth_of_sightings(self.world, taken, last, crater)
         estimate, data = at_times(last.estimate, last.data, taken.task.wanted_s)
+        if self.witness is not None:
+            self.witness(DeterminedOrbit(truth, data, estimate))
         scored = scored_orbit(estimate, truth, data, row, with_residuals=taken.address.trial == 0)
         used = estimate.orbit.used if estimate.status == "ok" and estimate.orbit is not None else None
         records["navigated_landmarks"] = landmark_records(data, truth.crater, used)

@@ -17,14 +17,21 @@ ImageSink = Callable[[int, NDArray[np.float32]], None]
 
 def image_sink(folder: Path) -> ImageSink:
     """Return a function that keeps the image of a trial in ``folder``."""
+    return lambda trial, image: write_image(folder / f"{trial:07d}.tiff", image)
 
-    def keep(trial: int, image: NDArray[np.float32]) -> None:
-        ok, encoded = cv2.imencode(".tiff", image)
-        if not ok:
-            raise BoresightError(f"{folder}: the image of trial {trial} could not be encoded as TIFF")
-        write_atomically(folder / f"{trial:07d}.tiff", lambda path: _write_bytes(path, encoded.tobytes()))
 
-    return keep
+def write_image(path: Path, image: NDArray[np.float32]) -> None:
+    """Write an image (H, W) as TIFF; every bit comes back.
+
+    Raises
+    ------
+    BoresightError
+        If it cannot be encoded or written.
+    """
+    ok, encoded = cv2.imencode(".tiff", image)
+    if not ok:
+        raise BoresightError(f"{path}: the image could not be encoded as TIFF")
+    write_atomically(path, lambda temporary: _write_bytes(temporary, encoded.tobytes()))
 
 
 def _write_bytes(path: Path, content: bytes) -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
-from campaign.experiments.registry import Bench, Record, Records
+from campaign.experiments.registry import Bench, Record, Records, Witness
 from campaign.image_store import store_switched
 from campaign.products import BuiltProduct, Shelf, landmark_database
 from campaign.products.landmark_candidates import IN_THIS_PROCESS, candidates_of
@@ -72,6 +72,11 @@ class DatabaseTrials:
         del bench
         makers = {label: at_trial(options, campaign.seed, 0) for label, options in _makers(campaign).items()}
         return cls(believed(scenario), makers, campaign.variant)
+
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one way to make a data base; there is nothing to show of them."""
+        del witness
+        return replace(self, makers={label: self.makers[label]})
 
     def run(self, trials: range) -> Records:
         """Run trials: records in the order of trials and makers."""

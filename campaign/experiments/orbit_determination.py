@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
 from campaign.experiments.fault import faulted
-from campaign.experiments.registry import Bench, Record, Records
+from campaign.experiments.registry import Bench, Record, Records, Witness
 from campaign.orbit_score import check_orbit, orbit_errors, orbit_summary, residual_records
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
@@ -30,14 +30,27 @@ from scenarios.spec.orbit import OrbitSpec
 _STATE = 6
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class DeterminedOrbit:
+    """A trial of one estimator as a witness is shown it; ``estimate`` is None where the estimator raised."""
+
+    truth: OrbitTruth
+    data: OrbitData
+    estimate: OrbitEstimate | None
+
+
 @dataclass(frozen=True, eq=False)
 class OrbitTrials:
-    """Trials of one scenario with a set of labelled estimators of orbits; all see the same data."""
+    """Trials of one scenario with a set of labelled estimators of orbits; all see the same data.
+
+    ``witness`` is shown the `DeterminedOrbit` of every trial and estimator; or None.
+    """
 
     name: str
     world: OrbitWorld
     estimators: Mapping[str, OrbitEstimator]
     seed: int
+    witness: Witness | None = None
 
     kind: ClassVar[str] = "orbit-determination"
     version: ClassVar[int] = 1
@@ -64,6 +77,10 @@ class OrbitTrials:
         world = open_orbit_world(scenario, campaign.seed)
         return cls(scenario.spec.name, world, _estimators(campaign), campaign.seed)
 
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one estimator, shown to a witness."""
+        return replace(self, estimators={label: self.estimators[label]}, witness=witness)
+
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and estimators."""
         records: Records = {}
@@ -81,7 +98,21 @@ class OrbitTrials:
         except OrbitLostError as error:
             row = {**empty_row(), "status": "failed", "reason": f"there is no such trial: {error}"}
             return {label: {"rows": [row]} for label in self.estimators}
-        return {label: _judged(estimator, truth, data, trial == 0) for label, estimator in self.estimators.items()}
+        return {label: self._judged(estimator, truth, data, trial == 0) for label, estimator in self.estimators.items()}
+
+    def _judged(self, estimator: OrbitEstimator, truth: OrbitTruth, data: OrbitData, with_residuals: bool) -> Records:
+        """Let an estimator solve and score what it returns: records without their key, whatever goes wrong."""
+        row = {**empty_row(), "range_m": float(np.linalg.norm(truth.states[0, :3]))}
+        estimate = None
+        try:
+            estimate = estimator.determine(data)
+            timings: Records = {"timings": [{"stage": "orbit", "seconds": estimate.seconds}]}
+            return scored_orbit(estimate, truth, data, row, with_residuals) | timings
+        except Exception:  # noqa: BLE001  an estimator's fault is a result, recorded with its trace
+            return faulted("estimator", row)
+        finally:
+            if self.witness is not None:
+                self.witness(DeterminedOrbit(truth, data, estimate))
 
 
 def checked_orbit_section(scenario: LoadedScenario) -> OrbitSpec:
@@ -103,17 +134,6 @@ def open_orbit_world(scenario: LoadedScenario, seed: int) -> OrbitWorld:
     asteroid = _asteroid(_Body(scenario), _body_part(section), seed)
     believed = _believed(asteroid, section.knowledge.shape_degree, _body_part(section))
     return OrbitWorld(section, scenario.spec.camera.camera().pinhole, asteroid, believed)
-
-
-def _judged(estimator: OrbitEstimator, truth: OrbitTruth, data: OrbitData, with_residuals: bool) -> Records:
-    """Let an estimator solve and score what it returns: records without their key, whatever goes wrong."""
-    row = {**empty_row(), "range_m": float(np.linalg.norm(truth.states[0, :3]))}
-    try:
-        estimate = estimator.determine(data)
-        timings: Records = {"timings": [{"stage": "orbit", "seconds": estimate.seconds}]}
-        return scored_orbit(estimate, truth, data, row, with_residuals) | timings
-    except Exception:  # noqa: BLE001  an estimator's fault is a result, recorded with its trace
-        return faulted("estimator", row)
 
 
 def scored_orbit(

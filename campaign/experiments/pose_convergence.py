@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from campaign.experiments.landmark_draws import (
     problem_stack,
     true_poses,
 )
-from campaign.experiments.registry import Bench, Record, Records
+from campaign.experiments.registry import Bench, Record, Records, Witness
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import FloatArray, no_pose_error, pose_errors
@@ -77,6 +77,11 @@ class PoseConvergence:
         solvers = _solvers(campaign)
         shelf = Shelf(scenario, bench.run / "products", jobs=0, variant=campaign.variant, draft=campaign.draft)
         return cls(scenario, _database(solvers, shelf), solvers, campaign.seed)
+
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one solver; there is nothing to show of them."""
+        del witness
+        return replace(self, solvers={label: self.solvers[label]})
 
     def run(self, trials: range) -> Records:
         """Run trials: records in the order of trials and solvers."""

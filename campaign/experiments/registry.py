@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar, Protocol, cast
+from typing import TYPE_CHECKING, ClassVar, Protocol, Self, cast
 
 if TYPE_CHECKING:
     from campaign.products import BuiltProduct, Shelf
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 Record = dict[str, object]
 Records = dict[str, list[Record]]
+Witness = Callable[[object], None]
+"""Is shown what came about in a trial of one method: truth, what the method saw, and what it returned."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +55,13 @@ class Experiment(Protocol):
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> Experiment:
         """Make the experiment ready in a worker."""
+        ...
+
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one method alone, all of whose stages ``witness`` is shown.
+
+        Its records are those of a run bit for bit. A kind that has nothing to show never calls the witness.
+        """
         ...
 
     def run(self, trials: range) -> Records:

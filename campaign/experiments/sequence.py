@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 import numpy as np
 
 from campaign.experiments.fault import faulted
-from campaign.experiments.registry import Bench, Record, Records
+from campaign.experiments.registry import Bench, Record, Records, Witness
 from campaign.image_tracks import ImageTracks, Seen, Watch
 from campaign.orbit_images import OrbitImages
 from campaign.products import BuiltProduct, Shelf
@@ -43,6 +43,14 @@ from scenarios.spec.sequence import SequenceSpec
 from scenarios.tracks import TrackSequence
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FollowedSequence:
+    """A trial of one estimator as a witness is shown it; ``estimate`` is None where the estimator raised."""
+
+    seen: Seen
+    estimate: SequenceEstimate | None
+
+
 @dataclass(frozen=True, eq=False)
 class SequenceTrials:
     """Trials of one scenario with a set of labelled estimators of sequences; all see the same tracks.
@@ -63,6 +71,8 @@ class SequenceTrials:
         Seed of the campaign.
     images
         The vision layer that sees images; None where it is simulated.
+    witness
+        Shown the `FollowedSequence` of every trial and estimator; or None.
     """
 
     name: str
@@ -72,6 +82,7 @@ class SequenceTrials:
     estimators: Mapping[str, SequenceEstimator]
     seed: int
     images: ImageTracks | None = None
+    witness: Witness | None = None
 
     kind: ClassVar[str] = "sequence"
     version: ClassVar[int] = 2
@@ -108,6 +119,10 @@ class SequenceTrials:
             images = ImageTracks(section, ground, OrbitImages.open(scenario, campaign.variant, campaign.seed))
         return cls(name, section, camera, ground, _estimators(campaign), campaign.seed, images)
 
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one estimator, shown to a witness."""
+        return replace(self, estimators={label: self.estimators[label]}, witness=witness)
+
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and estimators."""
         records: Records = {}
@@ -132,10 +147,24 @@ class SequenceTrials:
         for label, estimator in self.estimators.items():
             guided = self.images is not None and self.images.guided
             watch = self.images.watch(self.seed, trial) if self.images is not None and guided else None
-            found[label] = _judged(estimator, seen if watch is None else watch)
+            found[label] = self._judged(estimator, seen if watch is None else watch)
             for table, added in _vision(seen if watch is None else watch.seen()).items():
                 found[label].setdefault(table, []).extend(added)
         return found
+
+    def _judged(self, estimator: SequenceEstimator, view: Seen | Watch) -> Records:
+        """Let an estimator follow and score what it returns: records without their key, whatever goes wrong."""
+        circumstances, estimate = _circumstances(view.path), None
+        try:
+            estimate = estimator.follow(view.sequence)
+            seen = view if isinstance(view, Seen) else view.seen()
+            check_sequence(estimate, seen.sequence)
+            return _scored(estimate, seen.sequence, seen.truth, circumstances)
+        except Exception:  # noqa: BLE001  an estimator's fault is a result, recorded with its trace
+            return faulted("estimator", {**circumstances, **no_summary()})
+        finally:
+            if self.witness is not None:
+                self.witness(FollowedSequence(view if isinstance(view, Seen) else view.seen(), estimate))
 
     def _see(self, trial: int) -> Seen:
         if self.images is not None:
@@ -147,18 +176,6 @@ def _vision(seen: Seen) -> Records:
     """Tell what the vision layer was like, where it saw images: records without their key."""
     timings: list[Record] = [{"stage": stage, "seconds": seconds} for stage, seconds in seen.seconds.items()]
     return {"vision": list(seen.vision), "timings": timings}
-
-
-def _judged(estimator: SequenceEstimator, view: Seen | Watch) -> Records:
-    """Let an estimator follow and score what it returns: records without their key, whatever goes wrong."""
-    circumstances = _circumstances(view.path)
-    try:
-        estimate = estimator.follow(view.sequence)
-        seen = view if isinstance(view, Seen) else view.seen()
-        check_sequence(estimate, seen.sequence)
-        return _scored(estimate, seen.sequence, seen.truth, circumstances)
-    except Exception:  # noqa: BLE001  an estimator's fault is a result, recorded with its trace
-        return faulted("estimator", {**circumstances, **no_summary()})
 
 
 def _scored(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import ClassVar, TypeVar
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from campaign.check import check
 from campaign.experiments.fault import faulted
 from campaign.experiments.kept_images import ImageSink, image_sink
-from campaign.experiments.registry import Bench, Record, Records
+from campaign.experiments.registry import Bench, Record, Records, Witness
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import consistency, no_consistency, no_pose_error, pose_error
@@ -32,6 +32,15 @@ from scenarios.observation import Frame, Observation
 T = TypeVar("T", bound=np.generic)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimatedImage:
+    """A trial of one estimator as a witness is shown it; ``estimate`` is None where the estimator raised."""
+
+    sight: Sight
+    observation: Observation
+    estimate: Estimate | None
+
+
 @dataclass(frozen=True, eq=False)
 class SingleImage:
     """Trials of one scenario with a set of labelled estimators.
@@ -46,12 +55,15 @@ class SingleImage:
         Seed of the campaign.
     keep_image
         Called with the trial and its image, to keep it; or None.
+    witness
+        Shown the `EstimatedImage` of every trial and estimator; or None.
     """
 
     world: World
     estimators: Mapping[str, Estimator]
     seed: int
     keep_image: ImageSink | None = None
+    witness: Witness | None = None
 
     kind: ClassVar[str] = "single-image"
     version: ClassVar[int] = 2
@@ -84,6 +96,10 @@ class SingleImage:
         }
         sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
         return cls(open_world(scenario, campaign.variant), estimators, campaign.seed, sink)
+
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one estimator, shown to a witness."""
+        return replace(self, estimators={label: self.estimators[label]}, witness=witness)
 
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and estimators."""
@@ -136,6 +152,7 @@ class SingleImage:
     def _judged(self, estimator: Estimator, observation: Observation, sight: Sight, trial: int) -> Records:
         """Let an estimator work and score what it returns: records without their key, whatever goes wrong."""
         rng = generator(self.seed, Stream.ESTIMATOR, trial)
+        estimate = None
         try:
             estimate = estimator.estimate(observation, rng=rng)
             check(estimate, observation)
@@ -143,6 +160,9 @@ class SingleImage:
         except Exception:  # noqa: BLE001  the one place: an estimator's fault is a result, recorded with its trace
             row = {**_circumstances(observation, sight), **no_pose_error(), **no_consistency()}
             return faulted("estimator", row)
+        finally:
+            if self.witness is not None:
+                self.witness(EstimatedImage(sight, observation, estimate))
 
     def _scored(self, estimate: Estimate, observation: Observation, sight: Sight) -> Records:
         true = sight.view.T_cam_body

@@ -11,6 +11,7 @@ from typing import Any
 
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from campaign.store.columns import TABLES, schema
@@ -121,6 +122,28 @@ class RunFolder:
             return empty
         stored: pd.DataFrame = pd.read_parquet(folder)
         return stored
+
+    def of_trial(self, name: str, scenario: str, estimator: str, trial: int) -> pa.Table:
+        """Read what one stored table holds of a trial, in the order in which it was stored.
+
+        Raises
+        ------
+        BoresightError
+            If the table is damaged.
+        """
+        folder = self.path / name
+        if not any(folder.glob("*.parquet")):
+            return schema(name).empty_table()
+        wanted = [("scenario", "=", scenario), ("trial", "=", trial)]
+        try:
+            found = pq.read_table(folder, filters=wanted)
+        except (OSError, pa.ArrowException) as error:
+            raise BoresightError(
+                f"{folder}: not readable as a stored table ({error}): run the campaign again"
+            ) from error
+        if "estimator" in found.column_names:
+            found = found.filter(pc.equal(found["estimator"], estimator))
+        return found
 
     @staticmethod
     def table_names() -> tuple[str, ...]:

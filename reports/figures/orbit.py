@@ -6,7 +6,17 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from reports.figures.looks import looks
-from reports.figures.style import BLUE, GREY, ORANGE, grid_figure, new_figure, styled
+from reports.figures.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    LINE_STYLES,
+    ORANGE,
+    VERMILION,
+    grid_figure,
+    new_figure,
+    styled,
+)
 
 
 @styled
@@ -56,5 +66,66 @@ def draw_orbit_errors(errors: pd.DataFrame, title: str) -> Figure:
     axes.axvline(float(arc["time_days"].max()), color=GREY, linewidth=0.8)
     axes.set(xlabel="time after the epoch, days", ylabel="position error, m", yscale="log")
     axes.legend(loc="upper left")
+    figure.suptitle(title, fontsize=9.5)
+    return figure
+
+
+@styled
+def draw_orbit_case_errors(errors: pd.DataFrame, title: str) -> Figure:
+    """Draw the error of one solution: its components, and its length beside what the covariance foretells.
+
+    Parameters
+    ----------
+    errors
+        Columns ``time_days``, ``radial_m``, ``along_m``, ``cross_m``, ``position_error_m``, ``position_sigma_m`` and
+        ``predicted``.
+    title
+        Printed above.
+    """
+    figure, axes = grid_figure(2, 1, width_in=7.0, height_in=5.0)
+    (above,), (below,) = axes
+    components = (("radial_m", "radial", BLUE), ("along_m", "along-track", ORANGE), ("cross_m", "cross-track", GREEN))
+    for i, (name, label, colour) in enumerate(components):
+        above.plot(errors["time_days"], errors[name], color=colour, linestyle=LINE_STYLES[i], label=label)
+    above.axhline(0.0, color=GREY, linewidth=0.7)
+    above.set(ylabel="error, m")
+    below.plot(errors["time_days"], errors["position_error_m"], color=BLUE, label="position error")
+    below.plot(
+        errors["time_days"], errors["position_sigma_m"], color=GREY, linestyle="--", label="RMS that it foretells"
+    )
+    below.set(xlabel="time after the epoch, days", ylabel="m", ylim=(0.0, None))
+    arc = errors[~errors["predicted"].astype(bool)]
+    for panel in (above, below):
+        panel.axvline(float(arc["time_days"].max()), color=GREY, linewidth=0.8)
+        panel.legend(loc="upper left", ncols=3)
+    figure.suptitle(title, fontsize=9.5)
+    return figure
+
+
+@styled
+def draw_sightings_used(residuals: pd.DataFrame, title: str) -> Figure:
+    """Draw all residuals of one solution by whether the filter used them and whether they are of the right crater.
+
+    Parameters
+    ----------
+    residuals
+        Columns ``u_px``, ``v_px``, ``used`` and ``wrong``.
+    title
+        Printed above.
+    """
+    figure, (axes,) = new_figure(1, width_in=5.2, height_in=4.8)
+    used, wrong = residuals["used"].astype(bool), residuals["wrong"].astype(bool)
+    classes = (
+        (used & ~wrong, BLUE, ".", "right, used"),
+        (~used & ~wrong, ORANGE, ".", "right, edited"),
+        (~used & wrong, GREY, "x", "wrong, edited"),
+        (used & wrong, VERMILION, "x", "wrong, used"),
+    )
+    for which, colour, marker, label in classes:
+        own = residuals[which]
+        text = f"{label}: {len(own):,}"
+        axes.plot(own["u_px"], own["v_px"], marker, color=colour, markersize=4, linestyle="none", label=text)
+    axes.set(xlabel="column residual, px", ylabel="row residual, px", xscale="symlog", yscale="symlog")
+    figure.legend(loc="outside lower center", ncols=2)
     figure.suptitle(title, fontsize=9.5)
     return figure

@@ -1,0 +1,114 @@
+"""Inspect cases of a stored run: recompute, compare, keep, draw, and write a page for each."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from campaign.experiments.registry import Record
+from campaign.inspection.case import Case
+from campaign.inspection.draw import draw_case
+from campaign.inspection.keep import keep
+from campaign.inspection.recompute import Recomputed, recompute
+from campaign.inspection.same import Sameness
+from campaign.resolve import ResolvedCampaign
+from campaign.store import RunFolder
+from campaign.store.columns import TABLES
+from reports.case_page import CasePage, write_case
+from reports.grid import NO_VALUE, Grid, number
+
+_SHORT = ("stages", "references", "diagnostics", "orbits", "crater_matches")
+"""Tables that are a few rows a case; the longer ones are kept as Parquet beside the page."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inspected:
+    """A case that was inspected, and where its page is."""
+
+    case: Case
+    row: Record
+    sameness: Sameness
+    page: Path
+
+
+def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out: Path) -> Inspected:
+    """Recompute one case, write all of it into a folder of its own below ``out``, and draw its stages.
+
+    Raises
+    ------
+    BoresightError
+        If its world cannot be made again, or a file cannot be written.
+    """
+    again = recompute(campaign, folder, case)
+    place = out / case.stem
+    keep(again, place)
+    drawn = draw_case(again)
+    page = CasePage(
+        title=str(case),
+        facts=_facts(again, folder, campaign),
+        notes=drawn.notes,
+        grids=[_row_grid(again.row), *_grids(again)],
+        command=_command(folder, case),
+        traceback=again.traceback,
+        credits=drawn.credits,
+    )
+    path = write_case(page, drawn.figures, place)
+    return Inspected(case, again.row, again.sameness, path)
+
+
+def _facts(again: Recomputed, folder: RunFolder, campaign: ResolvedCampaign) -> list[tuple[str, str]]:
+    """Say what the case is, as names and values."""
+    manifest: dict[str, Any] = folder.read_manifest() or {}
+    row = again.row
+    facts = [
+        ("Run", str(folder.path)),
+        ("Campaign", campaign.spec.title or campaign.spec.name),
+        ("Status", f"{row['status']}: {row['reason']}" if row["reason"] else str(row["status"])),
+        ("Recomputed", str(again.sameness)),
+        ("Seed", str(campaign.seed)),
+        ("Commit", str(manifest.get("commit") or "")),
+        ("Image", str(row.get("image") or "")),
+    ]
+    return [(name, value) for name, value in facts if value]
+
+
+def _row_grid(row: Record) -> Grid:
+    """List what the row of a case holds, with what each number means."""
+    meanings = {column.name: column.meaning for column in TABLES["rows"]}
+    key = ("trial", "scenario", "estimator", "status", "reason", "image")
+    cells = [
+        (name, _cell(value), meanings[name]) for name, value in row.items() if name not in key and value is not None
+    ]
+    return Grid("Row", ("column", "value", "meaning"), tuple(cells), frozenset({0, 2}))
+
+
+def _grids(again: Recomputed) -> list[Grid]:
+    """Print the short tables of a case."""
+    grids = []
+    for name in (name for name in _SHORT if again.records.get(name)):
+        records = again.records[name]
+        columns = tuple(c for c in records[0] if c not in ("trial", "scenario", "estimator"))
+        rows = tuple(tuple(_cell(record.get(column)) for column in columns) for record in records)
+        text = frozenset(i for i, column in enumerate(columns) if isinstance(records[0][column], str))
+        grids.append(Grid(name.replace("_", " ").capitalize(), columns, rows, text))
+    return grids
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return NO_VALUE
+    return number(value) if isinstance(value, float) else str(value)
+
+
+def _command(folder: RunFolder, case: Case) -> str:
+    named = ["--scenario", case.scenario, "--estimator", case.estimator, "--trial", str(case.trial)]
+    return shlex.join(["boresight", "inspect", str(folder.path), *named])
+
+
+def order_of(cases: Sequence[Case]) -> list[Case]:
+    """Sort cases so that those of one scenario follow each other: its world is built once."""
+    scenarios = list(dict.fromkeys(case.scenario for case in cases))
+    return sorted(cases, key=lambda case: scenarios.index(case.scenario))

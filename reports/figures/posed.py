@@ -1,0 +1,107 @@
+"""One image beside renderings of its body at several poses: outlines over the image, and what is left of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from reports.figures.style import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    FloatArray,
+    add_credits,
+    grid_figure,
+    hide_axes,
+    show_image,
+    styled,
+)
+
+POSE_COLOURS = {"prior": ORANGE, "estimate": BLUE, "truth": GREEN}
+_MARGIN = 0.08
+_SPREAD_PERCENT = 99.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosedLook:
+    """The body as it lies in the image at one pose.
+
+    Parameters
+    ----------
+    name
+        ``prior``, ``estimate`` or ``truth``: its colour.
+    heading
+        Printed above.
+    body
+        (H, W) pixels whose lines of sight meet the body.
+    residual
+        (H, W) image less the rendering, the latter scaled to the image.
+    """
+
+    name: str
+    heading: str
+    body: NDArray[np.bool_]
+    residual: FloatArray
+
+
+@styled
+def draw_posed(
+    image: NDArray[np.floating], looks: Sequence[PosedLook], title: str, credit_lines: Sequence[str] = ()
+) -> Figure:
+    """Draw the outline of the body at each pose over the image, and below it what the rendering leaves of the image.
+
+    All residuals share one scale, so that their greys can be compared.
+    """
+    (left, right), (top, bottom) = _window(image, looks)
+    aspect = min(max((bottom - top) / (right - left), 0.4), 1.6)
+    width_in = 3.3 * len(looks) + 0.7
+    figure, panels = grid_figure(2, len(looks), width_in=width_in, height_in=2 * 3.2 * aspect + 1.0)
+    limit = max((float(np.percentile(np.abs(look.residual), _SPREAD_PERCENT)) for look in looks), default=0.0) or 1.0
+    for k, look in enumerate(looks):
+        over, below = panels[0, k], panels[1, k]
+        show_image(over, image)
+        outline(over, look.body, POSE_COLOURS[look.name])
+        shown = below.imshow(
+            look.residual, cmap="RdBu_r", vmin=-limit, vmax=limit, extent=_extent(image), interpolation="nearest"
+        )
+        over.set_title(look.heading, color=POSE_COLOURS[look.name])
+        rms = float(np.sqrt(np.mean(look.residual[look.body] ** 2))) if look.body.any() else float("nan")
+        below.set_title(f"image less rendering: RMS {rms:.3g} on the body")
+        for axes in (over, below):
+            axes.set(xlim=(left, right), ylim=(bottom, top))
+            hide_axes(axes)
+    figure.colorbar(shown, ax=list(panels[1]), shrink=0.8, pad=0.01)
+    figure.suptitle(title, fontsize=9.5)
+    add_credits(figure, credit_lines)
+    return figure
+
+
+def outline(axes: Axes, body: NDArray[np.bool_], colour: str) -> None:
+    """Draw the edge of a body (H, W) over an image whose first pixel has its centre at (0.5, 0.5)."""
+    if body.any() and not body.all():
+        height, width = body.shape
+        columns, rows = np.arange(width) + 0.5, np.arange(height) + 0.5
+        axes.contour(columns, rows, body.astype(np.float64), levels=[0.5], colors=[colour], linewidths=1.0)
+
+
+def _extent(image: NDArray[np.floating]) -> tuple[float, float, float, float]:
+    height, width = image.shape
+    return (0.0, float(width), float(height), 0.0)
+
+
+def _window(image: NDArray[np.floating], looks: Sequence[PosedLook]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Bounds (left, right), (top, bottom) in pixels: the body at all poses with a margin, within the image."""
+    height, width = image.shape
+    rows, columns = np.nonzero(np.any([look.body for look in looks], axis=0))
+    if len(rows) == 0:
+        return (0.0, float(width)), (0.0, float(height))
+    margin = _MARGIN * float(max(np.ptp(rows), np.ptp(columns))) + 2.0
+    return (
+        (max(columns.min() - margin, 0.0), min(columns.max() + 1.0 + margin, float(width))),
+        (max(rows.min() - margin, 0.0), min(rows.max() + 1.0 + margin, float(height))),
+    )

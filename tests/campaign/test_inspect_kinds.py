@@ -1,0 +1,149 @@
+"""What `boresight inspect` draws of sequences, craters and orbits, against closed forms and what is stored."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from tiny_campaign import compute
+
+from campaign.cli import main
+from campaign.inspection.case import Case
+from campaign.inspection.craters import draw_pair_case
+from campaign.inspection.recompute import recompute, reopened
+from campaign.inspection.sequence import followed_of, last_seen, lives_of
+from campaign.store import RunFolder
+
+SEQUENCE = """\
+extends: apophis-sphere-sequence
+sequence:
+  orbit: {revolutions: 0.3}
+  vision: {outlier_share: 0.02}
+  body_motion: {kind: spin, period_h: 30.4, axis_body: [0, 0.2, 1]}
+"""
+SEQUENCES = """\
+title: Short sequences
+experiment: sequence
+scenarios: [orbit.yaml]
+estimators: [fixed-lag, dead-reckoning]
+trials: 2
+seed: 3
+"""
+PAIRS = """\
+name: tiny-pairs
+body: {shape: contact-binary}
+camera: {width_px: 256, height_px: 256, fov_deg: 3}
+crater_pairs:
+  range_m: 4000
+  view_deg: {uniform: [0, 20]}
+  sun_deg: {uniform: [0, 30]}
+  aim_sigma_m: 5
+  craters: {count: 300, min_diameter_m: 8, max_diameter_m: 60}
+  errors: {height_m: 0.3, least_radius_px: 4}
+pose_error:
+  position_cam_m: {normal: [2, 2, 2]}
+  attitude: {rotation_vector_deg: {normal: [0.005, 0.005, 0.005]}}
+"""
+MATCHING = """\
+title: Pairs
+experiment: crater-matching
+scenarios: [pairs.yaml]
+estimators: [vote]
+trials: 3
+seed: 5
+"""
+
+
+def made(folder, campaign, scenario, name, trials):
+    """Run a campaign of one scenario."""
+    (folder / f"{name}.yaml").write_text(scenario, encoding="utf-8")
+    (folder / "campaign.yaml").write_text(campaign, encoding="utf-8")
+    compute(folder / "campaign.yaml", folder / "run", trials=trials)
+    return folder / "run"
+
+
+@pytest.fixture(scope="module")
+def sequences(cache, tmp_path_factory):
+    return made(tmp_path_factory.mktemp("sequences"), SEQUENCES, SEQUENCE, "orbit", 2)
+
+
+def test_a_sequence_comes_out_the_same_with_its_figures(sequences, tmp_path, capsys):
+    assert main(["inspect", str(sequences), "--trial", "1", "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.count("the same as stored, bit for bit") == 2
+    drawn = {path.name for path in (tmp_path / "orbit_fixed-lag_0000001").glob("*.png")}
+    assert drawn == {"trajectory.png", "errors.png", "tracks.png", "landmarks.png"}
+
+
+def test_components_and_sigmas_of_a_sequence_are_those_of_its_epochs(sequences):
+    folder = RunFolder(sequences)
+    again = recompute(reopened(folder), folder, Case("orbit", "fixed-lag", 0))
+    shown = again.shown
+    truth, sequence = shown.seen.truth, shown.seen.sequence
+    followed = followed_of(shown.estimate, sequence, truth, again.records["epochs"], 190.0)
+    epochs = pd.read_parquet(sequences / "epochs").query("trial == 0 and estimator == 'fixed-lag'")
+    # A rotation keeps lengths and traces.
+    inertial = np.linalg.norm(followed.estimated_m - followed.true_m, axis=1)
+    np.testing.assert_allclose(inertial, epochs["position_error_m"], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(followed.error_m, axis=1), epochs["position_error_m"], atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(followed.sigma_m, axis=1), epochs["position_sigma_m"], rtol=1e-9)
+    assert np.abs(followed.true_m[:, 2]).max() < 1e-6 * np.abs(followed.true_m[:, 0]).max()
+    ends = last_seen(shown.estimate, sequence, truth)
+    lives = lives_of(sequence, truth, ends, len(shown.estimate.frames))
+    assert lives.per_frame[:, 1].tolist() == epochs["n_tracks"].tolist()
+    assert len(lives.wrong_at) == sum(int(wrong.sum()) for wrong in truth.wrong) > 0
+    assert (lives.last >= lives.first).all()
+    squares = np.array([error @ error for error, times in ends.values() if times > 1])
+    row = pd.read_parquet(sequences / "rows").query("trial == 0 and estimator == 'fixed-lag'")
+    assert np.sqrt(squares.mean()) == pytest.approx(row["final_landmark_rmse_m"].item(), rel=1e-9)
+
+
+def test_a_matched_pair_is_drawn_with_the_counts_that_are_stored(cache, tmp_path, capsys):
+    run = made(tmp_path, MATCHING, PAIRS, "pairs", 3)
+    assert main(["inspect", str(run), "--worst", "3"]) == 0
+    said = capsys.readouterr().out
+    assert "n_missed_or_wrong" in said
+    assert said.count("the same as stored, bit for bit") == 3
+    folder = RunFolder(run)
+    stored = pd.read_parquet(run / "crater_matches").set_index("trial")
+    order = (stored["n_missed"] + stored["n_wrong"]).sort_values(ascending=False, kind="stable").index.tolist()
+    listed = [int(line.split()[1]) for line in said.splitlines() if line.startswith("trial ")]
+    assert listed == order
+    again = recompute(reopened(folder), folder, Case("tiny-pairs", "vote", 0))
+    title = draw_pair_case(again.shown, "a pair").figures[0].figure.get_suptitle()
+    counts = stored.loc[0]
+    wanted = f"a pair: {counts['n_correct']} right, {counts['n_wrong']} wrong, {counts['n_missed']} missed"
+    assert title == wanted
+
+
+def test_an_orbit_is_drawn_with_its_residuals(cache, tmp_path, capsys):
+    from tiny_campaign import Silent
+
+    from campaign.request import RunRequest
+    from campaign.resolve import resolve
+    from campaign.runner import run_campaign
+
+    campaign = resolve("orbit-smoke")
+    run_campaign(campaign, RunRequest(tmp_path / "run", 2, 1), Silent())
+    assert main(["inspect", str(tmp_path / "run"), "--trial", "1"]) == 0
+    said = capsys.readouterr().out
+    assert "NOT" not in said
+    assert len(list((tmp_path / "run" / "inspect").glob("*/residuals.png"))) >= 1
+
+
+def test_a_kind_with_numbers_alone_says_so(cache, tmp_path, capsys):
+    from tiny_campaign import DATABASE, SCENE
+
+    campaign = f"""\
+title: Solvers
+experiment: pose-convergence
+scenarios: [scene.yaml]
+estimators:
+  - pose-solver: {{database: {DATABASE}}}
+trials: 30
+seed: 5
+"""
+    run = made(tmp_path, campaign, SCENE + "pose_error: {position_cam_m: {normal: [20, 20, 5]}}\n", "scene", 30)
+    assert main(["inspect", str(run), "--worst", "2"]) == 0
+    assert capsys.readouterr().out.count("bit for bit") == 2
+    page = next((run / "inspect").glob("*/index.html")).read_text()
+    assert "trials of pose-convergence hold numbers alone" in page
