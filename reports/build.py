@@ -15,6 +15,7 @@ from reports.content import Content, read_content
 from reports.figures.style import save_figure
 from reports.html import html_page, reproduce_command
 from reports.named_figure import NamedFigure
+from reports.provenance import stamp
 from reports.row_files import write_row_files
 from reports.run_figures import draw_figures
 from scenarios.errors import BoresightError
@@ -106,6 +107,7 @@ def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure]) -> 
     if twice:
         raise ValueError(f"two figures are called {twice[0]}: one would take the place of the other")
     for figure in figures:
+        stamp(figure.figure, [content.run])
         names += [path.name for path in save_figure(figure.figure, folder / figure.stem)]
     (folder / "report.md").write_text(markdown(content, figures), encoding="utf-8")
     with_png = [(figure, (folder / f"{figure.stem}.png").read_bytes()) for figure in figures]

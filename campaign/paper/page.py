@@ -12,6 +12,7 @@ from campaign.paper.kinds import Paper, PaperFigure
 from campaign.resolve import CATALOG, campaign_names
 from reports.named_figure import NamedFigure
 from reports.paper import PaperLine, PaperPage, paper_lines
+from reports.provenance import stamp
 from reports.published import load_published
 from scenarios.errors import BoresightError
 from scenarios.load import load_campaign
@@ -83,10 +84,12 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int) -> l
     runs = {name: found[name] for name in figure.campaigns if name in found}
     if not runs:
         raise BoresightError(f"not drawn without a finished run of {' or '.join(figure.campaigns)}")
-    names = list(runs)
+    names, drawings = list(runs), list(figure.draw(runs, jobs))
+    for drawing in drawings:
+        stamp(drawing.figure, [run.content.run for run in runs.values()])
     return [
         figure.named(drawing, drawing.stem if drawing.stem.startswith("_") else f"_{names[i]}" if i else "")
-        for i, drawing in enumerate(figure.draw(runs, jobs))
+        for i, drawing in enumerate(drawings)
     ]
 
 

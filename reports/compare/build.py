@@ -13,6 +13,7 @@ from reports.compare.subjects import RunComparison
 from reports.figures.style import save_figure
 from reports.grid import Grid
 from reports.named_figure import NamedFigure
+from reports.provenance import stamp
 from scenarios.errors import BoresightError
 
 
@@ -43,6 +44,8 @@ def write_comparison(found: RunComparison, folder: Path, command: str = "") -> C
         folder.mkdir(parents=True, exist_ok=True)
         for name, table in tables.items():
             table.to_csv(folder / name, index=False, lineterminator="\n")
+        for one in figures:
+            stamp(one.figure, found.runs)
         pictures = [path for one in figures for path in save_figure(one.figure, folder / one.stem)]
         markdown = folder / "compare.md"
         markdown.write_text(_markdown(found, grids, figures, command), encoding="utf-8")

@@ -33,7 +33,7 @@ def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa:
     """
     every = [table for levels in errors.values() for table in levels.values()]
     shown = [name for name in _PANELS if any(table[name].notna().any() for table in every)]
-    figure, panels = new_figure(len(shown), width_in=4.0 * len(shown))
+    figure, panels = new_figure(len(shown), width_in=max(6.0, 4.0 * len(shown)))
     drawn = looks(errors)
     levels = list(dict.fromkeys(level for line in errors.values() for level in line))
     for axes, name in zip(panels, shown, strict=True):

@@ -31,6 +31,7 @@ GREY, ORANGE, BLUE, GREEN, VERMILION, PURPLE, SKY = (
 LineStyle = str | tuple[int, tuple[int, ...]]
 LINE_STYLES: tuple[LineStyle, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 _FAR_APART = 20.0
+_FOOTER, _FOOTER_SIZE, _FOOTER_LINE_IN = "footer", 6.5, 0.14
 SERIES_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY)
 _PARAMETERS: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so the same bytes on every machine
@@ -121,6 +122,38 @@ def add_credits(figure: Figure, credit_lines: Sequence[str]) -> None:
     """Print the credit lines of the images below the panels."""
     if credit_lines:
         figure.supxlabel("; ".join(credit_lines), fontsize=7, color=GREY, x=0.995, ha="right")
+
+
+def add_footer(figure: Figure, lines: Sequence[str]) -> None:
+    """Print lines below all else, small, under those that are there already; nothing can be drawn on it afterwards.
+
+    The figure grows by a strip for them.
+    """
+    before = next((text for text in figure.texts if text.get_gid() == _FOOTER), None)
+    _grow(figure, _FOOTER_LINE_IN * len(lines))
+    told = [] if before is None else [before.get_text()]
+    if before is not None:
+        before.remove()
+    words = "\n".join([*told, *lines])
+    text = figure.text(0.995, 0.01 / figure.get_figheight(), words, fontsize=_FOOTER_SIZE, color=GREY, ha="right")
+    text.set_gid(_FOOTER)
+
+
+def _grow(figure: Figure, strip_in: float) -> None:
+    """Add an empty strip at the bottom and keep all else as it is laid out: legends outside the axes know no strip."""
+    with matplotlib.style.context(["default", _PARAMETERS]):
+        figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    before = figure.get_figheight()
+    after = before + strip_in
+    figure.set_figheight(after)
+    for axes in figure.axes:
+        at = axes.get_position(original=True)
+        axes.set_position((at.x0, (at.y0 * before + strip_in) / after, at.width, at.height * before / after))
+    for text in figure.texts:
+        text.set_y((text.get_position()[1] * before + strip_in) / after)
+    for legend in figure.legends:
+        legend.set_bbox_to_anchor((0.0, strip_in / after, 1.0, before / after), figure.transFigure)
 
 
 def shared_edges(samples: Sequence[FloatArray], bins: int = 40, percent: float = 99.0) -> FloatArray:

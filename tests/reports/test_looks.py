@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from reports.figures.looks import colour_of, looks
-from reports.figures.style import GREY, SERIES_COLOURS
+from reports.figures.style import GREY, SERIES_COLOURS, add_footer, new_figure
 
 
 @pytest.mark.parametrize("others", [(), ("ekf-slam", "batch"), ("my-own", "fixed-lag", "prior")])
@@ -50,3 +50,21 @@ def test_no_two_of_a_figure_look_alike():
 )
 def test_methods_that_stand_together_differ_in_colour(family):
     assert len({colour_of(name) for name in family}) == len(family)
+
+
+def test_a_footer_tells_the_run_and_moves_nothing_else():
+    figure, (axes,) = new_figure(1)
+    axes.plot([0.0, 1.0], [0.0, 1.0], label="a line")
+    figure.legend(loc="outside lower center")
+    figure.draw_without_rendering()
+    (before, height) = (axes.get_position().bounds, figure.get_figheight())
+    add_footer(figure, ["boresight x, seed 7", "boresight y, seed 8"])
+    grown = figure.get_figheight()
+    assert grown > height
+    left, bottom, width, tall = axes.get_position().bounds
+    assert (left, width) == pytest.approx((before[0], before[2]))
+    assert (grown * tall, grown * (1.0 - bottom)) == pytest.approx((height * before[3], height * (1.0 - before[1])))
+    figure.draw_without_rendering()
+    footer = next(text for text in figure.texts if "seed 7" in text.get_text()).get_window_extent()
+    assert not footer.overlaps(figure.legends[0].get_window_extent())
+    assert not footer.overlaps(axes.get_tightbbox())
