@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from campaign.cli.terminal import console
 from campaign.crater_examples import crater_examples
 from campaign.fit_figures import fit_figures
+from campaign.inspection.worst import worst_figures
 from campaign.matching_examples import matching_examples
-from campaign.resolve import reload
+from campaign.resolve import ResolvedCampaign, reload
 from campaign.store import RunFolder
 from reports.build import write_report
 from reports.console import console_table
@@ -14,16 +17,16 @@ from reports.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 
 
-def print_report(folder: RunFolder) -> None:
-    """Write the report of a run and print its table."""
+def print_report(folder: RunFolder, worst: int) -> None:
+    """Write the report of a run, with pictures of so many of its worst trials, and print its table."""
     out = console()
-    files = write_report(folder.path, extra=_fit_figures(folder))
+    files = write_report(folder.path, extra=_trial_figures(folder, worst))
     out.print(console_table(files.content))
     out.print(f"report: {files.html}")
 
 
-def _fit_figures(folder: RunFolder) -> list[NamedFigure]:
-    """Draw a typical trial, or images with their craters, unless code, data or machine can no longer make its image."""
+def _trial_figures(folder: RunFolder, worst: int) -> list[NamedFigure]:
+    """Draw typical trials and the worst, unless code, data or machine can no longer make them again."""
     manifest = folder.read_manifest() or {}
     why = (
         "the run was made by another version of boresight or of its data:"
@@ -31,13 +34,17 @@ def _fit_figures(folder: RunFolder) -> list[NamedFigure]:
     )
     try:
         campaign = reload(manifest)
-        if campaign is not None and campaign.spec.experiment == "crater-detection":
-            return list(crater_examples(campaign, folder.path))
-        if campaign is not None and campaign.spec.experiment == "crater-matching":
-            return list(matching_examples(campaign, folder.path))
         if campaign is not None:
-            return list(fit_figures(campaign, folder.path, folder.table("rows")))
+            return [*_typical(campaign, folder), *worst_figures(campaign, folder, worst)]
     except BoresightError as error:
         why = str(error)
-    console().print(f"no figure of a single fit: {why}")
+    console().print(f"no figure of single trials: {why}")
     return []
+
+
+def _typical(campaign: ResolvedCampaign, folder: RunFolder) -> Iterator[NamedFigure]:
+    if campaign.spec.experiment == "crater-detection":
+        return crater_examples(campaign, folder.path)
+    if campaign.spec.experiment == "crater-matching":
+        return matching_examples(campaign, folder.path)
+    return fit_figures(campaign, folder.path, folder.table("rows"))

@@ -36,13 +36,22 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     run.add_argument("--keep-images", action="store_true", help="keep every image as TIFF in the run folder")
     run.add_argument("--no-store", action="store_true", help="render every image anew, and keep none in the cache")
     add_overrides(run)
+    _add_worst(run)
     run.set_defaults(handler=_run)
     status = commands.add_parser("status", help="say how far a run is")
     status.add_argument("run", help="a run folder, or a campaign's name")
     status.set_defaults(handler=_status)
     report = commands.add_parser("report", help="write the report of a run")
     report.add_argument("run", help="a run folder, or a campaign's name")
+    _add_worst(report)
     report.set_defaults(handler=_report)
+
+
+def _add_worst(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--worst", type=not_negative, metavar="N", default=5,
+        help="pictures of the N worst trials in the report, recomputed (default: 5); see boresight inspect",
+    )  # fmt: skip
 
 
 def positive(text: str) -> int:
@@ -86,7 +95,7 @@ def _run(arguments: argparse.Namespace) -> int:
         out.print(begun.advice)
     with store_switched(store_is_on() and not arguments.no_store), ProgressListener(out) as listener:
         folder = begun.go(listener)
-    _print_report(folder)
+    _print_report(folder, arguments.worst)
     return 3 if (folder.table("rows")["status"] == "error").any() else 0
 
 
@@ -111,15 +120,15 @@ def _status(arguments: argparse.Namespace) -> int:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    _print_report(find_run(arguments.run))
+    _print_report(find_run(arguments.run), arguments.worst)
     return 0
 
 
-def _print_report(folder: RunFolder) -> None:
+def _print_report(folder: RunFolder, worst: int) -> None:
     # Imported here: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
     from campaign.cli.report import print_report
 
-    print_report(folder)
+    print_report(folder, worst)
 
 
 def find_run(name: str) -> RunFolder:

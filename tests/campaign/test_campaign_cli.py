@@ -176,7 +176,7 @@ def test_a_report_is_written_where_the_variant_of_the_run_does_not_work(tiny_run
     shutil.copytree(tiny_run.folder, tmp_path / "run", ignore=shutil.ignore_patterns("report"))
     done = boresight("report", tmp_path / "run", BORESIGHT_HIDE_LLVM="1")
     assert done.returncode == 0, done.stderr
-    assert "no figure of a single fit: the Mitsuba variant" in done.stdout
+    assert "no figure of single trials: the Mitsuba variant" in done.stdout
     assert (tmp_path / "run" / "report" / "report.html").is_file()
 
 
@@ -220,3 +220,16 @@ def test_a_campaign_of_real_images_scores_against_every_reference(tmp_path):
     np.testing.assert_allclose(references["label"], 5.0)
     assert folder.read_manifest()["credits"] == ["A. N. Other"]
     assert "A. N. Other" in (tmp_path / "run" / "report" / "report.html").read_text()
+
+
+def test_the_report_shows_the_worst_trials_and_how_to_see_all_of_them(tiny_run, tmp_path, capsys):
+    shutil.copytree(tiny_run.folder, tmp_path / "run", ignore=shutil.ignore_patterns("report"))
+    said(capsys, "report", str(tmp_path / "run"), "--worst", "2")
+    names = {path.name for path in (tmp_path / "run" / "report").glob("worst_*.png")}
+    assert names == {"worst_1.png", "worst_2.png"}
+    rows = pd.read_parquet(tmp_path / "run" / "rows")
+    own = rows[rows["estimator"] != "prior"]
+    failed = own[own["status"] != "ok"].sort_values("prior_position_error_m", ascending=False)
+    worst = failed if len(failed) else own.sort_values("position_error_m", ascending=False)
+    page = (tmp_path / "run" / "report" / "report.html").read_text(encoding="utf-8")
+    assert f"--trial {worst.iloc[0]['trial']}" in page

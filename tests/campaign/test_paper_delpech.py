@@ -26,7 +26,7 @@ def runs(tmp_path_factory):
         file = folder / f"{name}.yaml"
         with file.open("w", encoding="utf-8") as stream:
             yaml.dump(spec, stream)
-        assert main(["run", str(file), "--jobs", "1", "--out", str(folder / "runs" / name)]) == 0
+        assert main(["run", str(file), "--jobs", "1", "--worst", "0", "--out", str(folder / "runs" / name)]) == 0
     return folder / "runs"
 
 

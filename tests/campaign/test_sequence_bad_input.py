@@ -39,7 +39,7 @@ def faults(tmp_path_factory):
     (folder / "scene.yaml").write_text(SCENE)
     (folder / "campaign.yaml").write_text(CAMPAIGN)
     out = folder / "out"
-    assert main(["run", str(folder / "campaign.yaml"), "--jobs", "1", "--out", str(out)]) == 0
+    assert main(["run", str(folder / "campaign.yaml"), "--jobs", "1", "--worst", "0", "--out", str(out)]) == 0
     assert (out / "report" / "report.html").stat().st_size > 10_000
     rows, epochs = (pd.read_parquet(out / name) for name in ("rows", "epochs"))
     key = ["scenario", "estimator", "trial"]
@@ -110,7 +110,10 @@ def test_an_orbit_that_leads_into_the_body_by_known_forces_is_refused(tmp_path, 
     (tmp_path / "campaign.yaml").write_text(
         "title: x\nexperiment: sequence\nscenarios: [scene.yaml]\nestimators: [dead-reckoning]\ntrials: 1\nseed: 1\n"
     )
-    assert main(["run", str(tmp_path / "campaign.yaml"), "--jobs", "1", "--out", str(tmp_path / "out")]) == 2
+    assert (
+        main(["run", str(tmp_path / "campaign.yaml"), "--jobs", "1", "--worst", "0", "--out", str(tmp_path / "out")])
+        == 2
+    )
     error = capsys.readouterr().err
     assert "scene.yaml: sequence.orbit: " in error
     assert "raise radius_m or lower the forces" in error

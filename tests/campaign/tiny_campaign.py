@@ -59,8 +59,8 @@ def write_campaign(folder: Path, campaign: str = CAMPAIGN, scene: str = SCENE) -
 
 
 def run(file: Path, out: Path, *arguments: object) -> int:
-    """Run a campaign by the command line in this process, with its report."""
-    return main(["run", str(file), "--jobs", "1", "--out", str(out), *map(str, arguments)])
+    """Run a campaign by the command line in this process, with its report, but without its worst trials."""
+    return main(["run", str(file), "--jobs", "1", "--out", str(out), "--worst", "0", *map(str, arguments)])
 
 
 class Silent:
