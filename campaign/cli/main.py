@@ -10,6 +10,7 @@ from importlib.metadata import version
 from typing import NoReturn
 
 from campaign.cli import bench, catalog, compare, craters, fetch, figures, inspect, machine, runs, sensitivity
+from campaign.cli.manual import write_manual
 from scenarios.atomic import explain
 from scenarios.errors import BoresightError
 
@@ -68,4 +69,5 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_commands(commands)
     fetch.add_commands(commands)
     machine.add_commands(commands)
+    write_manual(parser, commands)
     return parser

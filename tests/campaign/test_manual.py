@@ -1,0 +1,50 @@
+"""``--help`` reads like a manual: every command has a page, and its examples are commands that exist."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+
+import pytest
+
+from campaign.cli.main import _parser
+from campaign.cli.manual import PAGES, WHOLE
+
+EXAMPLES = [example for page in PAGES.values() for example in page.examples]
+FIRST = [line.split("   ")[0].strip() for line in WHOLE.splitlines() if line.strip().startswith("boresight ")]
+
+
+def commands():
+    (found,) = (action for action in _parser()._actions if isinstance(action, argparse._SubParsersAction))
+    return found.choices
+
+
+def test_every_command_has_a_page():
+    assert set(PAGES) == set(commands())
+
+
+@pytest.mark.parametrize("example", [*EXAMPLES, *FIRST])
+def test_every_example_is_a_command_that_is_understood(example):
+    program, *words = shlex.split(example)
+    assert program == "boresight"
+    parsed = _parser().parse_args(words, argparse.Namespace(command=""))
+    assert callable(parsed.handler)
+
+
+@pytest.mark.parametrize("name", sorted(PAGES))
+def test_a_page_tells_what_the_command_does_and_how_it_is_called(name, capsys):
+    with pytest.raises(SystemExit) as left:
+        _parser().parse_args([name, "--help"])
+    assert left.value.code == 0
+    said = capsys.readouterr().out
+    assert "examples:" in said
+    assert all(example in said for example in PAGES[name].examples)
+    assert PAGES[name].text.split()[0] in said
+
+
+def test_the_whole_names_places_and_exit_codes(capsys):
+    with pytest.raises(SystemExit):
+        _parser().parse_args(["--help"])
+    said = capsys.readouterr().out
+    assert "$BORESIGHT_DATA" in said
+    assert "130  interrupted" in said
