@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Protocol, Self
 
 import numpy as np
@@ -70,12 +70,16 @@ class CraterImage:
     ----------
     number
         Of the image in its campaign, unique.
+    common
+        (6, s) what s errors of unit variance, that all images of a sequence share, do to the prior pose: the part of
+        its covariance by which it goes with those of the others; (6, 0) where it goes with none.
     """
 
     number: int
     frame: Frame
     camera: Camera
     detections: CraterDetections
+    common: FloatArray = field(default_factory=lambda: np.zeros((6, 0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

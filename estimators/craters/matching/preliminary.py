@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.spatial import cKDTree
 
 from estimators.craters.contract import CraterImage, Ground
 from estimators.craters.matching.located import Located, locate
@@ -17,6 +16,8 @@ from scenarios.spec.base import SpecModel
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
+
+_AT_ONCE = 64
 
 
 class PreliminaryOptions(SpecModel):
@@ -56,6 +57,7 @@ class _Landmarks:
     image: IndexArray
     points_m: FloatArray
     covariance_m2: FloatArray
+    by_common: FloatArray
     log_radius: FloatArray
 
 
@@ -67,7 +69,7 @@ def preliminary_pairs(
     if not images:
         return ImagePairs(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))
     landmarks = _all_landmarks(images, ground, options)
-    couples = same_place(landmarks.points_m, landmarks.covariance_m2, options.gate_sigma)
+    couples = same_place(landmarks.points_m, landmarks.covariance_m2, options.gate_sigma, landmarks.by_common)
     ratio = np.abs(np.diff(landmarks.log_radius[couples], axis=1)[:, 0])
     between = landmarks.image[couples]
     between = np.sort(between[(ratio < np.log(options.size_ratio)) & (between[:, 0] != between[:, 1])], axis=1)
@@ -78,16 +80,30 @@ def preliminary_pairs(
     return ImagePairs(pairs[kept], counts[kept], shares[kept])
 
 
-def same_place(points_m: FloatArray, covariances_m2: FloatArray, gate_sigma: float) -> IndexArray:
-    """List couples (k, 2) of landmarks (n, 3) whose places agree within their uncertainty (n, 3, 3)."""
+def same_place(
+    points_m: FloatArray, covariances_m2: FloatArray, gate_sigma: float, by_common: FloatArray | None = None
+) -> IndexArray:
+    """List couples (k, 2) of landmarks (n, 3) whose places agree within their uncertainty (n, 3, 3).
+
+    ``by_common`` (n, 3, s), m, is what s errors of unit variance that all of them share do to their places: a part of
+    the uncertainty, of which only the difference tells places apart.
+    """
+    n = len(points_m)
+    shared = np.zeros((n, 3, 0)) if by_common is None else by_common
     reach = gate_sigma * np.sqrt(np.trace(covariances_m2, axis1=1, axis2=2))
-    if len(points_m) < 2:
-        return np.zeros((0, 2), dtype=np.int64)
-    couples = cKDTree(points_m).query_pairs(2.0 * float(reach.max()), output_type="ndarray").astype(np.int64)
-    offset = points_m[couples[:, 0]] - points_m[couples[:, 1]]
-    together = covariances_m2[couples[:, 0]] + covariances_m2[couples[:, 1]]
-    far = np.einsum("ki,ki->k", offset, np.linalg.solve(together, offset[..., None])[..., 0])
-    return np.asarray(couples[far < gate_sigma**2])
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    for start in range(0, n, _AT_ONCE):
+        here = np.arange(start, min(start + _AT_ONCE, n))
+        apart = np.linalg.norm(points_m[here, None] - points_m[None], axis=2)
+        near = (apart < reach[here, None] + reach) & (np.arange(n) > here[:, None])
+        rows, others = np.nonzero(near)
+        rows = here[rows]
+        offset = points_m[rows] - points_m[others]
+        cross = shared[rows] @ np.swapaxes(shared[others], 1, 2)
+        together = covariances_m2[rows] + covariances_m2[others] - cross - np.swapaxes(cross, 1, 2)
+        far = np.einsum("ki,ki->k", offset, np.linalg.solve(together, offset[..., None])[..., 0])
+        found.append(np.column_stack([rows, others])[far < gate_sigma**2])
+    return np.concatenate(found)
 
 
 def landmark_covariances(image: CraterImage, located: Located, height_sigma_m: float) -> FloatArray:
@@ -121,9 +137,10 @@ def _all_landmarks(images: Sequence[CraterImage], ground: Ground, options: Preli
         ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
         radius_m = image.detections.ellipses.semi_axes_px[:, 0] * image.camera.pixel_angle_rad * ranges
         here = np.full(int(known.sum()), number)
-        parts.append((here, located.points_body_m[known], covariance[known], np.log(radius_m[known])))
-    image_of, points, covariances, radii = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return _Landmarks(image_of.astype(np.int64), points, covariances, radii)
+        moved = located.by_pose()[known] @ image.common
+        parts.append((here, located.points_body_m[known], covariance[known], moved, np.log(radius_m[known])))
+    image_of, points, covariances, moved, radii = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return _Landmarks(image_of.astype(np.int64), points, covariances, moved, radii)
 
 
 def _overlap(first: CraterImage, second: CraterImage, here: FloatArray, there: FloatArray) -> float:

@@ -65,10 +65,10 @@ def transfer(first: CraterImage, second: CraterImage, located: Located, ground: 
 
 
 def joint_covariance(first: CraterImage, second: CraterImage) -> FloatArray:
-    """(12, 12) covariance of the errors of both prior poses, taken for independent."""
-    covariance = np.zeros((12, 12))
-    covariance[:6, :6], covariance[6:, 6:] = first.frame.prior_covariance, second.frame.prior_covariance
-    return covariance
+    """(12, 12) covariance of the errors of both prior poses, which go together by what both images share."""
+    between = first.common @ second.common.T
+    blocks = [[first.frame.prior_covariance, between], [between.T, second.frame.prior_covariance]]
+    return np.asarray(np.block(blocks), dtype=np.float64)
 
 
 def plane_homographies(located: Located, first: Camera, second: Camera, T_second_body: Pose) -> FloatArray:

@@ -18,29 +18,21 @@ FloatArray = NDArray[np.float64]
 
 def placed_images(exposures: Sequence[Exposure], trajectory: Trajectory, task: NavigationTask) -> list[CraterImage]:
     """Give each image the pose of its time; the trajectory has one place for each, in their order."""
-    turns = task.knowledge.field.rotation.at(trajectory.times_s)
+    turns, known = task.knowledge.field.rotation.at(trajectory.times_s), task.knowledge
     images = []
-    for exposure, turn, position, covariance in zip(
-        exposures, turns, trajectory.positions_m, trajectory.covariances_m2, strict=True
-    ):
-        rotation = exposure.R_cam_inertial @ turn.T
+    for i, (exposure, turn, position) in enumerate(zip(exposures, turns, trajectory.positions_m, strict=True)):
+        attitude = exposure.R_cam_inertial
+        rotation = attitude @ turn.T
         pose = Pose(rotation, -rotation @ (turn @ position + task.shape.centre_of_mass_m))
-        spread = _pose_covariance(pose, exposure.R_cam_inertial, covariance, task)
-        frame = Frame(exposure.pixels, exposure.sun_dir_cam, pose, spread, exposure.time_s)
-        images.append(CraterImage(exposure.number, frame, task.knowledge.camera, exposure.detections))
+        by_turn, by_place = _by_turn(pose), np.vstack([np.zeros((3, 3)), -attitude])
+        covariance = (known.attitude_sigma_rad**2 + known.misalignment_sigma_rad**2) * by_turn @ by_turn.T
+        covariance += by_place @ trajectory.covariances_m2[i] @ by_place.T
+        common = np.hstack([known.misalignment_sigma_rad * by_turn, by_place @ trajectory.by_common_m[i]])
+        frame = Frame(exposure.pixels, exposure.sun_dir_cam, pose, covariance, exposure.time_s)
+        images.append(CraterImage(exposure.number, frame, known.camera, exposure.detections, common))
     return images
 
 
-def _pose_covariance(
-    pose: Pose, R_cam_inertial: FloatArray, position_covariance_m2: FloatArray, task: NavigationTask
-) -> FloatArray:
-    """(6, 6) of `Pose.perturbed`'s error: a turn w of the camera about itself, and a shift dr of its place.
-
-    With x = R p + t in camera axes, the turn takes t to t + w x t, and the shift to t - R_cam_inertial dr.
-    """
-    known = task.knowledge
-    turn = (known.attitude_sigma_rad**2 + known.misalignment_sigma_rad**2) * np.eye(3)
-    by_turn = np.vstack([np.eye(3), -cross_matrix(pose.translation_m[None])[0]])
-    covariance = by_turn @ turn @ by_turn.T
-    covariance[3:, 3:] += R_cam_inertial @ position_covariance_m2 @ R_cam_inertial.T
-    return np.asarray(covariance)
+def _by_turn(pose: Pose) -> FloatArray:
+    """(6, 3) `Pose.perturbed`'s error by a turn w of the camera about itself: x = R p + t, so that t moves by w x t."""
+    return np.vstack([np.eye(3), -cross_matrix(pose.translation_m)])

@@ -39,7 +39,7 @@ def matching_key(images: Sequence[CraterImage], *what: object) -> str:
     digest = hashlib.sha256(repr(what).encode())
     for image in images:
         pose, rims = image.frame.prior_T_cam_body, image.detections.ellipses
-        placed = (pose.rotation, pose.translation_m, image.frame.prior_covariance)
+        placed = (pose.rotation, pose.translation_m, image.frame.prior_covariance, image.common)
         for part in (*placed, rims.centre_px, rims.semi_axes_px, rims.angle_rad):
             digest.update(np.ascontiguousarray(part).tobytes())
     return digest.hexdigest()[:16]

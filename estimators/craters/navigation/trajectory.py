@@ -24,15 +24,19 @@ class Trajectory:
         (n,) ascending.
     positions_m, covariances_m2
         (n, 3) and (n, 3, 3).
+    by_common_m
+        (n, 3, s) what s errors of unit variance, the same at all times, do to the places: the part of their
+        covariances by which they go together.
     """
 
     times_s: FloatArray
     positions_m: FloatArray
     covariances_m2: FloatArray
+    by_common_m: FloatArray
 
     @classmethod
     def known_before(cls, knowledge: Knowledge, times_s: FloatArray) -> Trajectory:
-        """Map the a priori orbit forward; its covariance is that of the state at the epoch.
+        """Map the a priori orbit forward, with the errors of the state at the epoch, of GM and of the Sun's pressure.
 
         Raises
         ------
@@ -41,8 +45,9 @@ class Trajectory:
         """
         flown = flight(knowledge.field, knowledge.state, times_s, Pushes.none(float(times_s[-1])))
         sigma = np.repeat([knowledge.position_sigma_m, knowledge.velocity_sigma_m_s], 3)
-        spread = flown.by_state[:, :3] * sigma
-        return cls(times_s, flown.states[:, :3], np.asarray(spread @ np.swapaxes(spread, 1, 2)))
+        forces = flown.by_parameters[:, :3, :2] * [knowledge.gm_sigma, knowledge.light_sigma]
+        spread = np.concatenate([flown.by_state[:, :3] * sigma, forces], axis=2)
+        return cls(times_s, flown.states[:, :3], np.asarray(spread @ np.swapaxes(spread, 1, 2)), spread)
 
     @classmethod
     def determined(cls, orbit: Orbit, times_s: FloatArray, wanted_s: FloatArray, inflation: float) -> Trajectory:
@@ -52,4 +57,5 @@ class Trajectory:
         are larger than they should be.
         """
         rows = np.searchsorted(wanted_s, times_s)
-        return cls(times_s, orbit.positions_m[rows], inflation * orbit.position_covariances_m2[rows])
+        covariances = inflation * orbit.position_covariances_m2[rows]
+        return cls(times_s, orbit.positions_m[rows], covariances, np.zeros((len(rows), 3, 0)))
