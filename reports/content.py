@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from os import PathLike
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from reports.designs import design_grids
 from reports.detection import outlier_grid, outlier_records
 from reports.grid import Grid
 from reports.measures import measure_run
+from reports.navigation import navigation_grid, navigation_records
 from reports.notes import notes
 from reports.orbits import orbit_grids, orbit_records
 from reports.paired import paired_grid, paired_records
@@ -31,6 +32,8 @@ from reports.sequences import pooled_alone, sequence_grids
 from reports.tables import detail_grid, diagnostic_grid, failure_grid, pose_grids, reference_grid, timing_grid
 from reports.tradeoff import trade_grid
 from reports.vision import vision_records
+
+_BESIDE = ["published", "tolerance", "verdict", "place"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,8 +71,9 @@ class Content:
         if not self.run.craters.empty:
             found = [*crater_grids(self.records, self.run), comparison_grid(self.compared), timing_grid(self.records)]
             return [grid for grid in (*found, failures) if grid is not None]
-        if not self.run.orbits.empty:
-            return [*orbit_grids(self.records, self.compared, self.run), *([] if failures is None else [failures])]
+        if not (self.run.orbits.empty and self.run.navigation.empty):
+            orbit = orbit_grids(self.records, self.compared, self.run)
+            return [grid for grid in (navigation_grid(self.records, self.run), *orbit, failures) if grid is not None]
         if self.run.manifest.grid is not None:
             return [*design_grids(self.run), *([] if failures is None else [failures])]
         optional = (
@@ -101,7 +105,7 @@ class Content:
                 "place": match.published.place if match else "",
             }
             lines.append(asdict(record) | published)
-        return pd.DataFrame(lines)
+        return pd.DataFrame(lines, columns=[field.name for field in fields(Record)] + _BESIDE)
 
 
 def read_content(folder: Path) -> Content:
@@ -117,7 +121,8 @@ def read_content(folder: Path) -> Content:
     derived = derived_records(run, comparison.radius_m) if comparison and comparison.radius_m else ()
     reductions = tuple(reduction_records(run, comparison)) if comparison else ()
     beside = (*paired_records(run), *ratio_records(run), *consistency_records(run))
-    seen = (*vision_records(run), *matching_records(run), *crater_records(run), *orbit_records(run))
+    craters = (*matching_records(run), *crater_records(run), *navigation_records(run))
+    seen = (*vision_records(run), *craters, *orbit_records(run))
     records = (*measure_run(run), *seen, *derived, *reductions, *outlier_records(run), *beside)
     compared, claims = beside_published(run, records, comparison) if comparison else ((), ())
     return Content(run, records, comparison, compared, claims, tuple(notes(run, comparison)))

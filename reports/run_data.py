@@ -92,6 +92,20 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
     ),
     "orbit_errors": (*_KEY, "time_days", "predicted", "position_error_m", "position_sigma_m"),
     "residuals": (*_KEY, "time_days", "u_px", "v_px", "used"),
+    "navigation": (
+        *_KEY,
+        "rounds",
+        "n_images",
+        "n_detections",
+        "n_false",
+        "n_pairs",
+        "n_correct",
+        "n_wrong",
+        "n_common",
+        "n_landmarks",
+    ),
+    "navigated_images": (*_KEY, "n_detections", "n_numbered"),
+    "navigated_landmarks": (*_KEY, "hits", "n_other", "first_days", "last_days"),
     "epochs": (*_KEY, "frame", "anomaly_deg", "position_error_m", "landmark_rmse_m", "settled_landmark_rmse_m"),
 }
 
@@ -200,6 +214,8 @@ class RunData:
         Of images of craters: what each is like, the true craters in it, and what every detector found.
     orbits, orbit_errors, residuals
         Of orbit determination: what each trial comes to, errors over time, and residuals of the first trial.
+    navigation, navigated_images, navigated_landmarks
+        Of crater navigation: what each trial comes to before the orbit, its images, and the landmarks of its data base.
     """
 
     folder: Path
@@ -219,6 +235,9 @@ class RunData:
     orbits: pd.DataFrame = field(default_factory=pd.DataFrame)
     orbit_errors: pd.DataFrame = field(default_factory=pd.DataFrame)
     residuals: pd.DataFrame = field(default_factory=pd.DataFrame)
+    navigation: pd.DataFrame = field(default_factory=pd.DataFrame)
+    navigated_images: pd.DataFrame = field(default_factory=pd.DataFrame)
+    navigated_landmarks: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     def pairs(self) -> list[tuple[str, str]]:
         """List (scenario, estimator) in the order in which the rows name them."""

@@ -27,6 +27,7 @@ from reports.figures import (
 )
 from reports.labels import stage_label
 from reports.named_figure import NamedFigure, file_stem
+from reports.navigation import navigation_figures
 from reports.orbits import orbit_figures
 from reports.records import CONTROL
 from reports.run_data import RunData, select
@@ -50,7 +51,8 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
     if not run.craters.empty:
         yield from crater_figures(run)
         return
-    if not run.orbits.empty:
+    if not (run.orbits.empty and run.navigation.empty):
+        yield from navigation_figures(run)
         yield from orbit_figures(run)
         return
     if run.manifest.grid is not None:

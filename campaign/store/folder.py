@@ -85,7 +85,8 @@ class RunFolder:
 
     def sweep(self) -> None:
         """Remove what a killed process left half written; only for who holds the lock."""
-        patterns = [".manifest.json.*.tmp", *(f"{place}/.*.tmp" for place in (*TABLES, "products", "images/*"))]
+        places = (*TABLES, "products", "images/*", "chain/**")
+        patterns = [".manifest.json.*.tmp", *(f"{place}/.*.tmp" for place in places)]
         for leftover in [path for pattern in patterns for path in self.path.glob(pattern)]:
             if leftover.is_dir():
                 shutil.rmtree(leftover, ignore_errors=True)
