@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
+from pathlib import Path
 
 from renderers.images import ImageSet, PosedImageSet, keep_clear
 from renderers.mitsuba3.rays import outline_points
@@ -27,6 +29,18 @@ def open_images(scenario: LoadedScenario) -> ImageSet:
     """
     # A file that changed under the same name is another set.
     return _usable(scenario, images_digest(scenario), body_digest(scenario.spec.body, scenario.search_dirs))
+
+
+def image_files(scenario: LoadedScenario) -> Iterator[tuple[str, Path]]:
+    """Yield the files that the real images of a scenario are read from: as the scenario names them, and where."""
+    spec = scenario.spec.images
+    if spec is None:
+        return
+    files = _all_images(scenario).files
+    kernels = () if spec.spice is None else spec.spice.kernels
+    yield from zip(kernels, files, strict=False)
+    for path in files[len(kernels) :]:
+        yield f"{spec.folder}/{path.name}", path
 
 
 def left_out_notes(scenario: LoadedScenario) -> list[str]:

@@ -7,6 +7,14 @@ from pathlib import Path
 
 
 @dataclass(frozen=True, slots=True)
+class Cluster:
+    """Which Dask cluster: the address of a scheduler, or so many worker processes of this machine."""
+
+    scheduler: str = ""
+    local: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class RunRequest:
     """Where and how to run; nothing here but ``trials`` changes what is stored.
 
@@ -22,6 +30,8 @@ class RunRequest:
         Whether every image is kept.
     command
         The command line, for the manifest.
+    cluster
+        The Dask cluster whose workers run the trials; None for processes of this machine.
     """
 
     out: Path
@@ -29,3 +39,4 @@ class RunRequest:
     jobs: int
     keep_images: bool = False
     command: str = ""
+    cluster: Cluster | None = None

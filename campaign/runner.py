@@ -117,6 +117,12 @@ def _computed(
     campaign: ResolvedCampaign, todo: Sequence[Block], request: RunRequest
 ) -> Iterator[tuple[Block, Records]]:
     """Yield each block with its records, in order, holding only what is in flight."""
+    if request.cluster is not None:
+        # Imported here: Dask is optional, and slow to import.
+        from campaign.remote.cluster import blocks_in_order
+
+        yield from zip(todo, blocks_in_order(request.cluster, campaign, request.out, todo), strict=True)
+        return
     bench = Bench(request.out, request.jobs, request.keep_images)
     results = in_order(request.jobs, run_block, ((campaign, block, bench) for block in todo))
     yield from zip(todo, results, strict=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from campaign.machine import cores
-from campaign.request import RunRequest
+from campaign.request import Cluster, RunRequest
 from campaign.resolve import ResolvedCampaign, resolve
 from campaign.runner import Listener, run_campaign
 from campaign.store import RunFolder
@@ -64,6 +64,7 @@ def start(
     out: Path | None = None,
     variant: str | None = None,
     keep_images: bool = False,
+    cluster: Cluster | None = None,
     command: str = "",
 ) -> Start:
     """Read a campaign and say how it is to run; what is left out is as the campaign, or the machine, says.
@@ -80,7 +81,9 @@ def start(
     _check(campaign, wanted, workers)
     condition = None if until is None else _condition(until, campaign)
     folder = out or RUNS / f"{campaign.spec.name}-{campaign.digest[:8]}"
-    request = RunRequest(folder, wanted, workers, keep_images, command)
+    if cluster is not None and keep_images:
+        raise BoresightError("--keep-images: workers of a cluster cannot write to the run folder: leave it out")
+    request = RunRequest(folder, wanted, workers, keep_images, command, cluster)
     return Start(campaign, request, condition, chosen.advice)
 
 

@@ -11,6 +11,7 @@ from campaign.cli.progress import ProgressListener
 from campaign.cli.terminal import console
 from campaign.image_store import store_is_on, store_switched
 from campaign.machine import cores
+from campaign.request import Cluster
 from campaign.start import RUNS, start
 from campaign.store import RunFolder
 from scenarios.errors import BoresightError
@@ -35,6 +36,11 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     run.add_argument("--variant", help="Mitsuba variant (default: the fastest that works; see boresight doctor)")
     run.add_argument("--keep-images", action="store_true", help="keep every image as TIFF in the run folder")
     run.add_argument("--no-store", action="store_true", help="render every image anew, and keep none in the cache")
+    run.add_argument("--backend", choices=("loky", "dask"), default="loky", help="what workers are (default: loky)")
+    run.add_argument(
+        "--scheduler", metavar="ADDRESS", help="with --backend dask: a scheduler, such as tcp://10.0.0.1:8786"
+    )
+    run.add_argument("--local", type=positive, metavar="N", help="with --backend dask: N workers of this machine")
     add_overrides(run)
     _add_worst(run)
     run.set_defaults(handler=_run)
@@ -85,18 +91,35 @@ def _run(arguments: argparse.Namespace) -> int:
         out=arguments.out,
         variant=arguments.variant,
         keep_images=arguments.keep_images,
+        cluster=_cluster(arguments),
         command=arguments.command,
     )
     campaign, request = begun.campaign, begun.request
     out = console()
     name, variant = campaign.spec.name, campaign.variant
-    out.print(f"{name}: {request.trials} trials into {request.out}, {request.jobs} job(s), {variant}")
+    where = f"{request.jobs} job(s)" if request.cluster is None else _named(request.cluster)
+    out.print(f"{name}: {request.trials} trials into {request.out}, {where}, {variant}")
     if begun.advice:
         out.print(begun.advice)
     with store_switched(store_is_on() and not arguments.no_store), ProgressListener(out) as listener:
         folder = begun.go(listener)
     _print_report(folder, arguments.worst)
     return 3 if (folder.table("rows")["status"] == "error").any() else 0
+
+
+def _cluster(arguments: argparse.Namespace) -> Cluster | None:
+    """Read which cluster is asked for; the options of one back end are refused with the other."""
+    if arguments.backend != "dask":
+        if arguments.scheduler or arguments.local:
+            raise BoresightError("--scheduler and --local are of --backend dask: give it too")
+        return None
+    if bool(arguments.scheduler) == bool(arguments.local):
+        raise BoresightError("--backend dask: give either --scheduler ADDRESS or --local N")
+    return Cluster(arguments.scheduler or "", arguments.local or 0)
+
+
+def _named(cluster: Cluster) -> str:
+    return f"Dask at {cluster.scheduler}" if cluster.scheduler else f"{cluster.local} Dask worker(s)"
 
 
 def _status(arguments: argparse.Namespace) -> int:

@@ -28,6 +28,11 @@ class ImageSet(Protocol):
         """Images that cannot be used, each with the reason."""
         ...
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that results depend on: kernels first, in their order, if there are any."""
+        ...
+
     def __len__(self) -> int: ...
 
     def time_s(self, index: int) -> float:

@@ -69,6 +69,11 @@ class PosedImageSet:
         """File names in the order of the table."""
         return self.table.files
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The table and the images."""
+        return (self.folder / self.spec.table, *(self.folder / name for name in self.names))
+
     def time_s(self, index: int) -> float:
         """Return the epoch of an image."""
         return float(self.table.times_s[index])
@@ -107,7 +112,7 @@ class PosedImageSet:
         BoresightError
             If a file cannot be read.
         """
-        return files_digest((self.folder / self.spec.table, *(self.folder / name for name in self.names)))
+        return files_digest(self.files)
 
     def check_images(self) -> None:
         """Read every image once, so that a damaged one is found before a campaign starts.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -42,6 +43,11 @@ class Selection:
     def names(self) -> tuple[str, ...]:
         """Names of the images that are used."""
         return tuple(self.images.names[index] for index in self.kept)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file of the whole set: which images are left out depends on all of them."""
+        return self.images.files
 
     def time_s(self, index: int) -> float:
         """Return the epoch of an image."""

@@ -1,0 +1,66 @@
+"""What a worker of a cluster does with a block: lay out its bundle once, then what any worker does."""
+
+from __future__ import annotations
+
+import atexit
+import json
+import pickle
+import shutil
+import tempfile
+import threading
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import cast
+
+from distributed import get_worker
+
+from campaign.experiments.registry import Bench, Records
+from campaign.image_store import store_switched
+from campaign.machine import cores
+from campaign.remote.assets import Fetch, asset_file, from_scheduler
+from campaign.remote.bundle import CAMPAIGN, DATA, RUN
+from campaign.resolve import ResolvedCampaign
+from campaign.store.folder import Block
+from campaign.worker import run_block
+
+# Scenes, meshes and estimators belong to a process and are used by one block at a time, however many threads there are.
+_ALONE = threading.Lock()
+
+
+def run_block_there(bundle: str, block: Block, images_kept: bool) -> Records:
+    """Run every trial of a block with what the bundle holds.
+
+    Parameters
+    ----------
+    bundle
+        Digest of the bundle, which the scheduler holds.
+    block
+        The trials.
+    images_kept
+        Whether rendered images go to the store of this worker's machine.
+    """
+    with _ALONE, store_switched(images_kept):
+        campaign, folder = opened(bundle, from_scheduler)
+        workers = max(1, cores() // max(1, get_worker().state.nthreads))
+        return run_block(campaign, block, Bench(folder / RUN, workers, keep_images=False))
+
+
+@lru_cache(maxsize=1)
+def opened(bundle: str, fetch: Fetch) -> tuple[ResolvedCampaign, Path]:
+    """Lay out a bundle in a folder of this process, and read the campaign so that it finds its data there."""
+    folder = Path(tempfile.mkdtemp(prefix="boresight-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    index = json.loads(asset_file(bundle, fetch).read_bytes())
+    for name, sha256 in index.items():
+        target = folder / name
+        if not target.resolve().is_relative_to(folder.resolve()):
+            raise ValueError(f"{name} leads out of the bundle")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(asset_file(sha256, fetch), target)
+    campaign = cast("ResolvedCampaign", pickle.loads((folder / CAMPAIGN).read_bytes()))  # noqa: S301  who sends it may run code here anyway
+    scenarios = tuple(replace(scenario, search_dirs=(folder / DATA,)) for scenario in campaign.scenarios)
+    # The digest was worked out where the data are; it comes along and stays what it is.
+    there = replace(campaign, scenarios=scenarios)
+    there.__dict__["digest"] = campaign.digest
+    return there, folder
