@@ -18,6 +18,7 @@ from estimators.craters.detection.files import DetectedImage, read_detections, w
 from estimators.craters.matching.preliminary import same_place
 from estimators.craters.matching.transfer import joint_covariance
 from estimators.craters.navigation.frames import placed_images
+from estimators.craters.navigation.matched import believed
 from estimators.craters.navigation.stages import Stages
 from estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
 from estimators.craters.navigation.trajectory import Trajectory
@@ -203,3 +204,13 @@ def test_places_that_move_together_are_told_apart_by_their_difference():
     assert same_place(points, together, 3.0).tolist() == [[0, 1], [0, 2], [1, 2]]
     assert same_place(points, together, 3.0, shared).tolist() == [[0, 2]]
     assert same_place(points[:1], together[:1], 3.0, shared[:1]).tolist() == []
+
+
+def test_pairs_with_too_few_matches_are_not_believed():
+    few = PairMatches(0, 1, CraterMatches(np.array([[0, 0], [1, 1]]), np.ones(2)))
+    enough = PairMatches(0, 2, CraterMatches(np.array([[0, 0], [1, 1], [2, 2]]), np.ones(3)))
+    none = PairMatches(1, 2, CraterMatches.none("nothing in common"))
+    found = believed([few, enough, none], 3)
+    assert [len(pair.matches.pairs) for pair in found] == [0, 3, 0]
+    assert found[0].matches.reason == "2 matches are fewer than the 3 that have to agree"
+    assert found[2].matches.reason == "nothing in common"

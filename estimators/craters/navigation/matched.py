@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.contract import CraterImage, CraterMatcher, Ground
+from estimators.craters.contract import CraterImage, CraterMatcher, CraterMatches, Ground
 from estimators.craters.database.match_files import read_matches, write_matches
 from estimators.craters.database.numbering import PairMatches
 from estimators.craters.navigation.stages import Stages
@@ -32,6 +33,16 @@ def match_pairs(
 
         found += stages.kept(f"pairs-{start // _BLOCK:05d}.txt", MATCHING, match, read_matches)
     return tuple(found)
+
+
+def believed(found: Sequence[PairMatches], agreeing: int) -> tuple[PairMatches, ...]:
+    """Reject the pairs of images with fewer matches than ``agreeing``."""
+    return tuple(
+        replace(pair, matches=CraterMatches.none(f"{count} matches are fewer than the {agreeing} that have to agree"))
+        if 0 < (count := len(pair.matches.pairs)) < agreeing
+        else pair
+        for pair in found
+    )
 
 
 def matching_key(images: Sequence[CraterImage], *what: object) -> str:

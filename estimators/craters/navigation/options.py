@@ -15,6 +15,9 @@ class NavigationOptions(SpecModel):
     detector: str = Field("crater-classic", description="Name of a detector of craters")
     most_detections: int = Field(20, ge=1, description="Of an image, the most confident ones")
     matcher: str = Field("hybrid", description="Name of a matcher of craters")
+    agreeing: int = Field(
+        3, ge=1, description="Matches that a pair of images has at the least: one or two alone are no constellation"
+    )
     preliminary: PreliminaryOptions = Field(
         PreliminaryOptions(), description="Which images are matched; heights are as uncertain as the a priori shape"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar, Self
 
 import numpy as np
@@ -17,7 +18,7 @@ from estimators.craters.database.orbit_input import places_of_landmarks, sequenc
 from estimators.craters.database.pictures import placed_pictures
 from estimators.craters.matching.preliminary import preliminary_pairs
 from estimators.craters.navigation.frames import placed_images
-from estimators.craters.navigation.matched import match_pairs, matching_key
+from estimators.craters.navigation.matched import believed, match_pairs, matching_key
 from estimators.craters.navigation.options import NavigationOptions
 from estimators.craters.navigation.stages import Stages
 from estimators.craters.navigation.task import Exposure, NavigationTask
@@ -132,14 +133,15 @@ class CraterNavigation:
         with stages.timed("preliminary"):
             pairs = preliminary_pairs(images, ground, preliminary).pairs
         matcher = crater_matcher_class(options.matcher).from_options(self._matcher_options(task))
-        found = match_pairs(images, pairs, matcher, ground, stages)
+        found = believed(match_pairs(images, pairs, matcher, ground, stages), options.agreeing)
         numbering = number_craters([len(image.detections.ellipses) for image in images], found)
 
-        def build(_: object) -> None:
+        def build(path: Path) -> None:
             landmarks = locate_landmarks(images, numbering, ground, task.shape.height_sigma_m)
-            CraterDatabase(placed_pictures(images, numbering, landmarks.number), landmarks).save(stages.folder)
+            CraterDatabase(placed_pictures(images, numbering, landmarks.number), landmarks).save(path.parent)
 
-        database = stages.kept(LANDMARKS, "database", build, lambda path: CraterDatabase.load(path.parent))
+        place = f"database-{options.agreeing}/{LANDMARKS}"
+        database = stages.kept(place, "database", build, lambda path: CraterDatabase.load(path.parent))
         known = task.knowledge
         data = OrbitData(
             known,
