@@ -14,6 +14,7 @@ from reports.figures.crater_rates import (
     FOUND_COLOUR,
     OTHER_COLOUR,
     TRUE_COLOUR,
+    ConfidenceCurve,
     draw_confidence_curves,
     draw_found_and_true,
     draw_rates,
@@ -40,13 +41,16 @@ def _curves(scenario: str, ones: list[Shown]) -> NamedFigure:
     curves = {}
     for one in ones:
         curve = confidence_curve(one)
-        shares = (curve.false_share, curve.found_share, curve.clean_share)
-        curves[one.estimator] = tuple(np.asarray(100.0 * share, dtype=np.float64) for share in shares)
+        at = int(one.detections["kept"].sum()) - 1  # the detections above the threshold are the first of the curve
+        curves[one.estimator] = ConfidenceCurve(
+            100.0 * curve.false_share, 100.0 * curve.found_share, 100.0 * curve.clean_share, at
+        )
     title = f"Craters found over false alarms, {scenario}"
     return NamedFigure(
         file_stem("crater_curves", scenario),
-        draw_confidence_curves({label: (a, b, c) for label, (a, b, c) in curves.items()}, title),
-        f"{title}: as the threshold on the confidence falls. Star: what the paper claims, without a definition.",
+        draw_confidence_curves(curves, title),
+        f"{title}: as the threshold on the confidence falls. Circles: at the detector's own threshold."
+        " Star: what the paper claims, without a definition.",
         "Curves that rise from the left: the share of craters found against the share of false alarms.",
     )
 
@@ -67,7 +71,7 @@ def _rates(scenario: str, ones: list[Shown]) -> NamedFigure:
     return NamedFigure(
         file_stem("crater_rates", scenario),
         draw_rates(panels, title),
-        f"{title}: by diameter, degradation and incidence, over all detections; bars: 95 % with images as the unit.",
+        f"{title}: by diameter, degradation and incidence, at each detector's threshold; bars: 95 %, by images.",
         "Rates with error bars in bins of diameter, degradation and incidence.",
     )
 
@@ -81,6 +85,7 @@ def example_figure(run: RunData, scenario: str, estimator: str, trial: int, imag
     truth = run.craters[(run.craters["scenario"] == scenario) & (run.craters["trial"] == trial)]
     found = run.detections
     found = found[(found["scenario"] == scenario) & (found["estimator"] == estimator) & (found["trial"] == trial)]
+    found = found[found["kept"].to_numpy(dtype=bool)]
     detectable, matched = (values.to_numpy(dtype=np.bool_) for values in (truth["detectable"], found["crater"] >= 0))
     return draw_example(
         image,

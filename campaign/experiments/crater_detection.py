@@ -24,7 +24,7 @@ from estimators.craters.registry import crater_detector_class
 from renderers.mitsuba3 import TiledRenderer
 from scenarios.craters import CraterTruth, crater_truth, cratered_surface
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera
+from scenarios.geometry import Camera, Ellipses
 from scenarios.load import LoadedScenario
 from scenarios.observation import Frame
 
@@ -63,7 +63,7 @@ class CraterDetection:
     witness: Witness | None = None
 
     kind: ClassVar[str] = "crater-detection"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
     block_trials: ClassVar[int] = 10
     kernels: ClassVar[bool] = False
 
@@ -149,6 +149,8 @@ def _judged(detector: CraterDetector, frame: Frame, camera: Camera, truth: Crate
         found = detector.detect(frame, camera)
         seconds = time.perf_counter() - started
         check_detections(found)
+        if found.rejected is not None:
+            check_detections(found.rejected)
     except BoresightError as error:
         return {"rows": [{"status": "failed", "reason": str(error), "n_landmarks": 0}]}
     except Exception:  # noqa: BLE001  a detector's fault is a result, recorded with its trace
@@ -161,22 +163,25 @@ def _judged(detector: CraterDetector, frame: Frame, camera: Camera, truth: Crate
 
 
 def _scored(found: CraterDetections, truth: CraterTruth) -> list[Record]:
-    """Score detections against all craters of an image."""
-    matches = match_detections(found.ellipses, truth.ellipses)
+    """Score detections against all craters of an image, and those that the detector rejected after them."""
+    rejected = CraterDetections.none() if found.rejected is None else found.rejected
+    every = Ellipses.joined([found.ellipses, rejected.ellipses])
+    matches = match_detections(every, truth.ellipses)
     hit = np.flatnonzero(matches.crater != NONE)
     rows = matches.crater[hit]
-    errors = ellipse_errors(found.ellipses[hit], truth.ellipses[rows])
+    errors = ellipse_errors(every[hit], truth.ellipses[rows])
     records: list[Record] = [
         {
             "rank": rank,
             "confidence": float(confidence),
-            **_ellipse(found, rank),
+            "kept": rank < len(found.confidence),
+            **_ellipse(every, rank),
             "crater": NONE,
             "duplicate": bool(matches.duplicate[rank]),
             "detectable": False,
             "clean": False,
         }
-        for rank, confidence in enumerate(found.confidence)
+        for rank, confidence in enumerate([*found.confidence, *rejected.confidence])
     ]
     for k, (rank, row) in enumerate(zip(hit, rows, strict=True)):
         records[rank] |= {name: float(values[k]) for name, values in errors.items()}
@@ -188,8 +193,7 @@ def _scored(found: CraterDetections, truth: CraterTruth) -> list[Record]:
     return records
 
 
-def _ellipse(of: CraterDetections | CraterTruth, row: int) -> Record:
-    ellipses = of.ellipses
+def _ellipse(ellipses: Ellipses, row: int) -> Record:
     return {
         "u_px": float(ellipses.centre_px[row, 0]),
         "v_px": float(ellipses.centre_px[row, 1]),
@@ -205,7 +209,7 @@ def _truth_rows(truth: CraterTruth) -> list[Record]:
     return [
         {
             "crater": int(truth.crater[row]),
-            **_ellipse(truth, row),
+            **_ellipse(truth.ellipses, row),
             "deviation": float(truth.deviation[row]),
             **{name: float(getattr(truth, name)[row]) for name in names},
             "depth_ratio": float(truth.depth_m[row] / truth.diameter_m[row]),

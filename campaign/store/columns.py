@@ -252,6 +252,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         *_key(),
         Column("rank", pa.int64(), "place by confidence, from 0"),
         Column("confidence", pa.float64(), "as the detector gives it"),
+        Column("kept", pa.bool_(), "whether it reaches the detector's threshold"),
         *_ellipse("the detection"),
         Column("crater", pa.int64(), "number of the true crater that it is matched with; -1 for a false alarm"),
         Column("duplicate", pa.bool_(), "a false alarm on a crater that a more confident detection is matched with"),

@@ -31,7 +31,7 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses
 
 NOTE = "weights.json"
-_PROPOSALS = 220  # of each picture: many more would be ground without anything
+_PROPOSALS = 800  # of each picture: as dense as the detector takes them on images of its usual size
 
 
 @dataclass(frozen=True, slots=True)

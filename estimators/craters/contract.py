@@ -26,10 +26,20 @@ class CraterDetections:
         n rims at their crests.
     confidence
         (n,) descending; its scale is the detector's own.
+    rejected
+        What is below the detector's threshold, where it tells: nothing is made of these, but curves over the threshold
+        go through them.
     """
 
     ellipses: Ellipses
     confidence: FloatArray
+    rejected: CraterDetections | None = None
+
+    @classmethod
+    def above(cls, threshold: float, ellipses: Ellipses, confidence: FloatArray) -> CraterDetections:
+        """Part rims, the most confident first, at a threshold on the confidence."""
+        n = int(np.count_nonzero(confidence >= threshold))
+        return cls(ellipses[:n], confidence[:n], cls(ellipses[n:], confidence[n:]))
 
     @classmethod
     def none(cls) -> CraterDetections:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -46,21 +47,30 @@ def draw_found_and_true(
     return figure
 
 
-@styled
-def draw_confidence_curves(curves: Mapping[str, tuple[FloatArray, FloatArray, FloatArray]], title: str) -> Figure:
-    """Draw shares of craters found over shares of false alarms, (m,) each in %, of each detector: detectable and clean.
+@dataclass(frozen=True, slots=True, eq=False)
+class ConfidenceCurve:
+    """Shares (m,), %, of false alarms, detectable and clean craters found as the threshold falls.
 
-    Parameters
-    ----------
-    curves
-        Label to false share, detectable share and clean share.
+    ``chosen`` is the point of the detector's own threshold, -1 where nothing reaches it.
     """
+
+    false: FloatArray
+    detectable: FloatArray
+    clean: FloatArray
+    chosen: int
+
+
+@styled
+def draw_confidence_curves(curves: Mapping[str, ConfidenceCurve], title: str) -> Figure:
+    """Draw shares of craters found over shares of false alarms of each detector."""
     figure, axes = new_figure(1, width_in=5.2, height_in=4.2)
     (place,) = axes
-    for label, (false, detectable, clean) in curves.items():
+    for label, curve in curves.items():
         colour = colour_of(label)
-        place.plot(false, detectable, color=colour, linewidth=1.4, label=f"{label}: detectable")
-        place.plot(false, clean, color=colour, linewidth=1.2, linestyle=LINE_STYLES[1], label=f"{label}: clean")
+        for values, name, style in ((curve.detectable, "detectable", "-"), (curve.clean, "clean", LINE_STYLES[1])):
+            place.plot(curve.false, values, color=colour, linewidth=1.3, linestyle=style, label=f"{label}: {name}")
+            if curve.chosen >= 0:
+                place.plot(curve.false[curve.chosen], values[curve.chosen], marker="o", markersize=5, color=colour)
     place.plot(
         [5.0], [90.0], marker="*", markersize=11, color="black", linestyle="none", label="paper: over 90, under 5"
     )

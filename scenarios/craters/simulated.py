@@ -128,11 +128,7 @@ def detect_simulated(
     false_centres = rng.uniform(size=(count, 2)) * [view.camera.width_px, view.camera.height_px]
     false_rims = Ellipses(false_centres, rims.semi_axes_px[like], rng.uniform(0.0, np.pi, count))
     order = rng.permutation(len(crater) + count)
-    both = Ellipses(
-        np.concatenate([rims.centre_px, false_rims.centre_px]),
-        np.concatenate([rims.semi_axes_px, false_rims.semi_axes_px]),
-        np.concatenate([rims.angle_rad, false_rims.angle_rad]),
-    )
+    both = Ellipses.joined([rims, false_rims])
     return LabelledDetections(both[order], np.concatenate([crater, np.full(count, NO_CRATER)])[order])
 
 

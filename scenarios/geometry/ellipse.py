@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +51,15 @@ class Ellipses:
     def none(cls) -> Ellipses:
         """No ellipse at all."""
         return cls(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Ellipses]) -> Ellipses:
+        """All ellipses of some sets, one set after the other."""
+        return cls(
+            np.concatenate([part.centre_px for part in parts]),
+            np.concatenate([part.semi_axes_px for part in parts]),
+            np.concatenate([part.angle_rad for part in parts]),
+        )
 
     @property
     def radius_px(self) -> FloatArray:

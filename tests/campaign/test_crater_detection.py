@@ -64,7 +64,7 @@ class Blobs:
         found = cv2.HoughCircles(image, cv2.HOUGH_GRADIENT, 1.0, 6.0, param1=60, param2=9, minRadius=5, maxRadius=25)
         circles = np.zeros((0, 3)) if found is None else found.reshape(-1, found.shape[-1])[:, :3].astype(float)
         ellipses = Ellipses(circles[:, :2] + 0.5, np.repeat(circles[:, 2:], 2, axis=1), np.zeros(len(circles)))
-        return CraterDetections(ellipses, np.linspace(1.0, 0.1, len(circles)))
+        return CraterDetections.above(0.3, ellipses, np.linspace(1.0, 0.1, len(circles)))
 
 
 class Broken(Blobs):
@@ -147,7 +147,10 @@ def test_tables_agree_with_each_other(done: Path) -> None:
 def test_report_counts_by_hand(done: Path) -> None:
     data = read_run(done)
     records = crater_records(data)
-    found, craters = data.detections, data.craters
+    every, craters = data.detections, data.craters
+    found = every[every["confidence"] >= 0.3]
+    assert 10 < len(found) < len(every)
+    assert (every["kept"] == (every["confidence"] >= 0.3)).all()
     rate = find(records, estimator="blobs", measure="detection_share", statistic="mean")
     hits = found[(found["crater"] >= 0) & found["detectable"]]
     assert rate is not None
@@ -159,8 +162,9 @@ def test_report_counts_by_hand(done: Path) -> None:
     assert blind.value == 0.0
     one = next(one for one in shown(data) if one.estimator == "blobs")
     curve = confidence_curve(one)
-    assert curve.found_share[-1] == pytest.approx(rate.value / 100.0)
-    assert curve.false_share[-1] == pytest.approx(false.value / 100.0)
+    assert curve.found_share[len(found) - 1] == pytest.approx(rate.value / 100.0)
+    assert curve.false_share[len(found) - 1] == pytest.approx(false.value / 100.0)
+    assert len(curve.found_share) == len(every)
     assert np.all(np.diff(curve.found_share) >= 0.0)
     half = one.detections.sort_values("confidence", ascending=False).head(7)
     assert curve.false_share[6] == pytest.approx((half["crater"] < 0).mean())

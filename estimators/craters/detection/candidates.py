@@ -41,11 +41,7 @@ class Candidates:
     def joined(cls, parts: Sequence[Candidates]) -> Candidates:
         """Join several."""
         return cls(
-            Ellipses(
-                np.concatenate([part.ellipses.centre_px for part in parts]),
-                np.concatenate([part.ellipses.semi_axes_px for part in parts]),
-                np.concatenate([part.ellipses.angle_rad for part in parts]),
-            ),
+            Ellipses.joined([part.ellipses for part in parts]),
             np.concatenate([part.support for part in parts]),
         )
 

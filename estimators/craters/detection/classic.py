@@ -115,7 +115,6 @@ class CraterClassic:
         refined = refine(fitted, scales, picture.sun_px, gap, o.rounds)
         value = confidence(refined, scales, picture.sun_px, gap)
         rows = suppress(refined, value, 0.6, 1.6)
-        rows = rows[value[rows] >= o.confidence_min]
         kept = refined[rows]
         crest = Ellipses(kept.centre_px, kept.semi_axes_px * o.crest_scale, kept.angle_rad)
-        return refined, CraterDetections(crest, value[rows])
+        return refined, CraterDetections.above(o.confidence_min, crest, value[rows])

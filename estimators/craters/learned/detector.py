@@ -38,10 +38,10 @@ class LearnedOptions(SpecModel):
     )
     levels: int = Field(default=5, ge=1, le=6, description="Of the pyramid of templates; each doubles the radii.")
     merit_min: float = Field(default=0.3, ge=0.0, lt=1.0, description="Least merit of a ring template's proposal.")
-    proposals: int = Field(default=400, ge=1, description="Most proposals that the network sees.")
+    proposals: int = Field(default=1600, ge=1, description="Most proposals that the network sees.")
     rounds: int = Field(default=3, ge=1, description="How often the network sees what is left of the proposals.")
     radius_min_px: float = Field(default=4.5, gt=1.0, description="Least mean radius of a crater.")
-    mirror: bool = Field(default=True, description="Look at each patch and its mirror image, and take the mean.")
+    mirror: bool = Field(default=True, description="In the last look, see mirror images too, and take the mean.")
     ground_min: float = Field(default=0.75, ge=0.0, le=1.0, description="Least share of a rim that lies on lit ground.")
     confidence_min: float = Field(default=0.98, ge=0.0, lt=1.0, description="Least probability of a crater.")
 
@@ -95,8 +95,7 @@ class CraterLearned:
         seen, odds = seen[keep], odds[keep]
         rows = suppress(seen, odds, 0.6, 1.6)
         sure = 1.0 / (1.0 + np.exp(-odds[rows]))
-        rows, sure = rows[sure >= o.confidence_min], sure[sure >= o.confidence_min]
-        return CraterDetections(seen[rows], sure)
+        return CraterDetections.above(o.confidence_min, seen[rows], sure)
 
     def settled(self, source: Source, seen: Ellipses) -> tuple[Ellipses, FloatArray]:
         """Let the network place rims and look again; return them with their log odds.
@@ -107,18 +106,19 @@ class CraterLearned:
         for turn in range(self.options.rounds):
             if len(seen) == 0:
                 return seen, odds
-            said = self._say(source, seen)
+            last = turn + 1 == self.options.rounds
+            said = self._say(source, seen, mirror=self.options.mirror and last)
             odds = said[:, 0]
             seen = placed(seen, said[:, 1:], source.sun_px)
-            if turn + 1 < self.options.rounds:
+            if not last:
                 rows = suppress(seen, odds, 0.2, 1.2)
                 seen, odds = seen[rows[odds[rows] > -4.0]], odds[rows[odds[rows] > -4.0]]
         return seen, odds
 
-    def _say(self, source: Source, seen: Ellipses) -> FloatArray:
+    def _say(self, source: Source, seen: Ellipses, mirror: bool) -> FloatArray:
         patches = cut(source, seen)
         said = self.network.forward(patches.pixels, patches.scalars).astype(np.float64)
-        if not self.options.mirror:
+        if not mirror:
             return said
         mirrored = self.network.forward(patches.pixels[:, ::-1], patches.scalars).astype(np.float64)
         return np.asarray(0.5 * (said + mirrored * MIRRORED), dtype=np.float64)
