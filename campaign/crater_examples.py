@@ -14,13 +14,15 @@ from reports.crater_figures import example_figure, stages_figure
 from reports.named_figure import NamedFigure
 from reports.run_data import RunData, read_run, select
 
-_EXAMPLES = 2
+_EXAMPLES = 3
 
 
 def crater_examples(campaign: ResolvedCampaign, folder: Path) -> Iterator[NamedFigure]:
-    """Draw, for each scenario and detector, the images with the most detectable craters, as figures 2 and 3 do."""
+    """Draw the stages of the classic detector, figure 2 of the paper, and what each finds in some images, figure 3."""
     run = read_run(folder)
     for scenario in campaign.scenarios:
+        for label in campaign.labels:
+            yield from stages_of(campaign, folder, run, scenario.spec.name, label)
         yield from detected(campaign, folder, run, scenario.spec.name, campaign.labels)
 
 

@@ -33,7 +33,12 @@ def test_an_ideal_bowl_is_found(detector, place):
     bowl = Bowl(*place, 16.0)
     detections = detector.detect(frame_of(image_of([bowl], AZIMUTH, INCIDENCE), AZIMUTH, INCIDENCE), CAMERA)
     assert len(detections.ellipses) == 1
-    assert np.linalg.norm(detections.ellipses.centre_px[0] - place) < 0.6
+    offset = detections.ellipses.centre_px[0] - place
+    sun = np.array([np.cos(AZIMUTH), np.sin(AZIMUTH)])
+    assert abs(offset @ [-sun[1], sun[0]]) < 0.2
+    # The steepest gradient of so sharp a crest lies farther inside on the side of the Sun than on the other: the method
+    # of Cheng et al. (2003) is drawn away from the Sun, by a fortieth of the radius. The network has learned it.
+    assert abs(offset @ sun) < (0.5 if detector.name == "crater-classic" else 0.3)
 
 
 @pytest.mark.parametrize("incidence_deg", [35.0, 65.0])
