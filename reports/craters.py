@@ -40,6 +40,8 @@ _LABELS = {
     "best_centre_error_px": f"centre error of these {BEST}, px",
     "centre_error_px": "centre error of detectable craters, px",
     "axes_error_px": "error of a semi-axis of detectable craters, px",
+    "clean_centre_error_px": "centre error of clean craters, px",
+    "clean_axes_error_px": "error of a semi-axis of clean craters, px",
 }
 _NOTE = (
     "Over the detections that reach the detector's threshold (`confidence_min`), which was chosen on images of another"
@@ -106,10 +108,11 @@ def _records(one: Shown) -> Iterator[Record]:
     error = found["centre_error_px"].to_numpy(dtype=np.float64)
     yield _share(one, "best_within_1px_share", error[good] <= 1.0, image[good])
     yield from _errors(one, "best_centre_error_px", error[good], image[good])
-    seen = found["detectable"].to_numpy(dtype=bool) & ~false
-    yield from _errors(one, "centre_error_px", error[seen], image[seen])
-    axes = found.loc[seen, ["major_error_px", "minor_error_px"]].to_numpy(dtype=np.float64)
-    yield from _errors(one, "axes_error_px", np.abs(axes).ravel(), np.repeat(image[seen], 2))
+    axes = found[["major_error_px", "minor_error_px"]].to_numpy(dtype=np.float64)
+    for prefix, which in (("", "detectable"), ("clean_", "clean")):
+        seen = found[which].to_numpy(dtype=bool) & ~false
+        yield from _errors(one, f"{prefix}centre_error_px", error[seen], image[seen])
+        yield from _errors(one, f"{prefix}axes_error_px", np.abs(axes[seen]).ravel(), np.repeat(image[seen], 2))
 
 
 def _share(one: Shown, name: str, yes: BoolArray, image: NDArray[np.int64]) -> Record:

@@ -63,6 +63,8 @@ UNITS = {
     "craters_per_image": "",
     "median_craters_per_image": "",
     "processing_seconds": "s",
+    "clean_centre_error_px": "px",
+    "clean_axes_error_px": "px",
     "epoch_error_m": "m",
     "arc_rms_m": "m",
     "arc_median_m": "m",

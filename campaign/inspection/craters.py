@@ -18,6 +18,7 @@ from scenarios.craters.simulated import NO_CRATER
 def draw_detection(shown: DetectedImage, detections: list[Record], what: str) -> Drawn:
     """Draw an image with the craters that are there and those that were found."""
     truth = shown.truth
+    detections = [record for record in detections if record["kept"]]
     matched = np.array([int(str(record["crater"])) != NO_CRATER for record in detections], dtype=np.bool_)
     figure = draw_example(
         shown.frame.image, (truth.ellipses, truth.detectable), (ellipses_of(detections), matched), "craters", what

@@ -71,7 +71,7 @@ def _crater_faults(run: RunData) -> pd.Series | None:
 
 def _detection_faults(run: RunData) -> pd.DataFrame:
     """Count, for each row, detectable craters without a detection and detections without a crater."""
-    found = run.detections
+    found = run.detections[run.detections["kept"].astype(bool)]
     hits = found[found["detectable"].astype(bool)].groupby(_KEY).size()
     false = found[found["crater"] < 0].groupby(_KEY).size()
     rows = run.rows[_KEY].merge(run.crater_images[["scenario", "trial", "n_detectable"]], on=["scenario", "trial"])

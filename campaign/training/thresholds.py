@@ -88,10 +88,11 @@ def judge(detector: CraterDetector, world: World, images: int) -> Judged:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the threshold of each detector and what it does on these images."""
     parser = argparse.ArgumentParser(prog="python -m campaign.training.thresholds", description=__doc__)
-    parser.add_argument("--images", type=int, default=40)
+    parser.add_argument("--images", type=int, default=30)
+    parser.add_argument("--detectors", nargs="+", default=["crater-classic", "crater-learned"])
     told = parser.parse_args(arguments)
     world = open_world(load_scenario(SCENARIO, [f"craters.seed={SEED}"]), choose_variant().name)
-    for name in ("crater-classic", "crater-learned"):
+    for name in told.detectors:
         judged = judge(crater_detector_class(name).from_options({}), world, told.images)
         threshold = lowest_threshold(judged.confidence, judged.false, FALSE_SHARE)
         kept = judged.confidence >= threshold

@@ -15,12 +15,10 @@ from estimators.craters.detection.edges import Edges, canny
 from estimators.craters.detection.grouping import Arc, arcs_of, pair_arcs, sunward
 from estimators.craters.detection.options import ClassicOptions
 from estimators.craters.detection.picture import Picture, prepare
-from estimators.craters.detection.refinement import Scales, refine, scales_of
+from estimators.craters.detection.refinement import SCALES_PX, Scales, refine, scales_of
 from estimators.options import parse_options
 from scenarios.geometry import Camera, Ellipses
 from scenarios.observation import Frame
-
-SCALES_PX = ((5, 14.0), (9, 40.0), (17, np.inf))  # kernel, and the radius up to which it is used
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +51,7 @@ class CraterClassic:
     """Two Canny passes, rims from pairs of lit and shaded edges, ellipse fit, refinement in the image, confidence."""
 
     name: ClassVar[str] = "crater-classic"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     options: ClassicOptions
 

@@ -40,4 +40,9 @@ class ClassicOptions(SpecModel):
     crest_scale: float = Field(
         default=1.06, gt=0.5, lt=2.0, description="Crest's radius over that of the steepest gradient."
     )
-    confidence_min: float = Field(default=0.8, ge=-1.0, lt=1.0, description="Least confidence, equation (4).")
+    confidence_min: float = Field(
+        default=0.9317,
+        ge=-1.0,
+        lt=1.0,
+        description="Least confidence, equation (4): that with 4 % of false alarms in campaign.training.thresholds.",
+    )

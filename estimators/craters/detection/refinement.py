@@ -18,6 +18,8 @@ _HALVINGS = 5  # of a step that does not rise enough
 _ARMIJO = 0.1  # part of the rise that the slope promises
 _STILL_PX = 2e-3  # rims that move less stay
 
+SCALES_PX = ((5, 14.0), (9, 40.0), (17, np.inf))  # kernel, and the radius up to which it is used
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scales:

@@ -14,7 +14,9 @@ from pydantic import Field
 
 from estimators.craters.contract import CraterDetections
 from estimators.craters.detection.confidence import suppress
+from estimators.craters.detection.options import ClassicOptions
 from estimators.craters.detection.picture import noise_level, prepare
+from estimators.craters.learned.blending import blended
 from estimators.craters.learned.network import NAMES, Network
 from estimators.craters.learned.patches import Source, cut
 from estimators.craters.learned.placing import placed
@@ -42,8 +44,16 @@ class LearnedOptions(SpecModel):
     rounds: int = Field(default=3, ge=1, description="How often the network sees what is left of the proposals.")
     radius_min_px: float = Field(default=4.5, gt=1.0, description="Least mean radius of a crater.")
     mirror: bool = Field(default=True, description="In the last look, see mirror images too, and take the mean.")
+    blend_from_px: float = Field(
+        default=8.0, gt=0.0, description="Least mean radius of a rim that the gradient of the image helps to place."
+    )
     ground_min: float = Field(default=0.75, ge=0.0, le=1.0, description="Least share of a rim that lies on lit ground.")
-    confidence_min: float = Field(default=0.98, ge=0.0, lt=1.0, description="Least probability of a crater.")
+    confidence_min: float = Field(
+        default=0.9848,
+        ge=0.0,
+        lt=1.0,
+        description="Least probability of a crater: that with 4 % of false alarms in campaign.training.thresholds.",
+    )
 
 
 @lru_cache(maxsize=1)
@@ -68,7 +78,7 @@ class CraterLearned:
     """Ring templates propose rims; a small network says which are craters, where exactly, and of what shape."""
 
     name: ClassVar[str] = "crater-learned"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     options: LearnedOptions
     network: Network
@@ -95,7 +105,8 @@ class CraterLearned:
         seen, odds = seen[keep], odds[keep]
         rows = suppress(seen, odds, 0.6, 1.6)
         sure = 1.0 / (1.0 + np.exp(-odds[rows]))
-        return CraterDetections.above(o.confidence_min, seen[rows], sure)
+        rims = blended(seen[rows], picture, o.blend_from_px, ClassicOptions())
+        return CraterDetections.above(o.confidence_min, rims, sure)
 
     def settled(self, source: Source, seen: Ellipses) -> tuple[Ellipses, FloatArray]:
         """Let the network place rims and look again; return them with their log odds.
