@@ -66,15 +66,21 @@ def test_the_sun_of_the_real_image_stands_where_its_label_says():
 
 
 @needs_data
-def test_named_craters_are_found_in_the_real_image(tmp_path, capsys):
-    assert main(["craters", "--out", str(tmp_path)]) == 0
+@pytest.mark.parametrize(
+    ("detector", "certain"),
+    [("crater-classic", {"Valentine", "Leander"}), ("crater-learned", {"Cupid", "Valentine", "Leander", "Casanova"})],
+)
+def test_named_craters_are_found_in_the_real_image(detector, certain, tmp_path, capsys):
+    assert main(["craters", "--detector", detector, "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     with (tmp_path / "detections.csv").open() as file:
         names = {row["name"] for row in csv.DictReader(file)} - {""}
-    assert {"Cupid", "Valentine", "Leander"} <= names
+    assert certain <= names
     for name in names:
         assert f"{name}: expected at" in said
-    assert {path.name for path in tmp_path.iterdir()} >= {"detections.png", "stages.png", "detections.pdf"}
+    written = {path.name for path in tmp_path.iterdir()}
+    assert written >= {"detections.png", "detections.pdf"}
+    assert ("stages.png" in written) == (detector == "crater-classic")
 
 
 @needs_data
