@@ -9,7 +9,9 @@ from crater_scenes import CAMERA, SHAPE, Bowl, crests, frame_of, image_of, scatt
 from scipy.signal import correlate2d
 
 from estimators.craters.detection.merit import Field, side_merits
+from estimators.craters.detection.options import ClassicOptions
 from estimators.craters.detection.picture import noise_level, prepare
+from estimators.craters.learned.blending import blended
 from estimators.craters.learned.lessons import displaced, lessons_of
 from estimators.craters.learned.network import Network, windows
 from estimators.craters.learned.patches import SIDE, Source, cut
@@ -173,3 +175,19 @@ def test_a_rim_on_the_limb_lies_half_on_the_ground():
     assert 0.4 < share[1] < 0.6
     assert share[2] == 0.0
     assert 0.5 < share[3] < 0.7  # the rest lies out of the image
+
+
+def test_larger_rims_are_drawn_halfway_to_the_gradient_and_small_or_lost_ones_stay():
+    azimuth, incidence = np.radians([200.0, 60.0])
+    bowls = [Bowl(120.3, 110.6, 25.0), Bowl(330.8, 250.2, 14.0), Bowl(440.0, 90.0, 7.0)]
+    truth = crests(bowls)
+    picture = prepare(frame_of(image_of(bowls, azimuth, incidence), azimuth, incidence), CAMERA, 20.0)
+    off = Ellipses(truth.centre_px + np.array([1.2, -0.9]), truth.semi_axes_px, truth.angle_rad)
+    lost = Ellipses(np.array([[260.0, 60.0]]), np.array([[20.0, 20.0]]), np.zeros(1))
+    moved = blended(Ellipses.joined([off, lost]), picture, 8.0, ClassicOptions())
+    before = np.linalg.norm(off.centre_px - truth.centre_px, axis=1)
+    after = np.linalg.norm(moved.centre_px[:3] - truth.centre_px, axis=1)
+    assert np.all(after[:2] < 0.7 * before[:2])
+    assert np.all(after[:2] > 0.3 * before[:2])
+    assert np.array_equal(moved.centre_px[2:], [*off.centre_px[2:], *lost.centre_px])
+    assert np.array_equal(moved.semi_axes_px[2:], [[7.0, 7.0], [20.0, 20.0]])
