@@ -62,6 +62,10 @@ class Source(Protocol):
         """Produce the image and the truth of one trial."""
         ...
 
+    def view(self, seed: int, trial: int) -> View:
+        """Tell the true view of one trial without its image."""
+        ...
+
     def flush(self) -> None:
         """Keep what was rendered, at the end of a block of trials."""
         ...
@@ -80,7 +84,7 @@ class RenderedSource:
 
     def sight(self, seed: int, trial: int) -> Sight:
         """Draw a view, render it and expose the detector."""
-        view = self._view(seed, trial)
+        view = self.view(seed, trial)
         image, from_store = self.store.image(seed, trial, view, self.renderer.render)
         if self.detector is not None:
             image = self.detector.expose(image, generator(seed, Stream.DETECTOR, trial))
@@ -90,7 +94,7 @@ class RenderedSource:
         """Keep what was rendered."""
         self.store.flush()
 
-    def _view(self, seed: int, trial: int) -> View:
+    def view(self, seed: int, trial: int) -> View:
         """Draw views until one has the body clear of the parts of the detector that are to stay clear."""
         rng, viewpoint = generator(seed, Stream.TRUTH, trial), self.scenario.spec.viewpoint
         clear = () if viewpoint is None else viewpoint.keep_clear_px
@@ -131,6 +135,11 @@ class RealSource:
             self.images.names[index],
             self.images.time_s(index),
         )
+
+    def view(self, seed: int, trial: int) -> View:
+        """Tell the reference pose of the trial's image."""
+        del seed
+        return self.images.view(trial % len(self.images), self.truth)
 
     def flush(self) -> None:
         """Do nothing: real images are on the disk already."""

@@ -46,6 +46,42 @@ class Grid:
         table = "\n".join(f"| {' | '.join(row)} |" for row in cells)
         return "\n\n".join(part for part in (f"### {self.title}", self.note, table) if part) + "\n"
 
+    def latex(self) -> str:
+        """Write as a LaTeX table in the style of the package booktabs, its note below it."""
+        columns = "".join("l" if i in self.text else "r" for i in range(len(self.columns)))
+        rows = [" & ".join(_latex(cell) for cell in row) + r" \\" for row in (self.columns, *self.rows)]
+        note = [rf"\par\smallskip\footnotesize {_latex(self.note)}"] if self.note else []
+        return "\n".join(
+            [
+                "% needs \\usepackage{booktabs}",
+                r"\begin{table}",
+                rf"\caption{{{_latex(self.title)}}}",
+                r"\centering",
+                rf"\begin{{tabular}}{{{columns}}}",
+                r"\toprule",
+                rows[0],
+                r"\midrule",
+                *rows[1:],
+                r"\bottomrule",
+                r"\end{tabular}",
+                *note,
+                r"\end{table}",
+                "",
+            ]
+        )
+
+
+_SPECIAL = {
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}", "\n": " ",
+    "≥": r"$\geq$", "≤": r"$\leq$", "±": r"$\pm$", "°": r"$^\circ$", "∞": r"$\infty$", "–": "--", "−": "$-$",
+}  # fmt: skip
+
+
+def _latex(cell: str) -> str:
+    """Keep the characters that LaTeX takes for commands from being so."""
+    return "".join(_SPECIAL.get(character, character) for character in cell)
+
 
 def _escape(cell: str) -> str:
     """Keep a text from ending its Markdown cell."""

@@ -29,11 +29,52 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     inspect.add_argument("--scenario", help="of this scenario alone")
     inspect.add_argument("--estimator", help="of this estimator alone (default: all but controls such as prior)")
     inspect.add_argument("--metric", help="what --worst ranks by (default: the position error; see boresight compare)")
+    inspect.add_argument(
+        "--look", action="store_true",
+        help="in place of cases, a page in three dimensions: the body, its landmarks by how often and how well they are"
+        " recognised, and the cameras of good and bad trials",
+    )  # fmt: skip
+    inspect.add_argument("--rerun", type=Path, metavar="FILE.rrd", help="the same as a recording for the viewer rerun")
     inspect.add_argument("--out", type=Path, help="folder of the pages (default: RUN/inspect)")
     inspect.set_defaults(handler=_inspect)
 
 
 def _inspect(arguments: argparse.Namespace) -> int:
+    return _look(arguments) if arguments.look or arguments.rerun is not None else _cases(arguments)
+
+
+def _look(arguments: argparse.Namespace) -> int:
+    # Imported here: plotly and scipy.stats take a third of the start-up, and most commands draw nothing.
+    from campaign.inspection.case import Choice
+    from campaign.inspection.look import look_of
+    from campaign.inspection.recompute import reopened
+    from reports.look import write_look
+    from reports.look_recording import write_recording
+    from reports.named_figure import file_stem
+    from reports.run_data import read_run
+
+    for name in ("trial", "worst", "metric"):
+        if getattr(arguments, name) is not None:
+            raise BoresightError(f"--{name}: a look is at all trials: leave it out, or --look and --rerun")
+    folder = find_run(arguments.run)
+    run = read_run(folder.path)
+    look = look_of(reopened(folder), folder, run, Choice(arguments.scenario, arguments.estimator))
+    written = []
+    if arguments.look:
+        written.append((arguments.out or folder.path / "inspect") / f"{file_stem('look', look.title)}.html")
+        write_look(look, written[-1])
+    if arguments.rerun is not None:
+        try:
+            write_recording(look, arguments.rerun)
+        except OSError as error:
+            raise BoresightError(explain(error.filename or arguments.rerun, error)) from error
+        written.append(arguments.rerun)
+    for path in written:
+        console().print(f"look: {path}")
+    return 0
+
+
+def _cases(arguments: argparse.Namespace) -> int:
     # Imported here: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
     from campaign.image_store import store_switched
     from campaign.inspection.build import inspect_case, order_of

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import NoReturn
 
-from campaign.cli import bench, catalog, compare, craters, fetch, figures, inspect, machine, runs, sensitivity
+from campaign.cli import bench, catalog, compare, craters, export, fetch, figures, inspect, machine, runs, sensitivity
 from campaign.cli.manual import write_manual
 from scenarios.atomic import explain
 from scenarios.errors import BoresightError
@@ -62,6 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     catalog.add_commands(commands)
     runs.add_commands(commands)
     inspect.add_commands(commands)
+    export.add_commands(commands)
     compare.add_commands(commands)
     sensitivity.add_commands(commands)
     figures.add_commands(commands)

@@ -166,6 +166,20 @@ class SequenceTrials:
             if self.witness is not None:
                 self.witness(FollowedSequence(view if isinstance(view, Seen) else view.seen(), estimate))
 
+    def known(self, trial: int) -> tuple[Path, TrackSequence]:
+        """Draw the motion of a trial and what the spacecraft knows of it; no image is looked at.
+
+        Raises
+        ------
+        OrbitEndsError
+            If chance leads the orbit into the body.
+        """
+        if self.images is not None:
+            watch = self.images.watch(self.seed, trial)
+            return watch.path, watch.sequence
+        truth, sequence = draw_sequence(self.spec, self.camera, self.ground, self.seed, trial)
+        return truth.path, sequence
+
     def _see(self, trial: int) -> Seen:
         if self.images is not None:
             return self.images.see(self.seed, trial)

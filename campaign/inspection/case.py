@@ -50,10 +50,15 @@ def chosen_rows(rows: pd.DataFrame, choice: Choice, run: str) -> pd.DataFrame:
     for column, wanted in (("scenario", choice.scenario), ("estimator", choice.estimator)):
         there = list(dict.fromkeys(rows[column].astype(str)))
         if wanted is not None and wanted not in there:
-            raise BoresightError(f"--{column} {wanted}: {run} has none of that name: choose one of {', '.join(there)}")
+            raise unknown(column, wanted, there, run)
         if wanted is not None:
             rows = rows[rows[column] == wanted]
     return rows
+
+
+def unknown(column: str, wanted: str, there: Sequence[str], run: str) -> BoresightError:
+    """Say that a run has no scenario or estimator of a name."""
+    return BoresightError(f"--{column} {wanted}: {run} has none of that name: choose one of {', '.join(there)}")
 
 
 def named_cases(rows: pd.DataFrame, trials: Sequence[int], run: str) -> list[Case]:
@@ -67,11 +72,23 @@ def named_cases(rows: pd.DataFrame, trials: Sequence[int], run: str) -> list[Cas
     scenarios = list(dict.fromkeys(rows["scenario"].astype(str)))
     if len(scenarios) > 1:
         raise BoresightError(f"--trial: {run} has several scenarios: give --scenario, one of {', '.join(scenarios)}")
-    for trial in trials:
-        if trial not in set(rows["trial"]):
-            low, high = int(rows["trial"].min()), int(rows["trial"].max())
-            raise BoresightError(f"--trial {trial}: {run} has not stored it: it holds trials {low} to {high}")
+    checked_trials(rows, trials, run)
     return [case for trial in trials for case in cases_of(rows[rows["trial"] == trial])]
+
+
+def checked_trials(rows: pd.DataFrame, trials: Sequence[int] | None, run: str) -> list[int]:
+    """Return the trials that were asked for, all that are stored for None.
+
+    Raises
+    ------
+    BoresightError
+        If one is not stored.
+    """
+    there = sorted({int(trial) for trial in rows["trial"]})
+    for trial in trials or ():
+        if trial not in there:
+            raise BoresightError(f"--trial {trial}: {run} has not stored it: it holds trials {there[0]} to {there[-1]}")
+    return there if trials is None else list(trials)
 
 
 def cases_of(rows: pd.DataFrame) -> list[Case]:

@@ -1,0 +1,59 @@
+"""Stored tables as single CSV or Parquet files, and the printed tables of a report as LaTeX."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from campaign.store import TABLES, RunFolder
+from reports.content import read_content
+from reports.named_figure import file_stem
+from scenarios.atomic import write_atomically, write_text
+
+
+def write_tables(
+    folder: RunFolder, kind: str, trials: Sequence[int] | None, only: dict[str, str], out: Path
+) -> list[Path]:
+    """Write every stored table that holds a row into one file of its own, and what its columns mean.
+
+    Parameters
+    ----------
+    kind
+        ``csv`` or ``parquet``; numbers come back bit for bit from both.
+    trials
+        Which trials; None for all.
+    only
+        The value that a column must have, where a table has that column.
+    """
+    written, meanings = [], []
+    for name in TABLES:
+        table = folder.table(name)
+        for column, value in only.items():
+            table = table[table[column] == value] if column in table else table
+        table = table if trials is None else table[table["trial"].isin(trials)]
+        if table.empty:
+            continue
+        written.append(out / f"{name}.{kind}")
+        _write(table, written[-1], kind)
+        meanings += [(name, column.name, column.meaning) for column in TABLES[name] if column.name in table]
+    written.append(out / "columns.csv")
+    _write(pd.DataFrame(meanings, columns=["table", "column", "meaning"]), written[-1], "csv")
+    return written
+
+
+def _write(table: pd.DataFrame, path: Path, kind: str) -> None:
+    if kind == "csv":
+        write_text(path, table.to_csv(index=False, lineterminator="\n"))
+    else:
+        write_atomically(path, lambda temporary: table.to_parquet(temporary, index=False))
+
+
+def write_latex(folder: RunFolder, out: Path) -> list[Path]:
+    """Write every table of the report as a LaTeX table in the style of booktabs."""
+    written = []
+    for grid in read_content(folder.path).grids():
+        written.append(out / f"{file_stem(grid.title.lower().replace(' ', '-'))}.tex")
+        write_text(written[-1], grid.latex())
+    return written

@@ -1,0 +1,171 @@
+"""A page with a body, its landmarks and the cameras of a run in space, self-contained and without network."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from reports.figures.style import BLUE, GREEN, VERMILION
+from scenarios.atomic import write_text
+
+FloatArray = NDArray[np.float64]
+
+_BODY = "#9aa0a6"
+_PERCENT = 95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marks:
+    """Points with a number that colours them.
+
+    Parameters
+    ----------
+    name
+        What they are, and what the number is.
+    points_m
+        (n, 3).
+    values
+        (n,) NaN where there is none: grey.
+    texts
+        (n,) shown under the pointer.
+    unit
+        Of the number.
+    """
+
+    name: str
+    points_m: FloatArray
+    values: FloatArray
+    texts: Sequence[str]
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cameras:
+    """Places of cameras of one kind, joined by a line where they are a trajectory."""
+
+    name: str
+    colour: str
+    points_m: FloatArray
+    texts: Sequence[str]
+    joined: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """All that is to be seen, body axes, m.
+
+    Parameters
+    ----------
+    title, note
+        Above and below the drawing.
+    vertices_m, faces
+        (V, 3) and (F, 3) of the body.
+    marks
+        Sets of landmarks, of which one is shown at a time.
+    cameras
+        Sets of cameras.
+    """
+
+    title: str
+    note: str
+    vertices_m: FloatArray
+    faces: NDArray[np.int32]
+    marks: Sequence[Marks]
+    cameras: Sequence[Cameras] = field(default=())
+
+
+GOOD, BAD, FAILED = BLUE, VERMILION, "#000000"
+TRUE = GREEN
+
+
+def write_look(look: Look, path: Path) -> None:
+    """Write the page with plotly's own script in it.
+
+    Raises
+    ------
+    BoresightError
+        If it cannot be written.
+    """
+    figure = go.Figure([_body(look), *(_marks(marks, k == 0) for k, marks in enumerate(look.marks))])
+    figure.add_traces([_cameras(cameras) for cameras in look.cameras])
+    figure.update_layout(
+        title={"text": look.title, "subtitle": {"text": look.note}},
+        scene={
+            "aspectmode": "data",
+            "camera": {"eye": {"x": 1.1, "y": 1.1, "z": 0.8}},
+            **{f"{axis}axis": {"title": {"text": f"{axis}, m"}, "showspikes": False} for axis in "xyz"},
+        },
+        legend={"itemsizing": "constant"},
+        margin={"l": 0, "r": 0, "b": 0, "t": 90},
+        updatemenus=[_buttons(look)] if len(look.marks) > 1 else [],
+    )
+    page = figure.to_html(include_plotlyjs=True, full_html=True, config={"displaylogo": False, "responsive": True})
+    write_text(path, page.replace("<head>", f"<head>\n    <title>{_plain(look.title)}</title>", 1))
+
+
+def _plain(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;")
+
+
+def _coordinates(points_m: FloatArray) -> dict[str, NDArray[np.float32]]:
+    """Half the digits are enough for the eye, and make a page of half the size."""
+    return {axis: points_m[:, k].astype(np.float32) for k, axis in enumerate("xyz")}
+
+
+def _body(look: Look) -> go.Mesh3d:
+    a, b, c = look.faces.T
+    return go.Mesh3d(
+        **_coordinates(look.vertices_m), i=a, j=b, k=c, color=_BODY, flatshading=True, name="body",
+        hoverinfo="skip", showlegend=True, lighting={"ambient": 0.55, "diffuse": 0.7, "specular": 0.05},
+    )  # fmt: skip
+
+
+def _marks(marks: Marks, shown: bool) -> go.Scatter3d:
+    known = marks.values[np.isfinite(marks.values)]
+    top = float(np.percentile(known, _PERCENT)) if len(known) else 1.0
+    marker = {
+        "size": 5,
+        "color": np.nan_to_num(marks.values, nan=-1.0),
+        "cmin": 0.0,
+        "cmax": top or 1.0,
+        "colorscale": "Viridis",
+        "colorbar": {
+            "title": {"text": f"{marks.name}{f', {marks.unit}' if marks.unit else ''}"},
+            "x": 0.0,
+            "len": 0.6,
+            "thickness": 14,
+        },
+        "line": {"width": 0.5, "color": "white"},
+    }
+    return go.Scatter3d(
+        **_coordinates(marks.points_m), mode="markers", marker=marker, name=marks.name, text=list(marks.texts),
+        hoverinfo="text", visible=True if shown else "legendonly",
+    )  # fmt: skip
+
+
+def _cameras(cameras: Cameras) -> go.Scatter3d:
+    return go.Scatter3d(
+        **_coordinates(cameras.points_m), mode="lines+markers" if cameras.joined else "markers",
+        marker={"size": 3, "color": cameras.colour, "symbol": "circle" if cameras.joined else "diamond"},
+        line={"color": cameras.colour, "width": 3}, name=f"{cameras.name} ({len(cameras.points_m)})",
+        text=list(cameras.texts), hoverinfo="text",
+    )  # fmt: skip
+
+
+def _buttons(look: Look) -> dict[str, object]:
+    """Choose which set of landmarks is shown; body and cameras stay."""
+    at = range(1, 1 + len(look.marks))
+    buttons = [
+        {
+            "label": marks.name,
+            "method": "restyle",
+            "args": [{"visible": [True if k == index else "legendonly" for k in range(len(look.marks))]}, list(at)],
+        }
+        for index, marks in enumerate(look.marks)
+    ]
+    return {"type": "buttons", "direction": "right", "x": 0.0, "y": 1.0, "xanchor": "left", "buttons": buttons}

@@ -1,0 +1,173 @@
+"""`boresight export`: what comes out is read by others' readers, or by their documented formats, and is the run."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+from tiny_campaign import compute
+
+from campaign.cli import main
+from campaign.experiments.registry import Bench
+from campaign.inspection.case import Case
+from campaign.inspection.recompute import recompute, reopened
+from campaign.store import TABLES, RunFolder
+from campaign.worker import experiment_of
+from reports.grid import Grid
+from scenarios.geometry import Pose, View
+
+SEQUENCE = """\
+extends: apophis-sphere-sequence
+sequence:
+  orbit: {revolutions: 0.25}
+  body_motion: {kind: spin, period_h: 30.4, axis_body: [0, 0.2, 1]}
+"""
+SEQUENCES = """\
+title: Short sequences
+experiment: sequence
+scenarios: [orbit.yaml]
+estimators: [fixed-lag]
+trials: 2
+seed: 3
+"""
+
+
+@pytest.fixture(scope="module")
+def sequences(cache, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sequences")
+    (folder / "orbit.yaml").write_text(SEQUENCE, encoding="utf-8")
+    (folder / "campaign.yaml").write_text(SEQUENCES, encoding="utf-8")
+    compute(folder / "campaign.yaml", folder / "run", trials=2)
+    return folder / "run"
+
+
+def export(run, kind, out, *arguments):
+    assert main(["export", str(run), "--to", kind, "--out", str(out), *map(str, arguments)]) == 0
+
+
+def test_a_tum_trajectory_holds_the_stored_errors(sequences, tmp_path):
+    export(sequences, "tum", tmp_path, "--trial", 1)
+    truth, estimate = (np.loadtxt(tmp_path / f"orbit_fixed-lag_0000001.{w}.tum") for w in ("truth", "estimate"))
+    epochs = pd.read_parquet(sequences / "epochs").query("trial == 1")
+    assert truth.shape == (len(epochs), 8)
+    np.testing.assert_array_equal(truth[:, 0], epochs["time_s"])
+    errors = np.linalg.norm(estimate[:, 1:4] - truth[:, 1:4], axis=1)
+    np.testing.assert_allclose(errors, epochs["position_error_m"], atol=1e-6)
+    # The camera looks at the body's centre, where inertial axes begin: its third axis leads there.
+    forward = Rotation.from_quat(truth[:, 4:]).as_matrix()[:, :, 2]
+    towards = -truth[:, 1:4] / np.linalg.norm(truth[:, 1:4], axis=1, keepdims=True)
+    np.testing.assert_allclose(forward, towards, atol=1e-9)
+
+
+@pytest.mark.skipif(shutil.which("evo_ape") is None, reason="evo is not installed")
+def test_evo_reads_a_trajectory_and_finds_the_stored_error(sequences, tmp_path):
+    export(sequences, "tum", tmp_path, "--trial", 0)
+    files = [str(tmp_path / f"orbit_fixed-lag_0000000.{which}.tum") for which in ("truth", "estimate")]
+    done = subprocess.run(["evo_ape", "tum", *files], capture_output=True, text=True, check=True, timeout=120)
+    rmse = float(next(line.split()[1] for line in done.stdout.splitlines() if line.split()[:1] == ["rmse"]))
+    errors = pd.read_parquet(sequences / "epochs").query("trial == 0")["position_error_m"]
+    assert rmse == pytest.approx(np.sqrt(np.mean(errors**2)), abs=1e-5)
+
+
+def test_single_images_have_trajectories_too(tiny_run, tmp_path):
+    export(tiny_run.folder, "tum", tmp_path, "--trial", 0, 3, "--estimator", "prior")
+    truth, estimate = (np.loadtxt(tmp_path / f"scene_prior.{which}.tum") for which in ("truth", "estimate"))
+    rows = pd.read_parquet(tiny_run.folder / "rows").query("estimator == 'prior' and trial in (0, 3)")
+    assert truth[:, 0].tolist() == [0.0, 3.0]
+    moved = estimate[:, 1:4] - truth[:, 1:4]
+    np.testing.assert_allclose(np.linalg.norm(moved, axis=1), rows["position_error_m"], rtol=1e-9)
+    turned = Rotation.from_quat(truth[:, 4:]).inv() * Rotation.from_quat(estimate[:, 4:])
+    np.testing.assert_allclose(np.degrees(turned.magnitude()), rows["attitude_error_deg"], rtol=1e-6)
+
+
+def test_colmap_reads_a_model_and_projects_it_as_we_do(tiny_run, sequences, tmp_path):
+    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
+    export(tiny_run.folder, "colmap", tmp_path, "--estimator", "landmark-harris", "--trial", 0, 1, 2, 3)
+    model = pycolmap.Reconstruction(str(tmp_path / "scene_landmark-harris"))
+    rows = pd.read_parquet(tiny_run.folder / "rows").query("estimator == 'landmark-harris' and trial < 4")
+    solved = rows[rows["status"] == "ok"]
+    assert len(model.images) == len(solved) > 1
+    marks = pd.read_parquet(tiny_run.folder / "landmarks").query("estimator == 'landmark-harris'")
+    experiment = experiment_of(reopened(RunFolder(tiny_run.folder)), "scene", Bench(tiny_run.folder, 1, False))
+    for image in model.images.values():
+        trial = int(image.name.removesuffix(".tiff"))
+        own = marks[marks["trial"] == trial]
+        seen = np.array([point.xy for point in image.points2D])
+        np.testing.assert_array_equal(seen, own[["u_px", "v_px"]])
+        # COLMAP projects to the same pixels what the renderer sees there: one convention of axes, pose and pixels.
+        matrix = image.cam_from_world().matrix()
+        view = View(experiment.world.camera, Pose(matrix[:, :3], matrix[:, 3]), np.array([1.0, 0.0, 0.0]))
+        hits = experiment.world.renderer.surface(view, seen)
+        projected = [image.project_point(point) for point in hits.points_body_m[hits.hit]]
+        np.testing.assert_allclose(projected, seen[hits.hit], atol=1e-2)
+        true = experiment.world.source.sight(experiment.seed, trial).view.T_cam_body.camera_position_m
+        error = np.linalg.norm(image.projection_center() - true)
+        assert error == pytest.approx(solved.set_index("trial").loc[trial, "position_error_m"], rel=1e-9)
+    mean = model.compute_mean_reprojection_error()
+    model.update_point_3d_errors()
+    assert model.compute_mean_reprojection_error() == pytest.approx(mean, rel=1e-9)
+
+
+def test_a_sequence_is_a_model_whose_tracks_fit(sequences, tmp_path):
+    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
+    export(sequences, "colmap", tmp_path, "--trial", 0)
+    model = pycolmap.Reconstruction(str(tmp_path / "orbit_fixed-lag_0000000"))
+    folder = RunFolder(sequences)
+    again = recompute(reopened(folder), folder, Case("orbit", "fixed-lag", 0))
+    assert len(model.images) == len(again.shown.estimate.frames)
+    assert sum(len(i.points2D) for i in model.images.values()) == again.shown.seen.sequence.frames[0].tracks.size + sum(
+        frame.tracks.size for frame in again.shown.seen.sequence.frames[1:]
+    )
+    errors = [point.error for point in model.points3D.values() if point.track.length() > 3]
+    assert np.median(errors) < 2.0
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_tables_come_back_bit_for_bit(tiny_run, tmp_path, kind):
+    export(tiny_run.folder, kind, tmp_path, "--estimator", "landmark-harris")
+    read = pd.read_parquet if kind == "parquet" else pd.read_csv
+    for name in ("rows", "stages", "landmarks"):
+        stored = RunFolder(tiny_run.folder).table(name).query("estimator == 'landmark-harris'").reset_index(drop=True)
+        back = read(tmp_path / f"{name}.{kind}")
+        numbers = [column for column in stored if stored[column].dtype == np.float64]
+        pd.testing.assert_frame_equal(back[numbers].astype(float), stored[numbers], check_exact=True)
+        assert (back["trial"] == stored["trial"]).all()
+    meanings = pd.read_csv(tmp_path / "columns.csv")
+    assert set(meanings["table"]) <= set(TABLES)
+    assert (meanings["meaning"].str.len() > 3).all()
+
+
+def test_latex_tables_have_whole_rows_and_no_bare_commands(tiny_run, tmp_path):
+    export(tiny_run.folder, "latex", tmp_path)
+    files = sorted(tmp_path.glob("*.tex"))
+    assert files
+    for file in files:
+        text = file.read_text()
+        body = text[text.index(r"\toprule") : text.index(r"\bottomrule")]
+        columns = text.split(r"\begin{tabular}{")[1].split("}")[0]
+        rows = [line for line in body.splitlines() if line.endswith(r" \\")]
+        assert len(rows) > 1
+        assert all(row.replace(r"\&", "").count("&") == len(columns) - 1 for row in rows)
+    grid = Grid("A & B", ("50 %", "x_1"), ((r"a\b", "{1}"),))
+    assert r"50 \% & x\_1 \\" in grid.latex()
+    assert r"a\textbackslash{}b & \{1\} \\" in grid.latex()
+    assert r"\caption{A \& B}" in grid.latex()
+
+
+def test_what_cannot_be_exported(tiny_run, tmp_path, capsys):
+    def refused(*arguments):
+        assert main(["export", str(tiny_run.folder), "--out", str(tmp_path / "out"), *arguments]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1, error
+        return error
+
+    assert "--trial 99: " in refused("--to", "csv", "--trial", "99")
+    assert "--trial 99: " in refused("--to", "tum", "--trial", "99")
+    assert "choose one of landmark-harris, prior" in refused("--to", "colmap", "--estimator", "sift")
+    assert "--trial: the tables of a report are of the whole run" in refused("--to", "latex", "--trial", "1")
+    assert "invalid choice: 'kitti'" in refused("--to", "kitti")
+    assert not (tmp_path / "out").exists()
