@@ -200,6 +200,8 @@ class TiledRenderer:
         """I/F = pi f_r cos(i) where rays along unit directions (N, 3) meet facets of normals (N, 3)."""
         import drjit as dr
 
+        if not len(directions):  # Dr.Jit joins no empty array with a number
+            return np.zeros(0, dtype=np.float32)
         mi, sun = self._mi, view.sun_dir_body
         cos_i = np.maximum(normals @ sun, 0.0)
         cos_e = -np.einsum("ni,ni->n", normals, directions)

@@ -189,3 +189,10 @@ def test_flags_follow_their_definition(renderer: TiledRenderer) -> None:
         assert np.all(truth.deviation[truth.clean] <= 0.01)
         detectable, clean = detectable + int(truth.detectable.sum()), clean + int(truth.clean.sum())
     assert 0 < clean < detectable
+
+
+def test_a_view_of_the_night_side_is_black(renderer: TiledRenderer) -> None:
+    view = small_view()
+    behind = view.T_cam_body.inverse().rotate(np.array([0.0, 0.0, 1.0]))
+    assert not renderer.render(View(view.camera, view.T_cam_body, behind)).any()
+    assert len(crater_truth(renderer.ground.rims, View(view.camera, view.T_cam_body, behind), renderer)) > 0
