@@ -11,13 +11,14 @@ from campaign.paper.gather import FinishedRun
 from campaign.paper.kinds import Paper, PaperFigure, Runs
 from reports.grid import Grid
 from reports.named_figure import NamedFigure
+from reports.navigation import counts_figure
 from reports.orbits import reference_scenarios, residual_figure
 from reports.run_data import select
 from scenarios.errors import BoresightError
 
-_DETECTOR, _FILTER = "crater-classic", "batch-filter"
+_DETECTOR, _FILTER, _CHAIN = "crater-classic", "batch-filter", "crater-navigation"
 _MATCHERS = ("invariants", "hybrid")
-_TABLES = ("Detection of craters", "Matching", "Orbit determination")
+_TABLES = ("Detection of craters", "Matching", "From images to the data base", "Orbit determination")
 _TABLES_OF = {"cheng2003-detection": 2}
 
 
@@ -57,6 +58,13 @@ def _matched(run: FinishedRun) -> Iterator[NamedFigure]:
             yield replace(figure, stem=f"_{campaign.spec.name}_{label}")
 
 
+def _figure_9(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+    del jobs
+    run = runs["cheng2003-endtoend"]
+    scenario = run.campaign().scenarios[0].spec.name
+    yield counts_figure(run.content.run, scenario, run.labels(_CHAIN)[0])
+
+
 def _figure_10(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
     del jobs
     run = runs["cheng2003-orbit"]
@@ -79,11 +87,12 @@ _ORDER = ("detection", "matching", "matching-images", "invariants", "orbit", "en
 PAPER = Paper(
     title="Cheng et al. (2003): every figure and every number",
     campaigns=tuple(f"cheng2003-{name}" for name in _ORDER),
-    methods=(_DETECTOR, _FILTER),
+    methods=(_DETECTOR, _FILTER, _CHAIN),
     figures=(
         PaperFigure("2", ("cheng2003-detection",), _figure_2),
         PaperFigure("3", ("cheng2003-detection",), _figure_3),
         PaperFigure("6", ("cheng2003-matching-images", "cheng2003-matching", "cheng2003-invariants"), _figure_6),
+        PaperFigure("9", ("cheng2003-endtoend",), _figure_9),
         PaperFigure("10", ("cheng2003-orbit",), _figure_10),
     ),
     grids=_grids,

@@ -46,9 +46,21 @@ orbit:
   sightings: {images: 80, craters: 400}
   asteroid: {gravity_degree: 4}
 """
+CHAIN = """\
+description: Two dozen images of drawn craters on a body like Eros.
+body: {shape: eros-like}
+camera: {width_px: 537, height_px: 412, fov_deg: 2.93}
+orbit:
+  arc: {days: 0.6, predicted_days: 0.5}
+  asteroid: {gravity_degree: 4}
+  knowledge: {shape_degree: 16}
+  imaging: {epochs: 25, detections: drawn}
+"""
+VOTE = "{crater-navigation: {label: vote, matcher: vote}}"
 RUNS = {
     "detection": (CRATERED, "experiment: crater-detection\nestimators: [crater-classic]\ntrials: 3\n"),
     "matching": (PAIRS, "experiment: crater-matching\nestimators: [hybrid, vote]\ntrials: 4\n"),
+    "endtoend": (CHAIN, f"experiment: crater-navigation\nestimators: [{VOTE}]\ntrials: 1\n"),
     "orbit": (ORBIT, "experiment: orbit-determination\nestimators: [batch-filter]\ntrials: 1\n"),
 }
 
@@ -76,7 +88,8 @@ def page(runs):
 
 def test_figures_have_the_numbers_of_the_paper(page):
     drawn = {path.stem for path in page.glob("figure_*.png")}
-    assert {"figure_02", "figure_03_1", "figure_06_cheng2003-matching_hybrid", "figure_10_scene"} <= drawn
+    wanted = {"figure_02", "figure_03_1", "figure_06_cheng2003-matching_hybrid", "figure_09", "figure_10_scene"}
+    assert wanted <= drawn
     text = (page / "table.md").read_text(encoding="utf-8")
     assert "Figure 2. Results of the stages of detection" in text
     for name in ("cheng2003-matching-images", "cheng2003-invariants"):
@@ -95,6 +108,16 @@ def test_the_numbers_are_those_of_the_rows(page, runs):
     arc = errors.loc[~errors["predicted"], "position_error_m"]
     told = table[table["campaign"] == "cheng2003-orbit"]["ours"].item()
     assert told == pytest.approx(float(np.sqrt((arc**2).mean())), rel=1e-6)
+
+
+def test_the_chain_is_told_beside_the_paper(page, runs):
+    table = pd.read_csv(page / "table.csv")
+    told = table[table["campaign"] == "cheng2003-endtoend"].set_index("quantity")["ours"]
+    images = RunFolder(runs / "cheng2003-endtoend").table("navigated_images")
+    assert told.filter(like="craters per image").to_list() == pytest.approx(
+        [images["n_detections"].mean(), images["n_detections"].median()]
+    )
+    assert "cheng2003-endtoend: From images to the data base" in (page / "table.md").read_text(encoding="utf-8")
 
 
 def test_matching_is_told_by_the_angles(page):
