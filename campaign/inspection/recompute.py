@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +14,8 @@ from campaign.resolve import ResolvedCampaign, reload, unlike
 from campaign.store import RunFolder
 from campaign.worker import experiment_of
 from scenarios.errors import BoresightError
+
+_MOST_NAMED = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,8 +67,7 @@ def reopened(folder: RunFolder) -> ResolvedCampaign:
     campaign = reload(manifest)
     if campaign is None:
         raise BoresightError(
-            f"{folder.path}: cannot be recomputed: {_why(manifest)}; to remake it: boresight run"
-            f" {manifest.get('name', 'NAME')} --trials {manifest.get('trials', 'N')} --seed {manifest.get('seed', 'N')}"
+            f"{folder.path}: cannot be recomputed: {_why(manifest)}; to remake it: {_remake(manifest)}"
         )
     return campaign
 
@@ -73,8 +75,19 @@ def reopened(folder: RunFolder) -> ResolvedCampaign:
 def _why(manifest: Mapping[str, Any]) -> str:
     made = manifest.get("commit") or f"version {manifest.get('versions', {}).get('boresight', 'unknown')}"
     changed = unlike(manifest)
-    since = f": {', '.join(changed)} changed since" if changed else ", whose manifest this one cannot read"
-    return f"it was made by boresight {made}{since}"
+    if not changed:
+        return f"it was made by boresight {made}, whose manifest this one cannot read"
+    more = f" and {len(changed) - _MOST_NAMED} more" if len(changed) > _MOST_NAMED else ""
+    return f"it was made by boresight {made}: {', '.join(changed[:_MOST_NAMED])}{more} changed since"
+
+
+def _remake(manifest: Mapping[str, Any]) -> str:
+    """Write the command that runs the campaign of a manifest again, into the folder of its new digest."""
+    began = shlex.split(str(manifest.get("command") or ""))
+    given = began[:2] == ["boresight", "run"] and not began[2].startswith("-")
+    name = began[2] if given else str(manifest.get("name", "NAME"))
+    words = ["boresight", "run", name, "--trials", str(manifest.get("trials")), "--seed", str(manifest.get("seed"))]
+    return shlex.join([*words, *(part for change in manifest.get("overrides", ()) for part in ("--set", change))])
 
 
 def recompute(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> Recomputed:
