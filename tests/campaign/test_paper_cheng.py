@@ -100,7 +100,9 @@ def test_the_numbers_are_those_of_the_rows(page, runs):
     table = pd.read_csv(page / "table.csv").set_index("quantity")
     store = RunFolder(runs / "cheng2003-detection")
     found, craters = store.table("detections"), store.table("craters")
-    detectable = craters[craters["detectable"]].merge(found[found["crater"] >= 0], on=["trial", "crater"], how="left")
+    detectable = craters[craters["detectable"]].merge(
+        found[found["kept"] & (found["crater"] >= 0)], on=["trial", "crater"], how="left"
+    )
     rate = table.loc["detection share, detection"]
     assert rate["ours"] == pytest.approx(100.0 * detectable["rank"].notna().mean())
     assert rate["n"] == int(craters["detectable"].sum())
