@@ -20,7 +20,7 @@ from scenarios.craters.pairs import CraterLook, CraterPair, draw_pair, draw_view
 from scenarios.craters.simulated import NO_CRATER, LabelledDetections, PlaneCraters
 from scenarios.draw import Stream, generator
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, View
+from scenarios.geometry import Camera, Ellipses, View
 from scenarios.load import LoadedScenario
 from scenarios.observation import Frame
 from scenarios.sequences.ground import MeshGround
@@ -92,7 +92,7 @@ class RenderedPairs:
         return {name: CraterPair(first, second, *angles) for name, (first, second) in looks.items()}
 
     def _look(self, finder: CraterDetector, view: View, frame: Frame, truth: CraterTruth) -> CraterLook:
-        rims = finder.detect(frame, self.camera).ellipses[: self.images.most_detections]
+        rims = _found(finder, frame, self.camera)[: self.images.most_detections]
         # The last of the numbers is that of no crater, which is row -1 as well.
         numbers = np.append(truth.crater, NO_CRATER).astype(np.int64)
         which = match_detections(rims, truth.ellipses).crater
@@ -101,6 +101,14 @@ class RenderedPairs:
     def flush(self) -> None:
         """Keep what was rendered."""
         self.store.flush()
+
+
+def _found(finder: CraterDetector, frame: Frame, camera: Camera) -> Ellipses:
+    """Detect rims; an image in which a detector can see nothing, black or saturated, has none."""
+    try:
+        return finder.detect(frame, camera).ellipses
+    except BoresightError:
+        return Ellipses.none()
 
 
 def check_detectors(scenario: LoadedScenario, section: CraterPairsSpec, detectors: Mapping[str, str]) -> None:

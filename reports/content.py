@@ -29,6 +29,7 @@ from reports.records import Record
 from reports.run_data import RunData, read_run
 from reports.sensitivity import mesh_variants, sensitivity_grid
 from reports.sequences import pooled_alone, sequence_grids
+from reports.surveys import survey_grids
 from reports.tables import detail_grid, diagnostic_grid, failure_grid, pose_grids, reference_grid, timing_grid
 from reports.tradeoff import trade_grid
 from reports.vision import vision_records
@@ -71,6 +72,8 @@ class Content:
         if not self.run.craters.empty:
             found = [*crater_grids(self.records, self.run), comparison_grid(self.compared), timing_grid(self.records)]
             return [grid for grid in (*found, failures) if grid is not None]
+        if not self.run.surveyed_images.empty:
+            return [*survey_grids(self.records, self.compared), *([] if failures is None else [failures])]
         if not (self.run.orbits.empty and self.run.navigation.empty):
             orbit = orbit_grids(self.records, self.compared, self.run)
             return [grid for grid in (navigation_grid(self.records, self.run), *orbit, failures) if grid is not None]

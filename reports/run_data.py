@@ -106,6 +106,8 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
     ),
     "navigated_images": (*_KEY, "n_detections", "n_numbered"),
     "navigated_landmarks": (*_KEY, "hits", "n_other", "first_days", "last_days"),
+    "surveyed_images": (*_KEY, "image", "n_detections", "n_similar"),
+    "surveyed_craters": (*_KEY, "crater", "hits"),
     "epochs": (*_KEY, "frame", "anomaly_deg", "position_error_m", "landmark_rmse_m", "settled_landmark_rmse_m"),
 }
 
@@ -216,6 +218,8 @@ class RunData:
         Of orbit determination: what each trial comes to, errors over time, and residuals of the first trial.
     navigation, navigated_images, navigated_landmarks
         Of crater navigation: what each trial comes to before the orbit, its images, and the landmarks of its data base.
+    surveyed_images, surveyed_craters
+        Of arcs of planned images: what each image shows, and how often each crater is seen.
     """
 
     folder: Path
@@ -238,6 +242,8 @@ class RunData:
     navigation: pd.DataFrame = field(default_factory=pd.DataFrame)
     navigated_images: pd.DataFrame = field(default_factory=pd.DataFrame)
     navigated_landmarks: pd.DataFrame = field(default_factory=pd.DataFrame)
+    surveyed_images: pd.DataFrame = field(default_factory=pd.DataFrame)
+    surveyed_craters: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     def pairs(self) -> list[tuple[str, str]]:
         """List (scenario, estimator) in the order in which the rows name them."""

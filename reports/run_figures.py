@@ -34,6 +34,7 @@ from reports.run_data import RunData, select
 from reports.sequences import sequence_figures
 from reports.stages import errors_by_stage, final_stage
 from reports.statistics import MEDIAN, FloatArray
+from reports.surveys import survey_figures
 from reports.tradeoff import ATTITUDE, POSITION, costs, prior_medians
 
 
@@ -50,6 +51,9 @@ def draw_figures(content: Content) -> Iterator[NamedFigure]:
         return
     if not run.craters.empty:
         yield from crater_figures(run)
+        return
+    if not run.surveyed_images.empty:
+        yield from survey_figures(run, content.comparison)
         return
     if not (run.orbits.empty and run.navigation.empty):
         yield from navigation_figures(run)

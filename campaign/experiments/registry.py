@@ -76,6 +76,7 @@ _KINDS: Mapping[str, str] = MappingProxyType(
         "pose-convergence": "campaign.experiments.pose_convergence:PoseConvergence",
         "crater-matching": "campaign.experiments.crater_matching:CraterMatching",
         "crater-detection": "campaign.experiments.crater_detection:CraterDetection",
+        "image-survey": "campaign.experiments.image_survey:ImageSurvey",
         "sequence": "campaign.experiments.sequence:SequenceTrials",
         "orbit-determination": "campaign.experiments.orbit_determination:OrbitTrials",
         "crater-navigation": "campaign.experiments.crater_navigation:CraterNavigationTrials",

@@ -8,17 +8,19 @@ from dataclasses import replace
 from campaign.crater_examples import detected, stages_of
 from campaign.matching_examples import matching_example
 from campaign.paper.gather import FinishedRun
-from campaign.paper.kinds import Paper, PaperFigure, Runs
+from campaign.paper.kinds import Draw, Paper, PaperFigure, Runs
+from estimators.craters.planning.plan import PLANNER
 from reports.grid import Grid
 from reports.named_figure import NamedFigure
 from reports.navigation import counts_figure
 from reports.orbits import reference_scenarios, residual_figure
 from reports.run_data import select
+from reports.surveys import survey_figures
 from scenarios.errors import BoresightError
 
 _DETECTOR, _FILTER, _CHAIN = "crater-classic", "batch-filter", "crater-navigation"
 _MATCHERS = ("invariants", "hybrid")
-_TABLES = ("Detection of craters", "Matching", "From images to the data base", "Orbit determination")
+_TABLES = ("Detection of craters", "Matching", "Diagnostics", "From images to the data base", "Orbit determination")
 _TABLES_OF = {"cheng2003-detection": 2}
 
 
@@ -58,22 +60,40 @@ def _matched(run: FinishedRun) -> Iterator[NamedFigure]:
             yield replace(figure, stem=f"_{campaign.spec.name}_{label}")
 
 
+def _survey(wanted: int) -> Draw:
+    """Draw one of the histograms of an arc of planned images."""
+
+    def draw(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+        del jobs
+        run = runs["cheng2003-survey"].content
+        yield list(survey_figures(run.run, run.comparison))[wanted]
+
+    return draw
+
+
 def _figure_9(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
-    del jobs
-    run = runs["cheng2003-endtoend"]
-    scenario = run.campaign().scenarios[0].spec.name
-    yield counts_figure(run.content.run, scenario, run.labels(_CHAIN)[0])
+    for name, run in runs.items():
+        if name == "cheng2003-survey":
+            yield from _survey(2)(runs, jobs)
+        else:
+            scenario = run.campaign().scenarios[0].spec.name
+            yield counts_figure(run.content.run, scenario, run.labels(_CHAIN)[0])
 
 
 def _figure_10(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
     del jobs
-    run = runs["cheng2003-orbit"]
-    data, label = run.content.run, run.labels(_FILTER)[0]
-    solved = [scenario for scenario in reference_scenarios(data) if len(select(data.residuals, scenario, label))]
+    solved = [
+        (data, scenario, label)
+        for run in runs.values()
+        for data in (run.content.run,)
+        for label in (label for method in (_FILTER, _CHAIN) for label in run.labels(method))
+        for scenario in reference_scenarios(data)
+        if len(select(data.residuals, scenario, label))
+    ]
     if not solved:
-        raise BoresightError(f"{run.folder.path}: the first trial of {label} has no solution to draw")
-    for scenario in solved:
-        yield replace(residual_figure(data, scenario, label), stem=f"_{scenario}")
+        raise BoresightError(f"no first trial of {', '.join(runs)} has a solution to draw")
+    for data, scenario, label in solved:
+        yield replace(residual_figure(data, scenario, label), stem=f"_{scenario}_{label}")
 
 
 def _grids(run: FinishedRun) -> list[Grid]:
@@ -83,17 +103,19 @@ def _grids(run: FinishedRun) -> list[Grid]:
     return [replace(grid, title=f"{name}: {grid.title}") for grid in told[: _TABLES_OF.get(name)]]
 
 
-_ORDER = ("detection", "matching", "matching-images", "invariants", "orbit", "endtoend")
+_ORDER = ("detection", "matching", "matching-images", "invariants", "survey", "orbit", "endtoend")
 PAPER = Paper(
     title="Cheng et al. (2003): every figure and every number",
     campaigns=tuple(f"cheng2003-{name}" for name in _ORDER),
-    methods=(_DETECTOR, _FILTER, _CHAIN),
+    methods=(_DETECTOR, PLANNER, _FILTER, _CHAIN),
     figures=(
         PaperFigure("2", ("cheng2003-detection",), _figure_2),
         PaperFigure("3", ("cheng2003-detection",), _figure_3),
         PaperFigure("6", ("cheng2003-matching-images", "cheng2003-matching", "cheng2003-invariants"), _figure_6),
-        PaperFigure("9", ("cheng2003-endtoend",), _figure_9),
-        PaperFigure("10", ("cheng2003-orbit",), _figure_10),
+        PaperFigure("8.1", ("cheng2003-survey",), _survey(0)),
+        PaperFigure("8.2", ("cheng2003-survey",), _survey(1)),
+        PaperFigure("9", ("cheng2003-survey", "cheng2003-endtoend"), _figure_9),
+        PaperFigure("10", ("cheng2003-orbit", "cheng2003-endtoend"), _figure_10),
     ),
     grids=_grids,
 )

@@ -216,6 +216,20 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("first_days", pa.float64(), "time after the epoch of its first image"),
         Column("last_days", pa.float64(), "of its last image"),
     ),
+    "surveyed_images": (
+        *_key(),
+        Column("image", pa.int64(), "number of the image in its plan"),
+        Column("time_days", pa.float64(), "time after the epoch"),
+        Column("kind", pa.string(), "why it was planned: nadir, limb or terminator"),
+        Column("n_detections", pa.int64(), "craters that were detected, false ones included"),
+        Column("n_overlapping", pa.int64(), "other images of the same area: a tenth of a lit region is in both"),
+        Column("n_similar", pa.int64(), "those of them with the Sun within 10 deg, body axes"),
+    ),
+    "surveyed_craters": (
+        *_key(),
+        Column("crater", pa.int64(), "number of the crater"),
+        Column("hits", pa.int64(), "images in which it was detected"),
+    ),
     "landmarks": (
         *_key(),
         Column("landmark", pa.int64(), "index in the landmark data base"),

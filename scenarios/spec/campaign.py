@@ -70,6 +70,7 @@ class CampaignSpec(SpecModel):
         "crater-detection",
         "crater-matching",
         "orbit-determination",
+        "image-survey",
         "crater-navigation",
     ] = Field("single-image", description="The kind of trial")
     scenarios: tuple[str, ...] = Field(min_length=1, description="Scenarios by name, or by path from this file")

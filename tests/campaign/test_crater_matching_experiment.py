@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from campaign.crater_pairs import _found
 from campaign.experiments.crater_matching import CraterMatching, check_matches, score_matches
 from campaign.experiments.registry import Bench
 from campaign.resolve import resolve
@@ -153,3 +154,15 @@ def test_a_scenario_without_pairs_and_an_unknown_matcher_are_refused(campaign_fi
     (tmp_path / "tiny-pairs.yaml").write_text(_SCENARIO)
     with pytest.raises(BoresightError, match="'coin' is unknown; there are: context"):
         resolve(str(tmp_path / "other.yaml"))
+
+
+class _Blind:
+    name, version = "blind", 1
+
+    def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
+        raise BoresightError("67 % of the image is saturated")
+
+
+def test_an_image_in_which_a_detector_sees_nothing_has_no_crater() -> None:
+    pair = _pair([1], [1])
+    assert len(_found(_Blind(), pair.first.frame, pair.first.view.camera)) == 0

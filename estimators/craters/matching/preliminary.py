@@ -11,6 +11,7 @@ from pydantic import Field
 
 from estimators.craters.contract import CraterImage, Ground
 from estimators.craters.matching.located import Located, locate
+from scenarios.geometry import Camera, Pose
 from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
@@ -74,7 +75,7 @@ def preliminary_pairs(
     between = landmarks.image[couples]
     between = np.sort(between[(ratio < np.log(options.size_ratio)) & (between[:, 0] != between[:, 1])], axis=1)
     pairs, counts = np.unique(between.reshape(-1, 2), axis=0, return_counts=True)
-    lit = [lit_points(image, ground, options.footprint) for image in images]
+    lit = [_lit(image, ground, options.footprint) for image in images]
     shares = np.array([_overlap(images[i], images[j], lit[i], lit[j]) for i, j in pairs])
     kept = (counts >= options.landmarks) & (shares >= options.overlap)
     return ImagePairs(pairs[kept], counts[kept], shares[kept])
@@ -116,16 +117,22 @@ def landmark_covariances(image: CraterImage, located: Located, height_sigma_m: f
     return np.asarray(covariance + pixel_m[:, None, None] ** 2 * np.eye(3), dtype=np.float64)
 
 
-def lit_points(image: CraterImage, ground: Ground, side: int) -> FloatArray:
-    """(k, 3) points of the shape on a grid of lines of sight that face the Sun."""
-    camera, pose = image.camera, image.frame.prior_T_cam_body
+def lit_points(
+    camera: Camera, T_cam_body: Pose, sun_dir_body: FloatArray, ground: Ground, side: int
+) -> tuple[FloatArray, FloatArray]:
+    """(k, 3) points of the shape on a grid of lines of sight that face the Sun, and (k, 3) normals there."""
     steps = (np.arange(side) + 0.5) / side
     u, v = np.meshgrid(steps * camera.width_px, steps * camera.height_px)
-    rays = pose.inverse().rotate(camera.unproject(np.column_stack([u.ravel(), v.ravel()])))
-    points, normals = ground.intersect(np.broadcast_to(pose.camera_position_m, rays.shape), rays)
-    sun_dir_body = pose.rotation.T @ image.frame.sun_dir_cam
+    rays = T_cam_body.inverse().rotate(camera.unproject(np.column_stack([u.ravel(), v.ravel()])))
+    points, normals = ground.intersect(np.broadcast_to(T_cam_body.camera_position_m, rays.shape), rays)
     with np.errstate(invalid="ignore"):
-        return points[normals @ sun_dir_body > 0.0]
+        lit = normals @ sun_dir_body > 0.0
+    return points[lit], normals[lit]
+
+
+def _lit(image: CraterImage, ground: Ground, side: int) -> FloatArray:
+    pose = image.frame.prior_T_cam_body
+    return lit_points(image.camera, pose, pose.rotation.T @ image.frame.sun_dir_cam, ground, side)[0]
 
 
 def _all_landmarks(images: Sequence[CraterImage], ground: Ground, options: PreliminaryOptions) -> _Landmarks:

@@ -14,6 +14,9 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import look_at
 from scenarios.sequences.ground import MeshGround
 
+PLANNER, PLANNER_VERSION = "planner", 1
+"""What plans are made by: raise the version when they change."""
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
