@@ -101,9 +101,10 @@ def _run(arguments: argparse.Namespace) -> int:
     out.print(f"{name}: {request.trials} trials into {request.out}, {where}, {variant}")
     if begun.advice:
         out.print(begun.advice)
-    with store_switched(store_is_on() and not arguments.no_store), ProgressListener(out) as listener:
-        folder = begun.go(listener)
-    _print_report(folder, arguments.worst)
+    with store_switched(store_is_on() and not arguments.no_store):
+        with ProgressListener(out) as listener:
+            folder = begun.go(listener)
+        _print_report(folder, arguments.worst)
     return 3 if (folder.table("rows")["status"] == "error").any() else 0
 
 

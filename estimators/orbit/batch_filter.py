@@ -227,10 +227,10 @@ def _orbit(data: OrbitData, layout: Layout, fit: _Fit) -> Orbit:
 def _diagnostics(layout: Layout, fit: _Fit) -> dict[str, float]:
     x, linear = fit.solution.x, fit.adjusted.linear
     added = dict(zip(layout.forces.tolist(), layout.force_sigma[layout.forces] * x[layout.part("forces")], strict=True))
-    passes = linear.passes.residuals
+    passes, sightings = linear.passes.residuals, linear.sightings.residuals
     return {
         "chi_square_per_freedom": fit.chi_square,
-        "residual_rms_px": float(np.sqrt(np.mean(linear.sightings.residuals**2))),
+        "residual_rms_px": float(np.sqrt(np.mean(sightings**2))) if len(sightings) else 0.0,
         "radiometric_rms_sigma": float(np.sqrt(np.mean(passes**2))) if len(passes) else 0.0,
         "edited_share": fit.edited_share,
         "split_numbers": float(fit.splits),

@@ -229,7 +229,7 @@ def test_cache_lists_images_by_kind_and_clears_them_alone(own_cache, tmp_path):
     assert refused.returncode == 2
     held = re.search(r"imagse: the cache holds ([a-z, -]+)", refused.stderr)
     assert held is not None
-    assert set(held[1].split(", ")) - {"kernels"} == {"bodies", "landmark-candidates", "landmark-database"}
+    assert set(held[1].split(", ")) - {"kernels"} == {"bodies", "landmark-candidates", "landmark-database", "rates"}
 
 
 def test_large_images_have_small_chunks(tmp_path):
