@@ -5,9 +5,9 @@ No image is rendered and nothing is matched: rims are projected by geometry and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from campaign.coverage import Coverage, coverage
 from campaign.crater_sights import Address, DrawnSights, open_sights
 from campaign.experiments.orbit_determination import checked_orbit_section, empty_row, open_orbit_world
-from campaign.experiments.registry import Bench, Record, Records
+from campaign.experiments.registry import Bench, Record, Records, Witness
 from campaign.navigation_trial import NavigationTrial
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
@@ -91,6 +91,11 @@ class ImageSurvey:
             raise TypeError("the sights of drawn detections are not drawn")
         folder = bench.run / "plans" / scenario.spec.name
         return cls(scenario.spec.name, world, sights, campaign.labels, campaign.seed, folder)
+
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials under one label; there is nothing to show of them."""
+        del witness
+        return replace(self, labels=(label,))
 
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and labels."""

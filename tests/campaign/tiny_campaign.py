@@ -80,8 +80,10 @@ def compute(file: Path, out: Path, trials: int = TRIALS, jobs: int = 1) -> None:
 
 
 def command(*arguments: object) -> list[str]:
-    """Return the command line as a process."""
-    return [sys.executable, "-m", "campaign.cli", *map(str, arguments)]
+    """Return the command line as a process; a run is reported without its worst trials unless they are asked for."""
+    words = [str(argument) for argument in arguments]
+    brief = ["--worst", "0"] if words[:1] == ["run"] and "--worst" not in words else []
+    return [sys.executable, "-m", "campaign.cli", *words, *brief]
 
 
 def boresight(*arguments: object, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
