@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
-
-from jinja2 import Environment, StrictUndefined
 
 from reports.figures.style import save_figure
 from reports.grid import Grid
 from reports.named_figure import NamedFigure
+from reports.templates import embedded, filled
 from scenarios.atomic import write_text
 
 
@@ -56,11 +53,6 @@ def write_case(page: CasePage, figures: Sequence[NamedFigure], folder: Path) -> 
         If the page cannot be written.
     """
     pngs = [save_figure(figure.figure, folder / figure.stem)[0].read_bytes() for figure in figures]
-    files = resources.files("reports")
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string(files.joinpath("case.html").read_text(encoding="utf-8"))
-    encoded = [(figure, base64.b64encode(png).decode()) for figure, png in zip(figures, pngs, strict=True)]
-    css = files.joinpath("page.css").read_text(encoding="utf-8")
     path = folder / "index.html"
-    write_text(path, template.render(css=css, case=page, figures=encoded))
+    write_text(path, filled("case.html", case=page, figures=embedded(zip(figures, pngs, strict=True))))
     return path

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Mapping, Sequence
-from importlib import resources
-
-from jinja2 import Environment, StrictUndefined
 
 from reports.content import Content
 from reports.distributions import distributions
 from reports.named_figure import NamedFigure
 from reports.row_files import row_links
+from reports.templates import embedded, filled, text_of
 
 
 def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) -> str:
@@ -25,20 +22,17 @@ def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) ->
     figures
         Each with its PNG, which is embedded.
     """
-    files = resources.files("reports")
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string(files.joinpath("page.html").read_text(encoding="utf-8"))
     manifest = content.run.manifest
-    return template.render(
-        css=files.joinpath("page.css").read_text(encoding="utf-8"),
+    return filled(
+        "page.html",
         manifest=manifest,
         progress=content.run.progress(),
         facts=_facts(content),
         notes=content.notes,
-        js=files.joinpath("page.js").read_text(encoding="utf-8"),
+        js=text_of("page.js"),
         grids=[(grid, row_links(content.run, grid)) for grid in content.grids()],
         distributions=list(distributions(content.run)),
-        figures=[(figure, base64.b64encode(png).decode()) for figure, png in figures],
+        figures=embedded(figures),
         resolved={
             "scenarios": json.dumps(dict(manifest.scenarios), indent=2, ensure_ascii=False),
             "estimators": json.dumps(manifest.estimators, indent=2, ensure_ascii=False),

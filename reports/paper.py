@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 
 import pandas as pd
-from jinja2 import Environment, StrictUndefined
 
 from reports.comparison import VERDICT_RULE, ComparedClaim, ComparedValue, Verdict
 from reports.comparison_tables import claim_medians
@@ -21,6 +18,7 @@ from reports.labels import measure_label, stage_label
 from reports.named_figure import NamedFigure
 from reports.published import Comparison
 from reports.records import Record
+from reports.templates import embedded, filled
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,15 +239,10 @@ def _markdown(page: PaperPage) -> str:
 
 
 def _html(page: PaperPage, folder: Path) -> str:
-    files = resources.files("reports")
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string(files.joinpath("paper.html").read_text(encoding="utf-8"))
-    return template.render(
-        css=files.joinpath("page.css").read_text(encoding="utf-8"),
+    return filled(
+        "paper.html",
         page=page,
         tally=verdict_tally(page.lines),
         grids=[paper_grid(page.lines), *page.grids],
-        figures=[
-            (figure, base64.b64encode((folder / f"{figure.stem}.png").read_bytes()).decode()) for figure in page.figures
-        ],
+        figures=embedded((figure, (folder / f"{figure.stem}.png").read_bytes()) for figure in page.figures),
     )
