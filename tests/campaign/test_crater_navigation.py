@@ -13,6 +13,7 @@ from campaign.navigation_trial import NavigationTrial
 from campaign.store.columns import TABLES
 from estimators.craters.contract import CraterDetections, CraterMatches
 from estimators.craters.database.numbering import Numbering, PairMatches
+from estimators.craters.navigation.options import NavigationOptions
 from estimators.craters.navigation.rounds import CraterNavigation, Round
 from estimators.craters.navigation.stages import Stages
 from estimators.orbit.contract import OrbitEstimate
@@ -143,6 +144,37 @@ def test_no_craters_at_all_fail_with_a_reason(tmp_path):
     bare = _world(imaging={"errors": {"least_radius_px": 1e3}})
     (row,) = _trials(tmp_path, bare).run(range(1))["rows"]
     assert (row["status"], row["reason"]) == ("failed", "0 sightings are too few: at least 20 are needed")
+
+
+class _DoubtsOnce(CraterNavigation):
+    """Rejects its first orbit whatever it is, and keeps the images of every round as they were placed."""
+
+    def __init__(self, options):
+        super().__init__(options)
+        self.placed = []
+
+    def _round(self, images, task, wanted_s, stages):
+        self.placed.append(images)
+        found = super()._round(images, task, wanted_s, stages)
+        if len(self.placed) > 1:
+            return found
+        return replace(found, estimate=replace(found.estimate, status="failed", reason="rejected: on purpose"))
+
+
+def test_a_rejected_orbit_begins_again_with_images_placed_by_it(tmp_path):
+    navigator, world = _DoubtsOnce(NavigationOptions(matcher="vote")), _world(imaging={"epochs": 25})
+    trials = _trials(tmp_path, world, {"vote": navigator})
+    records = trials.run(range(1))
+    (row,), (chain,) = records["rows"], records["navigation"]
+    assert (row["status"], chain["rounds"]) == ("ok", 2)
+    true = [view.T_cam_body.camera_position_m for view in NavigationTrial.take(
+        world, trials.sights, 5, 0, Stages(tmp_path / "again")
+    ).views]  # fmt: skip
+    first, second = (
+        np.linalg.norm([image.frame.prior_T_cam_body.camera_position_m for image in placed] - np.array(true), axis=1)
+        for placed in navigator.placed
+    )
+    assert second.max() < first.min()
 
 
 class _Raises(CraterNavigation):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -78,9 +81,9 @@ def test_the_page_draws_in_a_browser_without_a_network(tiny_run, tmp_path):
 
 def test_a_recording_is_verified_by_rerun(tiny_run, tmp_path):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
-    viewer = shutil.which("rerun")
+    viewer = shutil.which("rerun", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     if viewer is None:
-        pytest.skip("the program rerun is not on the PATH")
+        pytest.skip("the program rerun is neither beside this Python nor on the PATH")
     target = tmp_path / "out.rrd"
     assert main(["inspect", str(tiny_run.folder), "--rerun", str(target)]) == 0
     own = {"HOME": str(tmp_path), "PATH": "/usr/bin:/bin"}
