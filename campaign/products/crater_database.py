@@ -7,27 +7,23 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.world import World, open_world, typical_range_m
+from campaign.products.database_images import DatabaseImage, database_images
+from campaign.world import open_world
 from estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
 from estimators.craters.database.build import build_database
 from estimators.craters.database.files import CraterDatabase
 from estimators.craters.database.triangulation import triangulated
-from estimators.craters.matching.association import AssociationOptions
 from estimators.craters.matching.preliminary import PreliminaryOptions
 from estimators.craters.pose.options import PRODUCT, CraterDatabaseOptions
 from estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
-from scenarios.aim import draw_aimed_view
-from scenarios.draw import Stream, generator
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
 from scenarios.observation import Frame
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.base import SpecModel
-from scenarios.spec.distribution import Uniform
-from scenarios.spec.world import LightingSpec, ViewpointSpec
 
 KIND = PRODUCT
-VERSION = 1
+VERSION = 2
 
 _MATCHER = "vote"
 # Images of a data base have poses from orbit determination over all of them: far better than a pixel.
@@ -60,11 +56,14 @@ def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int,
     if world.ground is None:
         raise BoresightError(f"{scenario.path}: craters: missing, but {KIND} is made of them")
     finder = crater_detector_class(wanted.detector).from_options({})
-    images = [_image(number, scenario, world, finder, wanted) for number in range(wanted.images)]
-    matcher = crater_matcher_class(_MATCHER).from_options({"height_sigma_m": wanted.height_sigma_m})
+    pictured = database_images(scenario, range(wanted.images), wanted.phase_deg, wanted.seed, variant)
+    images = [_searched(number, one, finder, wanted.most_detections) for number, one in enumerate(pictured)]
+    matcher = crater_matcher_class(_MATCHER).from_options(
+        {"height_sigma_m": wanted.height_sigma_m, "association": wanted.association.model_dump()}
+    )
     preliminary = PreliminaryOptions(height_sigma_m=wanted.height_sigma_m)
     built = build_database(images, matcher, MeshGround(world.body.mesh), preliminary)
-    triangulated(built.database, wanted.height_sigma_m, AssociationOptions()).save(folder)
+    triangulated(built.database, wanted.height_sigma_m, wanted.association).save(folder)
     return {"images": wanted.images, "image_pairs": len(built.found), "conflicts": built.numbering.conflicts}
 
 
@@ -79,22 +78,16 @@ def about(folder: Path) -> dict[str, object]:
     return {"n_landmarks": len(database.landmarks), "pictures": len(database.pictures)}
 
 
-def _image(
-    number: int, scenario: LoadedScenario, world: World, finder: CraterDetector, options: CraterDatabaseOptions
-) -> CraterImage:
-    """Render an image of the data base, without noise, and look for craters in it."""
-    rng = generator(options.seed, Stream.DATABASE, number)
-    camera = world.camera.pinhole
-    viewpoint = ViewpointSpec(range_m=typical_range_m(scenario), targets=("nadir", "limb", "terminator"))
-    lighting = LightingSpec(phase_deg=Uniform(uniform=options.phase_deg), measure="angle")
-    view = draw_aimed_view(viewpoint, lighting, camera, world.body.mesh, rng)
-    pixels, pose = world.renderer.render(view), view.T_cam_body
-    frame = Frame(pixels, pose.rotate(view.sun_dir_body), pose, np.diag(_POSE_SIGMAS**2), float(number))
+def _searched(number: int, pictured: DatabaseImage, finder: CraterDetector, most_detections: int) -> CraterImage:
+    """Look for craters in an image of the data base."""
+    view, camera = pictured.view, pictured.view.camera
+    pose = view.T_cam_body
+    frame = Frame(pictured.pixels, pose.rotate(view.sun_dir_body), pose, np.diag(_POSE_SIGMAS**2), float(number))
     try:
         found = finder.detect(frame, camera)
     except BoresightError:  # a black image has no craters: the data base goes without it
         return CraterImage(number, frame, camera, CraterDetections.none())
-    kept = slice(0, options.most_detections)
+    kept = slice(0, most_detections)
     return CraterImage(number, frame, camera, CraterDetections(found.ellipses[kept], found.confidence[kept]))
 
 

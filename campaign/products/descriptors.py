@@ -62,7 +62,7 @@ def _of_images(
     use_threads(jobs)
     return [
         (view_features(image.pixels, image.view, image.deproject, options), image.from_store)
-        for image in database_images(scenario, images, options.phase_deg_max, options.seed, variant)
+        for image in database_images(scenario, images, (0.0, options.phase_deg_max), options.seed, variant)
     ]
 
 

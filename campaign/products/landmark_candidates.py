@@ -89,6 +89,6 @@ def _of_images(
 ) -> list[tuple[FloatArray, bool]]:
     """Find the candidates of some images, and whether each image came from the store."""
     pictured = database_images(
-        scenario, images, options.phase_deg_max, options.seed, variant, options.range_m, options.camera
+        scenario, images, (0.0, options.phase_deg_max), options.seed, variant, options.range_m, options.camera
     )
     return [(extract_candidates(image.pixels, image.deproject, options), image.from_store) for image in pictured]

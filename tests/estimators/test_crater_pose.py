@@ -146,12 +146,10 @@ def test_images_without_craters_fail_with_a_reason(world) -> None:
     ).reason == "the observation holds no image"  # fmt: skip
 
 
-def test_triangulation_meets_exact_lines_of_sight_whatever_the_shape_said() -> None:
-    rng = np.random.default_rng(3)
-    true = np.array([[0.0, 0.0, 6e3], [900.0, 300.0, 6.1e3]])
-    normals, radii = np.tile([0.0, 0.0, 1.0], (2, 1)), np.array([300.0, 400.0])
+def _pictures(true: np.ndarray, normals: np.ndarray, radii: np.ndarray, angles: tuple[float, ...]) -> list[Picture]:
+    """Draw exact centres of the rims at ``true`` from several directions."""
     pictures = []
-    for number, angle in enumerate((0.0, 15.0, 30.0)):
+    for number, angle in enumerate(angles):
         position = true[0] + RANGE_M * turned(np.array([0.0, 0.0, 1.0]), angle, 1.0)
         rotation = look_at(position - true[0]).rotation
         pose = Pose(rotation, -rotation @ position)
@@ -160,8 +158,32 @@ def test_triangulation_meets_exact_lines_of_sight_whatever_the_shape_said() -> N
         rims = project_circles(view, true, normals, radii)
         exact = Ellipses(seen, rims.semi_axes_px, rims.angle_rad)
         pictures.append(Picture(number, 0.0, CAMERA, pose, np.array([0.0, 0.0, -1.0]), np.arange(2), exact))
-    wrong = true + rng.normal(0.0, 20.0, (2, 3))
+    return pictures
+
+
+TRUE_M = np.array([[0.0, 0.0, 6e3], [900.0, 300.0, 6.1e3]])
+NORMALS, RADII_M = np.tile([0.0, 0.0, 1.0], (2, 1)), np.array([300.0, 400.0])
+
+
+def _landmarks(position_m: np.ndarray, images: int) -> Landmarks:
     covariance = np.broadcast_to(400.0 * np.eye(3), (2, 3, 3))
-    landmarks = Landmarks(np.arange(2), wrong, normals, radii, covariance, np.full(2, 3))
-    moved = triangulated(CraterDatabase(tuple(pictures), landmarks), 1e4, AssociationOptions()).landmarks
-    np.testing.assert_allclose(moved.position_body_m, true, atol=0.1)
+    return Landmarks(np.arange(2), position_m, NORMALS, RADII_M, covariance, np.full(2, images))
+
+
+def test_triangulation_meets_exact_lines_of_sight_whatever_the_shape_said() -> None:
+    pictures = _pictures(TRUE_M, NORMALS, RADII_M, (0.0, 15.0, 30.0))
+    wrong = _landmarks(TRUE_M + np.random.default_rng(3).normal(0.0, 20.0, (2, 3)), 3)
+    moved = triangulated(CraterDatabase(tuple(pictures), wrong), 1e4, AssociationOptions()).landmarks
+    np.testing.assert_allclose(moved.position_body_m, TRUE_M, atol=0.1)
+
+
+def test_a_sighting_with_the_number_of_another_crater_does_not_decide_where_a_landmark_lies() -> None:
+    pictures = _pictures(TRUE_M, NORMALS, RADII_M, (0.0, 8.0, 15.0, 22.0, 30.0))
+    odd = pictures[2].ellipses
+    shifted = Ellipses(odd.centre_px + np.array([[9.0, -7.0], [0.0, 0.0]]), odd.semi_axes_px, odd.angle_rad)
+    pictures[2] = replace(pictures[2], ellipses=shifted)
+    database = CraterDatabase(tuple(pictures), _landmarks(TRUE_M, 5))
+    moved = triangulated(database, 1e4, AssociationOptions()).landmarks
+    mean_shift_m = 19.0 * np.hypot(9.0, 7.0) / 5
+    assert np.linalg.norm(moved.position_body_m[0] - TRUE_M[0]) < 0.5 * mean_shift_m
+    np.testing.assert_allclose(moved.position_body_m[1], TRUE_M[1], atol=0.1)

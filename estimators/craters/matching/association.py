@@ -220,7 +220,7 @@ def _refined(
 ) -> Association:
     """Start from the couple with most support, and go on with all couples of the field until they stay the same."""
     for _ in range(_REFITS):
-        error, covariance = _given(expected, offsets, pairs)
+        error, covariance = given(expected, offsets, pairs)
         H = expected.by_error
         spread = H @ covariance @ np.swapaxes(H, 1, 2) + expected.noise_px2
         ratios = _log_ratios(offsets - (H @ error)[:, None], spread, likelihoods, options)
@@ -230,7 +230,7 @@ def _refined(
         pairs = found
     probability = _foretold(expected, offsets, pairs, likelihoods, options)
     sure = probability >= options.probability
-    error, covariance = _given(expected, offsets, pairs[sure])
+    error, covariance = given(expected, offsets, pairs[sure])
     reason = "" if sure.any() else f"of {len(pairs)} possible matches none is sure"
     return Association(pairs[sure], probability[sure], expected.mean + error, covariance, reason)
 
@@ -251,8 +251,8 @@ def _joint(expected: Expected, pairs: IndexArray) -> tuple[FloatArray, FloatArra
     return H, joint
 
 
-def _given(expected: Expected, offsets: FloatArray, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """Return the common error, (s,) and (s, s), given couples."""
+def given(expected: Expected, offsets: FloatArray, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """Return the common error less its mean, (s,) and (s, s), given couples (k, 2) and all offsets (n, m, 2)."""
     P = expected.covariance
     H, joint = _joint(expected, pairs)
     gain = np.linalg.solve(joint, H @ P).T
@@ -291,7 +291,7 @@ def _rivals(
     expected: Expected, offsets: FloatArray, pairs: IndexArray, likelihoods: _Likelihoods, options: AssociationOptions
 ) -> FloatArray:
     """(k,) probability of each couple against the other expected craters of its detection."""
-    error, covariance = _given(expected, offsets, pairs)
+    error, covariance = given(expected, offsets, pairs)
     H = expected.by_error
     spread = H @ covariance @ np.swapaxes(H, 1, 2) + expected.noise_px2
     ratios = np.exp(_log_ratios(offsets - (H @ error)[:, None], spread, likelihoods, options))

@@ -78,9 +78,7 @@ def locate(image: CraterImage, ground: Ground) -> Located:
     centre_dir = pose.inverse().rotate(image.camera.unproject(ellipses.centre_px))
     points, normals = _met(ground, pose, centre_dir)
     rim, _ = _met(ground, pose, pose.inverse().rotate(image.camera.unproject(ellipses.points(_RIM_POINTS)[0])))
-    planes = [_plane(one, normal) for one, normal in zip(rim, normals, strict=True)]
-    middles = np.array([middle for middle, _ in planes]).reshape(-1, 3)
-    fitted = np.array([normal for _, normal in planes]).reshape(-1, 3)
+    middles, fitted = _planes(rim, normals)
     known = np.isfinite(middles).all(axis=1)
     slant = np.einsum("ni,ni->n", fitted, centre_dir)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -107,11 +105,24 @@ def _met(ground: Ground, pose: Pose, directions: FloatArray) -> tuple[FloatArray
     return points.reshape(directions.shape), normals.reshape(directions.shape)
 
 
-def _plane(rim: FloatArray, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Fit a plane to the points of a rim that are on the body: its middle and the normal on the side of ``normal``."""
-    known = rim[np.isfinite(rim).all(axis=1)]
-    if len(known) < _LEAST_ON_BODY or not np.isfinite(normal).all():
-        return np.full(3, np.nan), normal
-    middle = known.mean(axis=0)
-    fitted = np.linalg.svd(known - middle)[2][2]
-    return middle, fitted * (1.0 if fitted @ normal > 0.0 else -1.0)
+def _planes(rims: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Fit planes to the points of rims that are on the body: middles and normals, (n, 3), on the side of ``normals``.
+
+    NaN where too little of a rim, (n, k, 3), is on the body. Rims that lie on it whole are fitted all at once.
+    """
+    on_body = np.asarray(np.isfinite(rims).all(axis=2), dtype=np.bool_)
+    fitted = (on_body.sum(axis=1) >= _LEAST_ON_BODY) & np.isfinite(normals).all(axis=1)
+    middles, across = np.full(normals.shape, np.nan), normals.copy()
+    whole = fitted & on_body.all(axis=1)
+    if whole.any():
+        middles[whole], across[whole] = _plane(rims[whole])
+    for row in np.flatnonzero(fitted & ~whole):
+        middles[row], across[row] = _plane(rims[row, on_body[row]])
+    inwards = np.einsum("ni,ni->n", across, normals) <= 0.0
+    return middles, np.where(inwards[:, None] & fitted[:, None], -across, across)
+
+
+def _plane(rims: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Fit planes of least squares to points (..., k, 3): their middles and normals of either sign."""
+    middle = rims.mean(axis=-2)
+    return middle, np.linalg.svd(rims - middle[..., None, :])[2][..., 2, :]

@@ -13,6 +13,7 @@ from estimators.contract import Assets, Estimate, Stage
 from estimators.craters.contract import CraterDetector
 from estimators.craters.database.files import CraterDatabase
 from estimators.craters.matching.association import Association, associate
+from estimators.craters.pose.adjustment import adjusted
 from estimators.craters.pose.expected import expected_craters
 from estimators.craters.pose.options import PRODUCT, CraterPoseOptions
 from estimators.craters.registry import crater_detector_class
@@ -33,11 +34,11 @@ class CraterPose:
     """Updates the prior by the centres of the craters that it recognises.
 
     The errors of the prior move all craters together: the association finds them (see `association`), is linearised
-    anew about what it found, and gives the pose of least squares of prior and craters with its covariance.
+    anew about what it found, and gives the pose by Huber's loss of the craters, with the prior, and its covariance.
     """
 
     name: ClassVar[str] = "crater-pose"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     def __init__(
         self, database: CraterDatabase, shape: TriangleMesh, detector: CraterDetector, options: CraterPoseOptions
@@ -95,6 +96,7 @@ class CraterPose:
             found = associate(field, rims, area_px2, self._options.association)
             if found.reason:
                 break
+            found = adjusted(field, rims, found)
             before, error = error, error + found.error
             if np.linalg.norm(error[3:] - before[3:]) < _STILL_M:
                 break

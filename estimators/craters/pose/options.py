@@ -18,6 +18,9 @@ class CraterDatabaseOptions(SpecModel):
     phase_deg: tuple[float, float] = Field((20.0, 80.0), description="Range of their phase angles")
     detector: str = Field("crater-classic", description="Name of the detector of craters")
     most_detections: int = Field(20, ge=1, description="Of an image, the most confident ones")
+    association: AssociationOptions = Field(
+        AssociationOptions(), description="How well its detections are known: for matches and lines of sight"
+    )
     height_sigma_m: float = Field(30.0, gt=0, description="Of the height of the a priori shape under a crater")
 
 
