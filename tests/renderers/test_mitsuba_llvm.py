@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from renderers.mitsuba3 import choose_variant, find_llvm, gpu_status, limit_threads
+from renderers.mitsuba3 import choose_variant, find_llvm, gpu_status, limit_threads, variant
 from renderers.mitsuba3.llvm import HIDE_VARIABLE, PATH_VARIABLE
+from renderers.mitsuba3.probe import variant_fault
 from scenarios.errors import BoresightError
 
 _RENDER = """
@@ -183,6 +184,39 @@ def test_no_gpu_is_said_and_refused():
     assert "no NVIDIA driver" in gpu_status()
     with pytest.raises(BoresightError, match="cuda_ad_mono does not work here"):
         choose_variant("cuda_ad_mono")
+
+
+@pytest.fixture
+def a_driver_that_finds_a_gpu(monkeypatch):
+    """As on a machine whose driver finds a GPU; whether rays can be traced on it is asked as ever."""
+    if ctypes.util.find_library("cuda") is not None:
+        pytest.skip("this machine has an NVIDIA driver")
+    import drjit
+
+    choose_variant()
+    monkeypatch.setattr(variant, "_nvidia_gpus", lambda: (1, ""))
+    monkeypatch.setattr(drjit, "has_backend", lambda _: True)
+    monkeypatch.delenv(variant.CUDA_PROBED, raising=False)
+    variant._cuda_status.cache_clear()
+    yield
+    variant._cuda_status.cache_clear()
+
+
+def test_a_gpu_on_which_no_ray_is_traced_is_not_chosen(a_driver_that_finds_a_gpu, monkeypatch):
+    assert "finds 1 GPU, but Mitsuba traces no rays on it: " in gpu_status()
+    assert choose_variant().name != "cuda_ad_mono"
+    with pytest.raises(BoresightError, match=r"cuda_ad_mono does not work here: .*traces no rays"):
+        choose_variant("cuda_ad_mono")
+    variant._cuda_status.cache_clear()
+    monkeypatch.setattr(variant, "variant_fault", lambda _: "")
+    assert choose_variant().name == choose_variant("cuda_ad_mono").name == "cuda_ad_mono"
+
+
+def test_the_probe_sees_rays_where_there_are_some_and_says_what_fails():
+    assert variant_fault("scalar_rgb").startswith(("TypeError", "AttributeError")), "its rays are not arrays"
+    assert variant_fault("llvm_ad_mono", timeout_s=0.01) == "no answer in 0.01 s"
+    if choose_variant().name == "llvm_ad_mono":
+        assert variant_fault("llvm_ad_mono") == ""
 
 
 def test_threads_are_limited():
