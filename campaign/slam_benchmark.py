@@ -151,11 +151,11 @@ def _present(peer: tuple[str, Peer], tell: Callable[[str], None]) -> bool:
 
 
 def _our_time(problem: Adjustment, start: State) -> tuple[float, float]:
-    """Seconds and cost of our adjustment, all that it writes down included."""
+    """Processor time, s, and cost of our adjustment, all that it writes down included."""
     depth_m = float(np.median(np.linalg.norm(start.points_m - start.positions_m[0], axis=1)))
-    began = time.perf_counter()
+    began = time.process_time()
     found = minimise(problem, start, StoppingRule(_STEP * depth_m))
-    return time.perf_counter() - began, found.cost
+    return time.process_time() - began, found.cost
 
 
 def _whole(found: PeerSolution) -> float:

@@ -25,7 +25,7 @@ _ITERATIONS = 100
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeerSolution:
-    """Where a peer came to, our cost of it, and the seconds that its problem took to write down and to solve."""
+    """Where a peer came to, our cost of it, and the processor time in which its problem was written down and solved."""
 
     state: State
     cost: float
@@ -36,15 +36,15 @@ class PeerSolution:
 def solved_by_gtsam(problem: Adjustment, state: State) -> PeerSolution:
     """Minimise an adjustment without a prior by the Levenberg-Marquardt method of gtsam."""
     gtsam = load_gtsam()
-    began = time.perf_counter()
+    began = time.process_time()
     graph, values = graph_of(problem, state)
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setRelativeErrorTol(_RELATIVE_DECREASE)
     parameters.setAbsoluteErrorTol(0.0)
     parameters.setMaxIterations(_ITERATIONS)
-    built = time.perf_counter()
+    built = time.process_time()
     found = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-    solved = time.perf_counter()
+    solved = time.process_time()
     factors = Factors(problem.camera)
     positions = [found.atPose3(factors.view(i)).translation() for i in range(len(state.positions_m))]
     points = [found.atPoint3(factors.point(j)) for j in range(len(state.points_m))]
@@ -75,7 +75,7 @@ def solved_by_ceres(problem: Adjustment, state: State) -> PeerSolution:
     """
     ceres, colmap, functions = load_ceres()
     camera, seen, ranged = problem.camera, problem.sightings, problem.distances
-    began = time.perf_counter()
+    began = time.process_time()
     turns = Rotation.from_matrix(problem.R_cam_body)
     poses = [np.concatenate([q, t]) for q, t in zip(turns.as_quat(), -turns.apply(state.positions_m), strict=True)]
     points = [point.copy() for point in state.points_m]
@@ -103,9 +103,9 @@ def solved_by_ceres(problem: Adjustment, state: State) -> PeerSolution:
     options.function_tolerance = _RELATIVE_DECREASE
     options.max_num_iterations = _ITERATIONS
     options.logging_type = ceres.LoggingType.SILENT
-    built = time.perf_counter()
+    built = time.process_time()
     ceres.solve(options, graph, summary)
-    solved = time.perf_counter()
+    solved = time.process_time()
     end = State(-turns.apply(np.array([pose[4:] for pose in poses]), inverse=True), np.array(points).reshape(-1, 3))
     return PeerSolution(end, cost(problem, end), built - began, solved - built)
 
