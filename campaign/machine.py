@@ -43,6 +43,11 @@ def use_threads(jobs: int) -> None:
     threadpool_limits(limits=1, user_api="blas")
 
 
+def load() -> float:
+    """Return how many processes wanted a core in the last minute, on average; 0 where the system does not tell."""
+    return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else 0.0
+
+
 def processor() -> str:
     """Return the processor's name."""
     try:

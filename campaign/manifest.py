@@ -48,7 +48,7 @@ def make_manifest(
         "grid": _grid(campaign),
         "created": earlier.get("created", now()),
         "command": request.command,
-        "commit": _commit(),
+        "commit": commit_here(),
         "versions": package_versions(),
         "machine": {**describe(), "variant": campaign.variant, "kernels": campaign.kernels},
         "left_out": {s.spec.name: dict(open_images(s).left_out) for s in campaign.scenarios if s.spec.images},
@@ -103,7 +103,7 @@ def _product(run: Path, product: BuiltProduct) -> dict[str, object]:
     }
 
 
-def _commit() -> str:
+def commit_here() -> str:
     """Return the commit of the checkout that runs; empty outside a checkout."""
     here = Path(__file__).parent
     try:

@@ -1,4 +1,4 @@
-"""``bench``: what a campaign costs on one core, stage by stage."""
+"""``bench``: our speed beside that of others, and what a campaign costs on one core, stage by stage."""
 
 from __future__ import annotations
 
@@ -15,9 +15,13 @@ from threadpoolctl import threadpool_limits
 
 from campaign.benchmark import WHOLE_TRIAL, Benchmark, StageTime, benchmark, one_core
 from campaign.cli.catalog import add_overrides
+from campaign.cli.speed import bench_speed
 from campaign.cli.terminal import console
 from campaign.resolve import resolve
 from campaign.slam_benchmark import COST_TOLERANCE, cycle_ratios, window_ratios
+from campaign.speed.cycles import VARIABLE
+from campaign.speed.history import HISTORY, REGRESSION
+from campaign.speed.works import GROUPS, WORKS, names_of
 from renderers.mitsuba3 import choose_variant
 from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
@@ -32,12 +36,36 @@ _Ratios = dict[tuple[str, str, str], float]
 
 def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command to the parser."""
-    bench = commands.add_parser("bench", help="time every stage of a campaign's trials on one core")
+    bench = commands.add_parser("bench", help="set our speed beside that of others, or time a campaign's stages")
     bench.add_argument(
-        "name",
-        help=f"a campaign from the list, a YAML file, or {_SLAM}: adjustments and smoothers beside other engines",
+        "name", nargs="?", default="all",
+        help=f"{', '.join((*GROUPS, *WORKS))}: ratios to peers, in one run (default: all); {_SLAM}: adjustments and"
+        " smoothers in detail; or a campaign from the list, or a YAML file, of which every stage is timed",
+    )  # fmt: skip
+    bench.add_argument(
+        "--blocks", type=int, default=4,
+        help="blocks of trials of each scenario, windows, or rounds in turn (default: 4)",
+    )  # fmt: skip
+    bench.add_argument(
+        "--check", action="store_true",
+        help=f"fail where a ratio to a peer fell by more than {100 * REGRESSION:g} %% since it was last recorded",
+    )  # fmt: skip
+    bench.add_argument(
+        "--record", action="store_true", help="add ratios that are new, or changed by 10 %%, to the history"
     )
-    bench.add_argument("--blocks", type=int, default=4, help="blocks of trials of each scenario (default: 4)")
+    bench.add_argument(
+        "--history",
+        type=Path,
+        metavar="FILE",
+        default=HISTORY,
+        help="ratios of earlier commits (default: boresight's own)",
+    )
+    bench.add_argument(
+        "--blender",
+        type=Path,
+        metavar="PYTHON",
+        help=f"the interpreter that has bpy (default: ${VARIABLE}, or this one)",
+    )
     bench.add_argument("--variant", help="Mitsuba variant (default: the fastest that works)")
     bench.add_argument("--json", type=Path, metavar="FILE", help="write the times as JSON")
     bench.add_argument("--against", type=Path, metavar="FILE", help="a JSON of before, to compare the ratios with")
@@ -48,6 +76,10 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
 def _bench(arguments: argparse.Namespace) -> int:
     if arguments.name == _SLAM:
         return _bench_slam(arguments)
+    if names_of(arguments.name):
+        return bench_speed(arguments)
+    if arguments.check or arguments.record:
+        raise BoresightError(f"--check and --record are for ratios to peers, of which {arguments.name!r} has none")
     out = console()
     earlier = {} if arguments.against is None else _read_ratios(arguments.against)
     campaign = resolve(arguments.name, arguments.overrides, variant=choose_variant(arguments.variant).name)

@@ -20,8 +20,8 @@ EXIT_OK, EXIT_USER_ERROR, EXIT_ESTIMATOR_ERRORS, EXIT_INTERRUPTED = 0, 2, 3, 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code.
 
-    0: done; 1: an inspected trial is not the stored one; 2: bad input, said in one line; 3: done, but an estimator
-    raised in some trials; 130: interrupted.
+    0: done; 1: an inspected trial is not the stored one, or a speed fell (bench --check); 2: bad input, said in one
+    line; 3: done, but an estimator raised in some trials; 130: interrupted.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:

@@ -1,0 +1,126 @@
+"""Blender Cycles in a process of its own, with an interpreter of its own: ``bpy`` brings and pins its own packages."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from campaign.speed.scene import ALBEDO, FOV_RAD, SIZE_PX, SUN_DIR_BODY, SpeedScene
+from campaign.speed.timing import Seconds
+from scenarios.errors import BoresightError
+from scenarios.geometry import View
+
+VARIABLE = "BORESIGHT_BLENDER_PYTHON"
+_SCRIPT = Path(__file__).with_name("cycles_script.py")
+_HOW = (
+    f"make a virtual environment, `pip install bpy` in it, and name its interpreter by --blender PYTHON or ${VARIABLE}"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Cycles:
+    """A running Blender that holds the scene."""
+
+    version: str
+    folder: Path
+    to: IO[str]
+    answers: IO[str]
+
+    def render(self, view: int, samples: int) -> Seconds:
+        """Render a view, and tell how long Blender took for that alone."""
+        answer = self._ask(f"{view} {samples}")
+        return Seconds(answer["cpu"], answer["wall"])
+
+    def image(self, view: int, samples: int) -> NDArray[np.float32]:
+        """Render a view; radiance factor (H, W)."""
+        file = self.folder / "image.npy"
+        self._ask(f"{view} {samples} {file}")
+        return np.asarray(np.load(file), dtype=np.float32)
+
+    def _ask(self, line: str) -> dict[str, Any]:
+        try:
+            self.to.write(f"{line}\n")
+            self.to.flush()
+        except BrokenPipeError:
+            raise BoresightError("Blender: its process ended before the comparison did") from None
+        return _answer(self.answers)
+
+
+@contextmanager
+def cycles(python: Path | None, scene: SpeedScene, threads: int) -> Iterator[Cycles]:
+    """Start Blender with a scene, and end it.
+
+    Parameters
+    ----------
+    python
+        The interpreter that has ``bpy``; $BORESIGHT_BLENDER_PYTHON, or this one, where it is None.
+    scene
+        What is rendered.
+    threads
+        Threads that it may use.
+
+    Raises
+    ------
+    BoresightError
+        If it does not start.
+    """
+    interpreter = str(python or os.environ.get(VARIABLE) or sys.executable)
+    with tempfile.TemporaryDirectory(prefix="boresight-cycles-") as name:
+        folder = Path(name)
+        _write(folder / "scene.npz", scene, threads)
+        try:
+            blender = subprocess.Popen(  # noqa: S603  the interpreter is the user's own
+                [interpreter, str(_SCRIPT), name],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+                env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
+            )  # fmt: skip
+        except OSError as error:
+            raise BoresightError(f"Blender: {interpreter} cannot be started ({error.strerror}); {_HOW}") from None
+        with blender:
+            try:
+                if blender.stdin is None or blender.stdout is None:
+                    raise BoresightError("Blender: its process has no pipes")
+                version = str(_answer(blender.stdout)["version"])
+                yield Cycles(version, folder, blender.stdin, blender.stdout)
+            finally:
+                blender.kill()
+
+
+def _write(file: Path, scene: SpeedScene, threads: int) -> None:
+    np.savez(
+        file,
+        vertices_m=scene.mesh.vertices_m,
+        faces=scene.mesh.faces,
+        T_body_camera=np.array([_blender_pose(view) for view in scene.views]),
+        sun_dir_body=SUN_DIR_BODY,
+        size_px=SIZE_PX,
+        fov_rad=FOV_RAD,
+        albedo=ALBEDO,
+        threads=threads,
+    )
+
+
+def _blender_pose(view: View) -> NDArray[np.float64]:
+    """Camera to body (4, 4), of Blender's camera: x right, y up, z backward."""
+    pose = np.eye(4)
+    pose[:3, :3] = view.T_cam_body.rotation.T @ np.diag([1.0, -1.0, -1.0])
+    pose[:3, 3] = view.T_cam_body.camera_position_m
+    return pose
+
+
+def _answer(answers: IO[str]) -> dict[str, Any]:
+    line = answers.readline()
+    if not line:
+        raise BoresightError(f"Blender: no `bpy` answers; {_HOW}")
+    return dict(json.loads(line))

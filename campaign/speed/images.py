@@ -1,0 +1,64 @@
+"""Images of a body of 3.1 million facets beside Blender Cycles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+from campaign.machine import cores
+from campaign.speed.cycles import Cycles, cycles
+from campaign.speed.ratio import Absent, Ratio
+from campaign.speed.scene import SAMPLES, SpeedScene, agreement, speed_scene
+from campaign.speed.settings import Settings
+from campaign.speed.timing import NOTHING, Seconds, in_turn, timed
+from renderers.mitsuba3 import MitsubaRenderer, choose_variant, limit_threads
+from scenarios.errors import BoresightError
+
+WORK = "image of 3.1 M facets, 512 x 512, 4 samples, shadows"
+AIM = 6.0
+LEAST_CORRELATION = 0.99
+_AGREEMENT_SAMPLES = 64
+
+
+def image_ratios(settings: Settings) -> Iterator[Ratio | Absent]:
+    """Render the same views by both in turn, with as many threads as there are cores.
+
+    Both are given the body beforehand, so neither time holds the making of a tree; Cycles keeps it as the Sun stands
+    still. Whether both draw the same is asked at many samples, for they place theirs differently in a pixel.
+
+    Raises
+    ------
+    BoresightError
+        If the images do not agree.
+    """
+    threads = cores()
+    limit_threads(threads)
+    scene = speed_scene(settings.facets, settings.views)
+    try:
+        with cycles(settings.blender, scene, threads) as blender:
+            variant = choose_variant()
+            alike = _correlation(scene, scene.renderer(variant, _AGREEMENT_SAMPLES), blender)
+            ours, theirs = _times(scene, scene.renderer(variant), blender, settings.rounds)
+    except BoresightError as error:
+        yield Absent(WORK, str(error))
+        return
+    note = f"correlation {alike:.4f} at {_AGREEMENT_SAMPLES} samples; {threads} threads each"
+    peer = f"Blender Cycles {blender.version}"
+    count = len(scene.views)
+    yield Ratio(WORK, "Blender Cycles", "cpu", ours.cpu / count, theirs.cpu / count, AIM, f"{peer}; {note}")
+    yield Ratio(WORK, "Blender Cycles", "wall", ours.wall / count, theirs.wall / count, AIM, f"{peer}; {note}")
+
+
+def _correlation(scene: SpeedScene, renderer: MitsubaRenderer, blender: Cycles) -> float:
+    alike = agreement(renderer.render(scene.views[0]), blender.image(0, _AGREEMENT_SAMPLES))
+    if alike < LEAST_CORRELATION:
+        raise BoresightError(f"the images correlate by {alike:.4f} only, so that their times say nothing")
+    return alike
+
+
+def _times(scene: SpeedScene, renderer: MitsubaRenderer, blender: Cycles, rounds: int) -> tuple[Seconds, Seconds]:
+    ours, theirs = NOTHING, NOTHING
+    for number, view in enumerate(scene.views):
+        mine, other = in_turn(rounds, timed(partial(renderer.render, view)), partial(blender.render, number, SAMPLES))
+        ours, theirs = ours + mine, theirs + other
+    return ours, theirs
