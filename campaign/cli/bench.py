@@ -19,7 +19,7 @@ from campaign.cli.speed import bench_speed
 from campaign.cli.terminal import console
 from campaign.resolve import resolve
 from campaign.slam_benchmark import COST_TOLERANCE, cycle_ratios, window_ratios
-from campaign.speed.cycles import VARIABLE
+from campaign.speed.blender import VARIABLE
 from campaign.speed.history import HISTORY, REGRESSION
 from campaign.speed.works import GROUPS, WORKS, names_of
 from renderers.mitsuba3 import choose_variant

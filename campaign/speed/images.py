@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import partial
 
 from campaign.machine import cores
-from campaign.speed.cycles import Cycles, cycles
+from campaign.speed.blender import Cycles, cycles
 from campaign.speed.ratio import Absent, Ratio
 from campaign.speed.scene import SAMPLES, SpeedScene, agreement, speed_scene
 from campaign.speed.settings import Settings

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from campaign.cli.main import main
-from campaign.speed import cycles as cycles_module
+from campaign.speed import blender as blender_module
 from campaign.speed import works
-from campaign.speed.cycles import cycles
+from campaign.speed.blender import cycles
 from campaign.speed.history import HISTORY, read_history, record, regressions, unrecorded
 from campaign.speed.ratio import Absent, Ratio, SpeedTable
 from campaign.speed.scene import SIZE_PX, SUN_DIR_BODY, SpeedScene
@@ -120,12 +120,12 @@ FAKE_BLENDER = """
 #!{python}
 import json, sys
 import numpy as np
-stored = np.load(sys.argv[2] + "/scene.npz")
+stored = np.load(sys.argv[3] + "/scene.npz")
 print(json.dumps({{"version": "5.0"}}), flush=True)
 for line in sys.stdin:
     view, samples, *file = line.split()
     if samples == "9":
-        sys.exit(1)
+        sys.exit("no such view")
     if file:
         np.save(file[0], stored["T_body_camera"][int(view)].astype(np.float32))
     print(json.dumps({{"cpu": float(samples), "wall": len(stored["faces"])}}), flush=True)
@@ -151,13 +151,13 @@ def test_blender_answers_in_its_own_process(tetrahedron, tmp_path):
         pose = blender.image(0, 4)
         # Blender's camera looks along -z with y up: from (9, 0, 0) at the origin, z of the body up.
         np.testing.assert_allclose(pose, [[0, 0, 1, 9], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], atol=1e-6)
-        with pytest.raises(BoresightError, match="no `bpy` answers"):
+        with pytest.raises(BoresightError, match="Blender: no such view; make a virtual"):
             blender.render(0, 9)
 
 
 @pytest.mark.parametrize("python", [Path("/nowhere/python"), Path(sys.executable)])
 def test_absent_blender_is_said_with_what_to_do(tetrahedron, python, monkeypatch):
-    monkeypatch.setattr(cycles_module, "_SCRIPT", Path("/nowhere/script.py"))
+    monkeypatch.setattr(blender_module, "_SCRIPT", Path("/nowhere/script.py"))
     with (
         pytest.raises(BoresightError, match=r"Blender: .*`pip install bpy` in it.*--blender PYTHON"),
         cycles(python, tetrahedron, 2),

@@ -22,7 +22,8 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import View
 
 VARIABLE = "BORESIGHT_BLENDER_PYTHON"
-_SCRIPT = Path(__file__).with_name("cycles_script.py")
+_SCRIPT = Path(__file__).with_name("blender_script.py")
+_WORDS = "stderr.txt"
 _HOW = (
     f"make a virtual environment, `pip install bpy` in it, and name its interpreter by --blender PYTHON or ${VARIABLE}"
 )
@@ -53,8 +54,8 @@ class Cycles:
             self.to.write(f"{line}\n")
             self.to.flush()
         except BrokenPipeError:
-            raise BoresightError("Blender: its process ended before the comparison did") from None
-        return _answer(self.answers)
+            pass  # it ended; its last words tell why
+        return _answer(self.answers, self.folder)
 
 
 @contextmanager
@@ -80,18 +81,20 @@ def cycles(python: Path | None, scene: SpeedScene, threads: int) -> Iterator[Cyc
         folder = Path(name)
         _write(folder / "scene.npz", scene, threads)
         try:
-            blender = subprocess.Popen(  # noqa: S603  the interpreter is the user's own
-                [interpreter, str(_SCRIPT), name],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-                env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
-            )  # fmt: skip
+            with (folder / _WORDS).open("w", encoding="utf-8") as words:
+                blender = subprocess.Popen(  # noqa: S603  the interpreter is the user's own
+                    # -P: nothing beside the script shadows what Blender imports.
+                    [interpreter, "-P", str(_SCRIPT), name],
+                    stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=words, text=True,
+                    env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
+                )  # fmt: skip
         except OSError as error:
             raise BoresightError(f"Blender: {interpreter} cannot be started ({error.strerror}); {_HOW}") from None
         with blender:
             try:
                 if blender.stdin is None or blender.stdout is None:
                     raise BoresightError("Blender: its process has no pipes")
-                version = str(_answer(blender.stdout)["version"])
+                version = str(_answer(blender.stdout, folder)["version"])
                 yield Cycles(version, folder, blender.stdin, blender.stdout)
             finally:
                 blender.kill()
@@ -119,8 +122,10 @@ def _blender_pose(view: View) -> NDArray[np.float64]:
     return pose
 
 
-def _answer(answers: IO[str]) -> dict[str, Any]:
+def _answer(answers: IO[str], folder: Path) -> dict[str, Any]:
     line = answers.readline()
-    if not line:
-        raise BoresightError(f"Blender: no `bpy` answers; {_HOW}")
-    return dict(json.loads(line))
+    if line:
+        return dict(json.loads(line))
+    words = (folder / _WORDS).read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    why = words[-1].strip() if words else "it ended without a word"
+    raise BoresightError(f"Blender: {why}; {_HOW}")
