@@ -70,7 +70,10 @@ def now() -> str:
 def _draft_notes(campaign: ResolvedCampaign) -> list[str]:
     if campaign.draft == 1.0:
         return []
-    return [f"A draft of scale {campaign.draft:g}: fewer trials, and data bases of fewer images, than are meant."]
+    return [
+        f"A draft of scale {campaign.draft:g}: fewer trials, data bases of fewer images, shorter arcs of images, and"
+        " fewer sets of images, than are meant."
+    ]
 
 
 def _grid(campaign: ResolvedCampaign) -> dict[str, object] | None:

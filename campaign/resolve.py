@@ -44,7 +44,7 @@ class ResolvedCampaign:
 
     ``kernels`` are those of adjustments, '' where rows do not depend on them. ``variations`` tells, by the name of a
     scenario, where in the campaign's grid it stands. ``overrides`` are those of the command line, which the scenarios
-    hold already. ``draft`` is the share of the images that data bases are made of, 1 for a run that is meant.
+    hold already. ``draft`` is the share of what is repeated, see `campaign.draft`; 1 for a run that is meant.
     Equality and hash are those of the digest, so a worker can keep what it built for a campaign.
     """
 

@@ -46,6 +46,12 @@ def image_set(spec: Mapping[str, Any]) -> str:
     return json.dumps(spec.get("body"), sort_keys=True) if sequence.get("images") else ""
 
 
+def all_but_body(spec: Mapping[str, Any]) -> str:
+    """Name the conditions of a scenario apart from its body: those that have it in common are pooled."""
+    rest = {key: value for key, value in spec.items() if key not in {"name", "description", "body"}}
+    return json.dumps(rest, sort_keys=True)
+
+
 def clusters_of(run: RunData, table: pd.DataFrame) -> NDArray[np.generic]:
     """Label each row of a table (``scenario``, ``trial``) by what is independent of all others.
 
@@ -65,8 +71,7 @@ def pools(run: RunData) -> tuple[Pool, ...]:
     done = set(run.rows["scenario"])
     for name, spec in run.manifest.scenarios.items():
         if name in done and image_set(spec):
-            rest = {key: value for key, value in spec.items() if key not in {"name", "description", "body"}}
-            alike.setdefault(json.dumps(rest, sort_keys=True), []).append(name)
+            alike.setdefault(all_but_body(spec), []).append(name)
     found = []
     for names in alike.values():
         sets = len({image_set(run.manifest.scenarios[name]) for name in names})

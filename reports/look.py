@@ -17,6 +17,17 @@ FloatArray = NDArray[np.float64]
 
 _BODY = "#9aa0a6"
 _PERCENT = 95
+_SCENE = 0.78
+"""Share of the page's width that is the drawing's; legend and colour bar stand beside it, over nothing."""
+_EYE = {"x": 1.0, "y": 1.0, "z": 0.7}
+_LAMP, _LAMP_M = {"x": 1.0, "y": 0.4, "z": 1.0}, 1e5
+_AXIS = {
+    "showspikes": False,
+    "showbackground": False,
+    "gridcolor": "#dfe3e8",
+    "zeroline": False,
+    "tickfont": {"size": 10},
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,11 +108,12 @@ def write_look(look: Look, path: Path) -> None:
         title={"text": look.title, "subtitle": {"text": look.note}},
         scene={
             "aspectmode": "data",
-            "camera": {"eye": {"x": 1.1, "y": 1.1, "z": 0.8}},
-            **{f"{axis}axis": {"title": {"text": f"{axis}, m"}, "showspikes": False} for axis in "xyz"},
+            "domain": {"x": [0.0, _SCENE], "y": [0.0, 1.0]},
+            "camera": {"eye": _EYE},
+            **{f"{axis}axis": {"title": {"text": f"{axis}, m"}, **_AXIS} for axis in "xyz"},
         },
-        legend={"itemsizing": "constant"},
-        margin={"l": 0, "r": 0, "b": 0, "t": 90},
+        legend={"itemsizing": "constant", "x": _SCENE, "xanchor": "left", "y": 1.0, "yanchor": "top"},
+        margin={"l": 0, "r": 10, "b": 0, "t": 120},
         updatemenus=[_buttons(look)] if len(look.marks) > 1 else [],
     )
     page = figure.to_html(include_plotlyjs=True, full_html=True, config={"displaylogo": False, "responsive": True})
@@ -121,7 +133,8 @@ def _body(look: Look) -> go.Mesh3d:
     a, b, c = look.faces.T
     return go.Mesh3d(
         **_coordinates(look.vertices_m), i=a, j=b, k=c, color=_BODY, flatshading=True, name="body",
-        hoverinfo="skip", showlegend=True, lighting={"ambient": 0.55, "diffuse": 0.7, "specular": 0.05},
+        hoverinfo="skip", showlegend=True, lighting={"ambient": 0.45, "diffuse": 0.8, "specular": 0.05},
+        lightposition={axis: _LAMP_M * direction for axis, direction in _LAMP.items()},
     )  # fmt: skip
 
 
@@ -135,9 +148,12 @@ def _marks(marks: Marks, shown: bool) -> go.Scatter3d:
         "cmax": top or 1.0,
         "colorscale": "Viridis",
         "colorbar": {
-            "title": {"text": f"{marks.name}{f', {marks.unit}' if marks.unit else ''}"},
-            "x": 0.0,
-            "len": 0.6,
+            "title": {"text": f"{marks.name}{f', {marks.unit}' if marks.unit else ''}", "font": {"size": 12}},
+            "x": _SCENE,
+            "xanchor": "left",
+            "y": 0.05,
+            "yanchor": "bottom",
+            "len": 0.5,
             "thickness": 14,
         },
         "line": {"width": 0.5, "color": "white"},
@@ -168,4 +184,12 @@ def _buttons(look: Look) -> dict[str, object]:
         }
         for index, marks in enumerate(look.marks)
     ]
-    return {"type": "buttons", "direction": "right", "x": 0.0, "y": 1.0, "xanchor": "left", "buttons": buttons}
+    return {
+        "type": "buttons",
+        "direction": "right",
+        "x": 0.01,
+        "y": 1.01,
+        "xanchor": "left",
+        "yanchor": "bottom",
+        "buttons": buttons,
+    }

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import math
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from campaign.cli.progress import ProgressListener
 from campaign.cli.runs import positive
 from campaign.cli.terminal import console
+from campaign.draft import LEAST_TRIALS, as_draft, kept
 from campaign.machine import cores
 from campaign.paper import PAPERS
 from campaign.request import RunRequest
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 
 
 ALL = "all"
-_LEAST_TRIALS = 2
 
 
 def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -41,8 +39,8 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     figures.add_argument("--trials", type=positive, help="with --run: trials of each scenario at most")
     figures.add_argument(
         "--trials-scale", type=_share, default=1.0, metavar="SHARE",
-        help="make a draft: run what is missing with this share of its trials, and data bases of this share of their"
-        " images, 120 at least",
+        help="make a draft: run what is missing with this share of its trials, data bases of this share of their"
+        " images, 120 at least, and arcs of this share of theirs, 24 at least",
     )  # fmt: skip
     figures.add_argument(
         "--jobs", type=positive, default=cores(),
@@ -102,7 +100,7 @@ def run_or_finish(name: str, arguments: argparse.Namespace) -> None:
     """Run a campaign, or go on with it; one that cannot be run, for want of its data, is told and left out."""
     out = console()
     try:
-        campaign = replace(resolve(name, variant=choose_variant().name), draft=arguments.trials_scale)
+        campaign = as_draft(resolve(name, variant=choose_variant().name), arguments.trials_scale)
         trials = _trials(campaign.spec.trials, arguments)
         folder = arguments.runs / f"{campaign.spec.name}-{campaign.digest[:8]}"
         out.print(f"{name}: {trials} trials into {folder}")
@@ -113,5 +111,5 @@ def run_or_finish(name: str, arguments: argparse.Namespace) -> None:
 
 
 def _trials(whole: int, arguments: argparse.Namespace) -> int:
-    scaled = max(min(whole, _LEAST_TRIALS), math.ceil(float(arguments.trials_scale) * whole))
+    scaled = kept(whole, float(arguments.trials_scale), LEAST_TRIALS)
     return scaled if arguments.trials is None else min(int(arguments.trials), scaled)

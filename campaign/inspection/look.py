@@ -33,7 +33,7 @@ from scenarios.sequences import MeshGround
 FloatArray = NDArray[np.float64]
 
 _MOST_FACES = 40_000
-_NEAR = 2.5
+_NEAR = 1.8
 """Radii of the body at which cameras are drawn that are farther: from 2 km a body of 300 m is a dot."""
 
 

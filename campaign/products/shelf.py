@@ -8,8 +8,8 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
+from campaign.draft import drafted
 from campaign.products.keys import content_key
 from campaign.products.kinds import product_kind
 from campaign.world import believed
@@ -22,9 +22,6 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
-
-Options = TypeVar("Options", bound=SpecModel)
-_LEAST_IMAGES = 120
 
 
 def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant: str) -> str:
@@ -60,7 +57,7 @@ class Shelf:
     tell
         Told before something is built.
     draft
-        Share of the images that data bases are made of, see `drafted`.
+        Share of the images that data bases are made of, see `campaign.draft`.
     """
 
     def __init__(
@@ -135,14 +132,6 @@ class Shelf:
 
         cached = default_cache().folder(kind, folder.name.rsplit("-", 1)[1], build)
         _place(cached, folder)
-
-
-def drafted(options: Options, draft: float) -> Options:
-    """Ask for a share of the images that a data base is made of; fewer than a floor tell nothing of a method."""
-    images = getattr(options, "images", None)
-    if draft >= 1.0 or not isinstance(images, int):
-        return options
-    return options.model_copy(update={"images": max(min(images, _LEAST_IMAGES), round(draft * images))})
 
 
 def _place(cached: Path, folder: Path) -> None:

@@ -17,7 +17,6 @@ from campaign.cli.figures import run_or_finish
 from campaign.paper.gather import newest_finished, run_folders
 from campaign.paper.page import drawn, gather, paper_called, paper_campaigns
 from campaign.paper.shapes import broadside_view, built_again, cluster_view, surface_view
-from campaign.products.shelf import drafted
 from campaign.resolve import resolve
 from campaign.store import RunFolder
 from campaign.world import open_world
@@ -149,13 +148,6 @@ def test_a_draft_has_a_share_of_the_trials_and_is_never_taken_for_a_run(cache, t
     assert draft.folder.table("rows")["trial"].nunique() == 3
     assert any("draft of scale 0.6" in note for note in draft.content.notes)
     assert draft.campaign().draft == 0.6
-
-
-@pytest.mark.parametrize(
-    ("images", "share", "wanted"), [(500, 0.05, 120), (500, 0.5, 250), (80, 0.05, 80), (500, 1.0, 500)]
-)
-def test_a_draft_makes_data_bases_of_fewer_images_with_a_floor(images, share, wanted):
-    assert drafted(DatabaseOptions(images=images), share).images == wanted
 
 
 @pytest.mark.parametrize("share", ["0", "1.5", "much"])

@@ -1,0 +1,52 @@
+"""What a draft of a campaign leaves out, and what it never does."""
+
+from __future__ import annotations
+
+import pytest
+
+from campaign.draft import as_draft, drafted, kept
+from campaign.resolve import resolve
+from estimators.landmark.build import DatabaseOptions
+
+
+@pytest.mark.parametrize(
+    ("whole", "share", "least", "wanted"),
+    [(1000, 0.05, 2, 50), (1, 0.05, 2, 1), (5, 0.05, 2, 2), (60, 0.05, 2, 3), (7, 0.5, 2, 4), (7, 1.0, 2, 7)],
+)
+def test_a_draft_keeps_a_share_and_no_less_than_a_method_needs(whole, share, least, wanted):
+    assert kept(whole, share, least) == wanted
+
+
+@pytest.mark.parametrize(
+    ("images", "share", "wanted"), [(500, 0.05, 120), (500, 0.5, 250), (80, 0.05, 80), (500, 1.0, 500)]
+)
+def test_a_draft_makes_data_bases_of_fewer_images_with_a_floor(images, share, wanted):
+    assert drafted(DatabaseOptions(images=images), share).images == wanted
+
+
+def test_a_draft_renders_a_share_of_the_sets_of_images_that_are_pooled():
+    whole = resolve("delpech2015-images-textures")
+    draft = as_draft(whole, 0.05)
+    assert [one.spec.body.detail.seed for one in draft.scenarios] == [11, 12]
+    assert list(draft.variations) == [one.spec.name for one in draft.scenarios] == list(whole.variations)[:2]
+
+
+def test_a_draft_cuts_an_arc_of_rendered_images_at_the_same_time_between_them():
+    campaign = resolve("cheng2003-endtoend")
+    whole, cut = (one.scenarios[0].spec.orbit for one in (campaign, as_draft(campaign, 0.05)))
+    assert (whole.imaging.epochs, cut.imaging.epochs) == (208, 24)
+    assert cut.arc.days / 24 == pytest.approx(whole.arc.days / 208)
+    assert cut.model_copy(update={"arc": whole.arc, "imaging": whole.imaging}) == whole
+
+
+@pytest.mark.parametrize("name", ["delpech2015-sensitivity", "endtoend-smoke", "quickstart"])
+def test_a_draft_leaves_out_nothing_that_is_compared_or_costs_no_image(name):
+    whole = resolve(name)
+    draft = as_draft(whole, 0.05)
+    assert [one.spec for one in draft.scenarios] == [one.spec for one in whole.scenarios]
+    assert draft.labels == whole.labels
+
+
+def test_all_of_it_is_no_draft():
+    whole = resolve("quickstart")
+    assert as_draft(whole, 1.0) is whole
