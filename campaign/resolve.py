@@ -21,7 +21,7 @@ from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.beliefs import believed_spec
 from scenarios.bodies import body_digest
 from scenarios.craters import shape_digest
-from scenarios.designs import Variation, cells
+from scenarios.designs import Cell, Variation, cells
 from scenarios.errors import BoresightError
 from scenarios.load import (
     LoadedCampaign,
@@ -129,7 +129,7 @@ def resolve(
     """
     loaded = load_campaign(name_or_path, CATALOG)
     spec = loaded.spec
-    found = list(_scenarios(loaded, overrides))
+    found = [read_source(loaded, source, overrides) for source in sources(spec)]
     scenarios = tuple(scenario for scenario, _ in found)
     variations = {scenario.spec.name: variation for scenario, variation in found if variation is not None}
     names = [s.spec.name for s in scenarios]
@@ -144,18 +144,32 @@ def resolve(
     )
 
 
-def _scenarios(loaded: LoadedCampaign, overrides: Sequence[str]) -> Iterator[tuple[LoadedScenario, Variation | None]]:
-    """Read the scenarios of a campaign, each in all variations of its grid."""
-    near, grid = loaded.path.parent, loaded.spec.grid
-    for name in loaded.spec.scenarios:
-        if grid is None:
-            yield load_scenario(name, overrides, base=loaded.overrides, near=near), None
-            continue
-        for cell in cells(grid):
-            one = load_scenario(name, overrides, base=loaded.overrides, levels=cell.overrides, near=near)
-            base = one.spec.name
-            own_name = "-".join(filter(None, (base, cell.suffix)))
-            yield replace(one, spec=one.spec.model_copy(update={"name": own_name})), Variation(base, cell.levels)
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a scenario of a campaign comes from: its file or name, and its cell of the grid, if there is one."""
+
+    file: str
+    cell: Cell | None
+
+
+def sources(campaign: CampaignSpec) -> list[Source]:
+    """List where the scenarios of a campaign come from, each in all variations of its grid, in their order."""
+    every = (None,) if campaign.grid is None else cells(campaign.grid)
+    return [Source(file, cell) for file in campaign.scenarios for cell in every]
+
+
+def read_source(
+    loaded: LoadedCampaign, source: Source, overrides: Sequence[str]
+) -> tuple[LoadedScenario, Variation | None]:
+    """Read one scenario of a campaign."""
+    cell = source.cell
+    levels = () if cell is None else cell.overrides
+    one = load_scenario(source.file, overrides, base=loaded.overrides, levels=levels, near=loaded.path.parent)
+    if cell is None:
+        return one, None
+    base = one.spec.name
+    own_name = "-".join(filter(None, (base, cell.suffix)))
+    return replace(one, spec=one.spec.model_copy(update={"name": own_name})), Variation(base, cell.levels)
 
 
 def _versions(campaign: CampaignSpec, entry: EstimatorSpec) -> list[int]:

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from SALib.sample import sobol
 from scipy.stats import qmc
 
-from campaign.resolve import CATALOG, ResolvedCampaign
+from campaign.resolve import CATALOG, ResolvedCampaign, read_source, sources
 from reports.compare.metrics import Metric
 from reports.global_sensitivity import Sensitivity, Varied, outcome, problem, rank_shares, same_results, sobol_shares
 from reports.run_data import RunData
 from reports.statistics import Statistic
 from scenarios.errors import BoresightError
-from scenarios.load import LoadedScenario, load_campaign, load_scenario
+from scenarios.load import LoadedScenario, load_campaign
 from scenarios.spec.scenario import ScenarioSpec
 
 FloatArray = NDArray[np.float64]
@@ -84,32 +84,30 @@ def draw_samples(varied: Sequence[Varied], n: int, method: str, seed: int) -> Fl
 
 
 def make_design(
-    name: str, resolved: ResolvedCampaign, overrides: Sequence[str], varied: Sequence[Varied], n: int, method: str
+    name: str, resolved: ResolvedCampaign, chosen: str | None, varied: Sequence[Varied], n: int, method: str
 ) -> Design:
-    """Make the scenarios of a design from a campaign of one scenario.
+    """Make the scenarios of a design from one scenario of a campaign: the ``chosen`` one, or the only one.
 
     Raises
     ------
     BoresightError
-        If the campaign has several scenarios or a grid, a key is unknown or named twice, or a value not allowed.
+        If it is unknown or not chosen, a key is unknown or named twice, or a value not allowed.
     """
-    if len(resolved.scenarios) != 1 or resolved.spec.grid is not None:
-        raise BoresightError(f"{name}: has {len(resolved.scenarios)} scenarios; a sensitivity analysis varies one")
+    number = _chosen(name, resolved, chosen)
     keys = [one.key for one in varied]
     if len(set(keys)) < len(keys):
         raise BoresightError(f"--over {next(key for key in keys if keys.count(key) > 1)}: named twice")
-    base = resolved.scenarios[0]
+    base = resolved.scenarios[number]
     samples = draw_samples(varied, n, method, resolved.seed)
     for column, one in zip(samples.T, varied, strict=True):
         if isinstance(_base_value(base.spec, one), int):
             column[:] = np.round(column)
     loaded = load_campaign(name, CATALOG)
+    source = sources(loaded.spec)[number]
 
     def scenario(cell: str, values: Mapping[str, float]) -> LoadedScenario:
         texts = [_override(base.spec, one, values[one.key]) for one in varied if one.key in values]
-        found = load_scenario(
-            loaded.spec.scenarios[0], [*overrides, *texts], base=loaded.overrides, near=loaded.path.parent
-        )
+        found, _ = read_source(loaded, source, [*resolved.overrides, *texts])
         return replace(found, spec=found.spec.model_copy(update={"name": cell}))
 
     scenarios = [scenario(BASE, {})]
@@ -118,8 +116,21 @@ def make_design(
             scenario(f"{_alone(i)}-{end}", {one.key: value}) for end, value in (("low", one.low), ("high", one.high))
         ]
     scenarios += [scenario(_sample(i), dict(zip(keys, row.tolist(), strict=True))) for i, row in enumerate(samples)]
-    campaign = replace(resolved, scenarios=tuple(scenarios), variations={})
+    spec = resolved.spec.model_copy(update={"scenarios": (source.file,), "grid": None})
+    campaign = replace(resolved, spec=spec, scenarios=tuple(scenarios), variations={})
     return Design(tuple(varied), samples, method, campaign)
+
+
+def _chosen(name: str, resolved: ResolvedCampaign, chosen: str | None) -> int:
+    """Return the number of the scenario to vary."""
+    names = [one.spec.name for one in resolved.scenarios]
+    if chosen in names:
+        return names.index(chosen)
+    if chosen is None and len(names) == 1:
+        return 0
+    if chosen is None:
+        raise BoresightError(f"{name}: has {len(names)} scenarios: vary one, by --scenario: {', '.join(names)}")
+    raise BoresightError(f"--scenario {chosen}: {name} has no such scenario; choose one of {', '.join(names)}")
 
 
 def _alone(index: int) -> str:

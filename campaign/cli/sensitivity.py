@@ -28,7 +28,8 @@ _TRIALS, _SAMPLES = 20, 16
 def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command to the parser."""
     own = commands.add_parser("sensitivity", help="vary keys of a campaign's scenario together, and tell what matters")
-    own.add_argument("name", help="a campaign of one scenario, or a YAML file")
+    own.add_argument("name", help="a campaign, or a YAML file")
+    own.add_argument("--scenario", help="of this scenario, where the campaign has several")
     own.add_argument(
         "--over", action="append", required=True, metavar="KEY=LOW:HIGH",
         help="vary this key; KEY.max is the bound of a uniform distribution (several keys: give it again)",
@@ -65,7 +66,7 @@ def _sensitivity(arguments: argparse.Namespace) -> int:
     known = names_before_a_run(campaign.spec.experiment)
     if arguments.metric is not None and arguments.metric not in known:
         raise BoresightError(f"--metric {arguments.metric}: choose one of {', '.join(known)}")
-    design = make_design(arguments.name, campaign, arguments.overrides, varied, arguments.samples, arguments.method)
+    design = make_design(arguments.name, campaign, arguments.scenario, varied, arguments.samples, arguments.method)
     name = f"{campaign.spec.name}-sensitivity-{design.campaign.digest[:8]}"
     request = RunRequest(arguments.out or RUNS / name, arguments.trials, arguments.jobs, command=arguments.command)
     out = console()

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import re
+
 import pandas as pd
 import pytest
 from tiny_campaign import CAMPAIGN, write_campaign
 
 from campaign.cli import main
+from campaign.resolve import resolve
+from campaign.sensitivity import make_design
+from reports.global_sensitivity import Varied
 
 
 def sensitivity(file, out, *arguments):
@@ -56,8 +61,31 @@ def test_what_is_wrong_is_one_line(tmp_path, capsys, over, further, why):
     assert not (tmp_path / "run").exists()
 
 
-def test_a_campaign_of_several_scenarios_is_refused(tmp_path, capsys):
-    (tmp_path / "two.yaml").write_text("extends: scene.yaml\n")
-    file = write_campaign(tmp_path, CAMPAIGN.replace("[scene]", "[scene, two.yaml]"))
-    assert sensitivity(file, tmp_path / "run", "--over", "camera.fov_deg=10:20") == 2
-    assert "has 2 scenarios; a sensitivity analysis varies one" in capsys.readouterr().err
+GRID = "grid: {axes: {range: {label: range, key: viewpoint.range_m, values: [900, 1000]}}}\n"
+
+
+@pytest.mark.parametrize(
+    ("chosen", "why"),
+    [
+        ((), "has 2 scenarios: vary one, by --scenario: scene-900, scene-1000"),
+        (("--scenario", "scene"), "--scenario scene: .* choose one of scene-900, scene-1000"),
+    ],
+)
+def test_a_campaign_of_several_scenarios_wants_one_named(tmp_path, capsys, chosen, why):
+    file = write_campaign(tmp_path, CAMPAIGN + GRID)
+    assert sensitivity(file, tmp_path / "run", "--over", "camera.fov_deg=10:20", *chosen) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert re.search(why, error)
+
+
+def test_a_scenario_of_a_grid_is_varied_where_it_stands(tmp_path):
+    file = write_campaign(tmp_path, CAMPAIGN + GRID)
+    resolved = resolve(str(file), ["detector.read_noise_e=3"])
+    varied = [Varied("camera.fov_deg", 10.0, 20.0)]
+    design = make_design(str(file), resolved, "scene-1000", varied, 2, "latin-hypercube")
+    specs = {one.spec.name: one.spec for one in design.campaign.scenarios}
+    assert {(one.viewpoint.range_m, one.detector.read_noise_e) for one in specs.values()} == {(1000.0, 3.0)}
+    assert [specs[f"key-1-{end}"].camera.fov_deg for end in ("low", "high")] == [10.0, 20.0]
+    assert specs["base"].camera == resolved.scenario("scene-1000").spec.camera
+    assert design.campaign.spec.grid is None
