@@ -15,11 +15,15 @@ Draw = Callable[[Runs, int], Iterator[NamedFigure]]
 
 @dataclass(frozen=True, slots=True)
 class PaperFigure:
-    """A figure of the paper: its number, the campaigns of which it needs one, and how it is drawn."""
+    """A figure of the paper: its number, the campaigns of which it needs one, and how it is drawn.
+
+    Each run of them gives drawings of its own, unless one drawing shows them all ``together``.
+    """
 
     number: str
     campaigns: tuple[str, ...]
     draw: Draw
+    together: bool = False
 
     def named(self, figure: NamedFigure, suffix: str = "") -> NamedFigure:
         """Give a figure the paper's number."""

@@ -84,13 +84,16 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int) -> l
     runs = {name: found[name] for name in figure.campaigns if name in found}
     if not runs:
         raise BoresightError(f"not drawn without a finished run of {' or '.join(figure.campaigns)}")
-    names, drawings = list(runs), list(figure.draw(runs, jobs))
-    for drawing in drawings:
-        stamp(drawing.figure, [run.content.run for run in runs.values()])
-    return [
-        figure.named(drawing, drawing.stem if drawing.stem.startswith("_") else f"_{names[i]}" if i else "")
-        for i, drawing in enumerate(drawings)
-    ]
+    groups = [runs] if figure.together else [{name: run} for name, run in runs.items()]
+    named: list[NamedFigure] = []
+    for group in groups:
+        for drawing in figure.draw(group, jobs):
+            stamp(drawing.figure, [run.content.run for run in group.values()])
+            beside = f"_{next(iter(group))}" if named else ""
+            named.append(figure.named(drawing, drawing.stem if drawing.stem.startswith("_") else beside))
+    if not named:
+        raise BoresightError(f"there is nothing to draw in the runs of {', '.join(runs)}")
+    return named
 
 
 def _reports(paper: Paper) -> dict[str, str]:

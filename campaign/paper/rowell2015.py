@@ -265,7 +265,7 @@ _FIGURES = (
     PaperFigure("7", ("rowell2015-simulated",), _figure_7),
     PaperFigure("8", _REAL, _figure_8),
     PaperFigure("9", _REAL, _figure_9),
-    PaperFigure("10", ("rowell2015-simulated", *_REAL), _figure_10),
+    PaperFigure("10", ("rowell2015-simulated", *_REAL), _figure_10, together=True),
 )
 _ORDER = ("database", "centroid", "convergence", "simulated", "real", "real-like")
 PAPER = Paper(

@@ -10,11 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from tiny_campaign import SCENE, compute, write_campaign
 
 from campaign.cli import main
 from campaign.cli.figures import run_or_finish
 from campaign.paper.gather import newest_finished, run_folders
+from campaign.paper.kinds import PaperFigure
 from campaign.paper.page import drawn, gather, paper_called, paper_campaigns
 from campaign.paper.shapes import broadside_view, built_again, cluster_view, surface_view
 from campaign.resolve import resolve
@@ -22,6 +24,7 @@ from campaign.store import RunFolder
 from campaign.world import open_world
 from estimators.landmark.build import DatabaseOptions
 from renderers.mitsuba3 import choose_variant
+from reports.named_figure import NamedFigure
 from reports.published import load_published
 from scenarios.errors import BoresightError
 
@@ -214,6 +217,21 @@ def test_a_further_campaign_stands_beside_the_first(runs):
     figures = drawn(PAPER.figures[8], twice, 1)
     assert [figure.stem for figure in figures] == ["figure_09", "figure_09_navcam67p-real"]
     assert all(figure.caption.startswith("Figure 9. ") for figure in figures)
+
+
+def test_footers_name_the_runs_that_a_drawing_shows(runs):
+    found, _ = gather(PAPER, runs)
+    two = ("rowell2015-simulated", "rowell2015-centroid")
+
+    def draw(runs, jobs):
+        del jobs
+        yield NamedFigure("", Figure(), " and ".join(runs), "")
+
+    for together in (False, True):
+        figures = drawn(PaperFigure("11", two, draw, together), found, 1)
+        footers = ["".join(text.get_text() for text in figure.figure.texts) for figure in figures]
+        told = [[name for name in two if f"boresight {name}," in footer] for footer in footers]
+        assert told == ([list(two)] if together else [[name] for name in two])
 
 
 @pytest.fixture(scope="module")
