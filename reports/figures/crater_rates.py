@@ -101,6 +101,6 @@ def draw_rates(panels: Mapping[str, Mapping[str, Sequence[tuple[str, float, floa
             place.set_xticks(np.arange(len(bins)), [b[0] for b in bins], rotation=30, ha="right")
         place.set(xlabel=what, ylim=(0, 101))
     axes[0].set_ylabel("detectable craters found, %")
-    axes[0].legend(loc="lower right")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(detectors))
     figure.suptitle(title, fontsize=9.5)
     return figure

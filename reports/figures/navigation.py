@@ -60,6 +60,7 @@ def draw_landmark_spans(landmarks: pd.DataFrame, title: str) -> Figure:
         axes.plot(own["first_days"], own.index, ".", color=colour, markersize=2.0)
     axes.set(xlabel="time after the epoch, days", ylabel="landmark, by its first image")
     axes.tick_params(axis="y", colors=GREY)
-    axes.legend(loc="lower right")
+    # Bars go from one corner to the other, so that no place within is free of them.
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
     figure.suptitle(title)
     return figure

@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from reports.figures.looks import colour_of, looks
-from reports.figures.style import GREY, SERIES_COLOURS, add_footer, new_figure
+from reports.figures.style import GREY, SERIES_COLOURS, add_footer, new_figure, scale_ordinate
 
 
 @pytest.mark.parametrize("others", [(), ("ekf-slam", "batch"), ("my-own", "fixed-lag", "prior")])
@@ -68,3 +68,13 @@ def test_a_footer_tells_the_run_and_moves_nothing_else():
     footer = next(text for text in figure.texts if "seed 7" in text.get_text()).get_window_extent()
     assert not footer.overlaps(figure.legends[0].get_window_extent())
     assert not footer.overlaps(axes.get_tightbbox())
+
+
+@pytest.mark.parametrize(("last", "scale", "said"), [(30.0, "linear", []), (1e17, "log", ["up to 1e+17"])])
+def test_what_runs_away_leaves_the_frame_and_is_told(last, scale, said):
+    _, (axes,) = new_figure(1)
+    axes.plot([0, 1, 2], [1.0, 2.0, last])
+    scale_ordinate(axes, [2.0])
+    assert axes.get_yscale() == scale
+    assert axes.get_ylim()[1] == pytest.approx(2000.0 if said else 31.5, rel=0.02)
+    assert [text.get_text() for text in axes.texts] == said
