@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from tiny_campaign import Silent, run
+from tiny_campaign import Heard, run
 
 from campaign.cli import main
 from campaign.experiments import crater_detection
@@ -184,7 +184,7 @@ def test_report_shows_images_curves_and_the_papers_claim(done: Path) -> None:
 
 def test_same_seed_same_rows(folder: Path, done: Path) -> None:
     campaign = resolve(str(folder / "tiny.yaml"), variant=choose_variant().name)
-    run_campaign(campaign, RunRequest(folder / "again", 4, 1), Silent())
+    run_campaign(campaign, RunRequest(folder / "again", 4, 1), Heard())
     for name in ("crater_images", "craters", "detections", "rows"):
         first, second = (RunFolder(path).table(name) for path in (done, folder / "again"))
         pd.testing.assert_frame_equal(first, second)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tiny_pairs import PAIRS
 
 from campaign.crater_pairs import _found
 from campaign.experiments.crater_matching import CraterMatching, check_matches, score_matches
@@ -20,20 +21,6 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Ellipses, Pose, View
 from scenarios.observation import Frame
 
-_SCENARIO = """name: tiny-pairs
-body: {shape: contact-binary}
-camera: {width_px: 256, height_px: 256, fov_deg: 3}
-crater_pairs:
-  range_m: 4000
-  view_deg: {uniform: [0, 20]}
-  sun_deg: {uniform: [0, 30]}
-  aim_sigma_m: 5
-  craters: {count: 300, min_diameter_m: 8, max_diameter_m: 60}
-  errors: {height_m: 0.3, least_radius_px: 4}
-pose_error:
-  position_cam_m: {normal: [2, 2, 2]}
-  attitude: {rotation_vector_deg: {normal: [0.005, 0.005, 0.005]}}
-"""
 _CAMPAIGN = """name: tiny-matching
 experiment: crater-matching
 scenarios: [tiny-pairs.yaml]
@@ -46,7 +33,7 @@ seed: 5
 @pytest.fixture(scope="module")
 def campaign_file(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("matching")
-    (folder / "tiny-pairs.yaml").write_text(_SCENARIO)
+    (folder / "tiny-pairs.yaml").write_text(PAIRS)
     (folder / "tiny-matching.yaml").write_text(_CAMPAIGN)
     return folder / "tiny-matching.yaml"
 
@@ -132,7 +119,7 @@ def test_a_run_is_stored_and_reported_with_shares_of_its_counts(campaign_file, t
     (("range_m: 4000", "range_m: -1"), "range_m"),
 ])  # fmt: skip
 def test_a_wrong_section_is_one_clear_error(campaign_file, tmp_path, change, said) -> None:
-    (tmp_path / "tiny-pairs.yaml").write_text(_SCENARIO.replace(*change))
+    (tmp_path / "tiny-pairs.yaml").write_text(PAIRS.replace(*change))
     (tmp_path / "tiny-matching.yaml").write_text(_CAMPAIGN)
     with pytest.raises(BoresightError, match=said):
         resolve(str(tmp_path / "tiny-matching.yaml"))
@@ -146,12 +133,12 @@ def test_a_scenario_without_pairs_and_an_unknown_matcher_are_refused(campaign_fi
     for detector, said in (("crater-classic", "crater-classic has no image to look at"), ("coin", "'coin' is unknown")):
         entry = f"vote: {{detector: {detector}}}"
         (tmp_path / "seen.yaml").write_text(_CAMPAIGN.replace("vote", entry).replace("tiny-matching", "seen"))
-        (tmp_path / "tiny-pairs.yaml").write_text(_SCENARIO)
+        (tmp_path / "tiny-pairs.yaml").write_text(PAIRS)
         with pytest.raises(BoresightError, match=said):
             campaign = resolve(str(tmp_path / "seen.yaml"))
             CraterMatching.prepare(campaign, campaign.scenarios[0], None)  # type: ignore[arg-type]
     (tmp_path / "other.yaml").write_text(_CAMPAIGN.replace("vote", "coin").replace("tiny-matching", "other"))
-    (tmp_path / "tiny-pairs.yaml").write_text(_SCENARIO)
+    (tmp_path / "tiny-pairs.yaml").write_text(PAIRS)
     with pytest.raises(BoresightError, match="'coin' is unknown; there are: context"):
         resolve(str(tmp_path / "other.yaml"))
 

@@ -12,6 +12,7 @@ from tiny_campaign import (
     TRIALS,
     assert_same_results,
     boresight,
+    compute,
     run,
     started,
     stop,
@@ -19,6 +20,7 @@ from tiny_campaign import (
     write_campaign,
 )
 
+from campaign.cli import main
 from campaign.image_store import ImageStore, image_set_key, store_switched
 from campaign.store import RunFolder
 from campaign.store.image_chunk import KeptImage, read_images, write_images
@@ -139,63 +141,65 @@ def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeyp
     assert len(caplog.records) == 1
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_rows_are_the_same_from_the_store(own_cache, tmp_path, jobs):
+def in_a_process(file, out, jobs):
+    """Run with workers that know this test's cache: those of this process keep that of the test that started them."""
+    return boresight("run", file, "--out", out, "--jobs", jobs).stdout
+
+
+def test_rows_are_the_same_from_the_store(own_cache, tmp_path):
     noisy = write_campaign(tmp_path / "noisy", scene=SCENE + "detector: {psf_sigma_px: 0.6}\n")
-    for out, how, rendered, stored in (
-        ("fresh", ["--no-store"], TRIALS, 0), ("first", [], TRIALS, 0), ("second", [], 0, TRIALS),
+    for out, jobs, rendered, stored in (
+        ("fresh", 1, TRIALS, 0), ("first", 2, TRIALS, 0), ("second", 1, 0, TRIALS), ("third", 2, 0, TRIALS),
     ):  # fmt: skip
-        done = boresight("run", noisy, "--out", tmp_path / out, "--jobs", jobs, *how)
-        assert f"images: {rendered} rendered or read, {stored} from the store" in done.stdout
+        with store_switched(on=out != "fresh"):
+            said = compute(noisy, tmp_path / out) if jobs == 1 else in_a_process(noisy, tmp_path / out, jobs)
+        assert f"images: {rendered} rendered or read, {stored} from the store" in said
         assert_same_results(tmp_path / "fresh", tmp_path / out)
-    stages = RunFolder(tmp_path / "second").table("timings").groupby("stage").size()
-    assert stages["stored_image"] == 2 * TRIALS
-    assert "image" not in stages
+    for out in ("second", "third"):
+        stages = RunFolder(tmp_path / out).table("timings").groupby("stage").size()
+        assert stages["stored_image"] == 2 * TRIALS
+        assert "image" not in stages
 
 
-def test_another_threshold_or_detector_renders_nothing(own_cache, tmp_path, capsys):
-    run(write_campaign(tmp_path / "first"), tmp_path / "a")
+def test_another_threshold_or_detector_renders_nothing(own_cache, tmp_path):
+    compute(write_campaign(tmp_path / "first"), tmp_path / "a")
     other = CAMPAIGN.replace("database:", "pose: {match_d2_max: 25}\n      database:")
     noisy = SCENE + "detector: {psf_sigma_px: 0.6}\n"
     for name, campaign, scene in (("threshold", other, SCENE), ("detector", CAMPAIGN, noisy)):
-        capsys.readouterr()
-        run(write_campaign(tmp_path / name, campaign, scene), tmp_path / f"run-{name}")
-        assert f"images: 0 rendered or read, {TRIALS} from the store" in capsys.readouterr().out
+        said = compute(write_campaign(tmp_path / name, campaign, scene), tmp_path / f"run-{name}")
+        assert f"images: 0 rendered or read, {TRIALS} from the store" in said
 
 
-def test_another_kernel_of_the_data_base_renders_nothing(own_cache, tmp_path, capsys):
+def test_another_kernel_of_the_data_base_renders_nothing(own_cache, tmp_path):
     """The same data base comes out, and other corners are looked for in the images that are there."""
-    run(write_campaign(tmp_path / "first"), tmp_path / "a")
-    assert "images: 40; images from store: 0" in capsys.readouterr().out
+
+    def made(name, campaign=CAMPAIGN):
+        return compute(write_campaign(tmp_path / f"files-{name}", campaign), tmp_path / name, trials=1)
+
+    assert "images: 40; images from store: 0" in made("a")
     kernel = CAMPAIGN.replace("images: 40,", "images: 40, corners: {patch_px: 9},")
-    run(write_campaign(tmp_path / "kernel", kernel), tmp_path / "b")
-    assert "images: 40; images from store: 40" in capsys.readouterr().out
-    more = CAMPAIGN.replace("images: 40,", "images: 45,")
-    run(write_campaign(tmp_path / "more", more), tmp_path / "c")
-    assert "images: 45; images from store: 40" in capsys.readouterr().out
-    boresight("cache", "--clear", "landmark-database")
-    boresight("cache", "--clear", "landmark-candidates")
-    run(write_campaign(tmp_path / "again"), tmp_path / "d")
-    assert "images: 40; images from store: 40" in capsys.readouterr().out
+    assert "images: 40; images from store: 40" in made("b", kernel)
+    assert "images: 45; images from store: 40" in made("c", CAMPAIGN.replace("images: 40,", "images: 45,"))
+    for kind in ("landmark-database", "landmark-candidates"):
+        assert main(["cache", "--clear", kind]) == 0
+    assert "images: 40; images from store: 40" in made("d")
     for name in ("landmarks.csv", "facets.csv"):
         first, again = (next(tmp_path.glob(f"{out}/products/*/{name}")).read_bytes() for out in "ad")
         assert first == again
 
 
-def test_other_clusters_read_no_image_and_find_no_corner(own_cache, tmp_path, capsys, monkeypatch):
-    run(write_campaign(tmp_path / "first"), tmp_path / "a", "--trials", 1)
-    boresight("cache", "--clear", "images")
-    capsys.readouterr()
+def test_other_clusters_read_no_image_and_find_no_corner(own_cache, tmp_path, monkeypatch):
+    compute(write_campaign(tmp_path / "first"), tmp_path / "a", trials=1)
+    assert main(["cache", "--clear", "images"]) == 0
     monkeypatch.setattr("campaign.products.landmark_candidates.extract_candidates", None)
     clusters = CAMPAIGN.replace("seed_radius_m: 15", "seed_radius_m: 16")
-    run(write_campaign(tmp_path / "other", clusters), tmp_path / "b", "--trials", 1)
-    said = capsys.readouterr().out
+    said = compute(write_campaign(tmp_path / "other", clusters), tmp_path / "b", trials=1)
     count = int(re.search(r"images: 40; candidates from cache: (\d+)", said)[1])
     heads = [json.loads(next(tmp_path.glob(f"{out}/products/*/database.json")).read_text()) for out in "ab"]
     assert [head["provenance"]["candidates"] for head in heads] == [count, count]
     monkeypatch.undo()
     monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "empty"))
-    run(write_campaign(tmp_path / "fresh", clusters), tmp_path / "c", "--trials", 1)
+    compute(write_campaign(tmp_path / "fresh", clusters), tmp_path / "c", trials=1)
     for name in ("landmarks.csv", "facets.csv"):
         kept, fresh = (next(tmp_path.glob(f"{out}/products/*/{name}")).read_bytes() for out in "bc")
         assert kept == fresh
@@ -212,13 +216,13 @@ def test_a_killed_run_leaves_a_sound_store(own_cache, tmp_path):
     for entry in kept:
         assert own_cache.find(entry.kind, entry.key) == entry.path
         assert len(read_images(entry.path / "images.parquet")) == 10
-    run(file, tmp_path / "after", "--trials", 30)
+    compute(file, tmp_path / "after", 30)
     run(file, tmp_path / "fresh", "--trials", 30, "--no-store")
     assert_same_results(tmp_path / "fresh", tmp_path / "after")
 
 
 def test_cache_lists_images_by_kind_and_clears_them_alone(own_cache, tmp_path):
-    run(write_campaign(tmp_path), tmp_path / "run")
+    compute(write_campaign(tmp_path), tmp_path / "run")
     listing = boresight("cache").stdout
     assert "images: 7 entries" in listing  # three blocks of trials, four of the data base
     assert "7 entries removed" in boresight("cache", "--clear", "images").stdout

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from tiny_campaign import compute
+from tiny_pairs import PAIRS
 
 from campaign.cli import main
 from campaign.inspection.case import Case
@@ -28,21 +29,6 @@ scenarios: [orbit.yaml]
 estimators: [fixed-lag, dead-reckoning]
 trials: 2
 seed: 3
-"""
-PAIRS = """\
-name: tiny-pairs
-body: {shape: contact-binary}
-camera: {width_px: 256, height_px: 256, fov_deg: 3}
-crater_pairs:
-  range_m: 4000
-  view_deg: {uniform: [0, 20]}
-  sun_deg: {uniform: [0, 30]}
-  aim_sigma_m: 5
-  craters: {count: 300, min_diameter_m: 8, max_diameter_m: 60}
-  errors: {height_m: 0.3, least_radius_px: 4}
-pose_error:
-  position_cam_m: {normal: [2, 2, 2]}
-  attitude: {rotation_vector_deg: {normal: [0.005, 0.005, 0.005]}}
 """
 MATCHING = """\
 title: Pairs
@@ -116,14 +102,14 @@ def test_a_matched_pair_is_drawn_with_the_counts_that_are_stored(cache, tmp_path
 
 
 def test_an_orbit_is_drawn_with_its_residuals(cache, tmp_path, capsys):
-    from tiny_campaign import Silent
+    from tiny_campaign import Heard
 
     from campaign.request import RunRequest
     from campaign.resolve import resolve
     from campaign.runner import run_campaign
 
     campaign = resolve("orbit-smoke")
-    run_campaign(campaign, RunRequest(tmp_path / "run", 2, 1), Silent())
+    run_campaign(campaign, RunRequest(tmp_path / "run", 2, 1), Heard())
     assert main(["inspect", str(tmp_path / "run"), "--trial", "1"]) == 0
     said = capsys.readouterr().out
     assert "NOT" not in said

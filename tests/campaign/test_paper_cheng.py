@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from tiny_campaign import compute, write_campaign
+from tiny_pairs import PAIRS
 
 from campaign.cli import main
 from campaign.store import RunFolder
@@ -21,21 +22,6 @@ camera: {width_px: 240, height_px: 200, fov_deg: 12}
 detector: {psf_sigma_px: 0.8}
 viewpoint: {range_m: 2000, targets: [nadir, limb, terminator]}
 lighting: {phase_deg: {uniform: [30, 70]}, measure: angle}
-"""
-PAIRS = """\
-description: Two looks at a small body.
-body: {shape: contact-binary}
-camera: {width_px: 256, height_px: 256, fov_deg: 3}
-crater_pairs:
-  range_m: 4000
-  view_deg: {uniform: [0, 20]}
-  sun_deg: {uniform: [0, 30]}
-  aim_sigma_m: 5
-  craters: {count: 300, min_diameter_m: 8, max_diameter_m: 60}
-  errors: {height_m: 0.3, least_radius_px: 4}
-pose_error:
-  position_cam_m: {normal: [2, 2, 2]}
-  attitude: {rotation_vector_deg: {normal: [0.005, 0.005, 0.005]}}
 """
 ORBIT = """\
 name: eros-orbit
@@ -125,5 +111,5 @@ def test_the_chain_is_told_beside_the_paper(page, runs):
 
 def test_matching_is_told_by_the_angles(page):
     text = (page / "table.md").read_text(encoding="utf-8")
-    assert "cheng2003-matching: Matching, scene" in text
+    assert "cheng2003-matching: Matching, tiny-pairs" in text
     assert "http" not in (page / "index.html").read_text(encoding="utf-8").replace("http://www.w3.org", "")

@@ -8,7 +8,7 @@ import shutil
 import numpy as np
 import pandas as pd
 import pytest
-from tiny_campaign import Silent, run
+from tiny_campaign import Heard, run
 
 from campaign import until as module
 from campaign.request import RunRequest
@@ -66,7 +66,7 @@ def test_it_stops_at_the_first_look_whatever_is_stored(tiny_run, tmp_path, monke
         block.unlink()
     campaign = resolve(str(tiny_run.file), variant=choose_variant().name)
     condition = parse_until(f"ci(position_error_m, median) < {width}", "single-image")
-    run_until(campaign, RunRequest(folder, 24, 1), condition, Silent())
+    run_until(campaign, RunRequest(folder, 24, 1), condition, Heard())
     rows, whole = (pd.read_parquet(one / "rows") for one in (folder, tiny_run.folder))
     pd.testing.assert_frame_equal(rows, whole[whole["trial"] < trials])
     (note,) = json.loads((folder / "manifest.json").read_text())["notes"]

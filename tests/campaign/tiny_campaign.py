@@ -63,20 +63,25 @@ def run(file: Path, out: Path, *arguments: object) -> int:
     return main(["run", str(file), "--jobs", "1", "--out", str(out), "--worst", "0", *map(str, arguments)])
 
 
-class Silent:
-    """Hears of a run and says nothing."""
+class Heard:
+    """Keeps what is said of a run."""
 
-    def message(self, text: str) -> None: ...
+    def __init__(self) -> None:
+        self.messages: list[str] = []
+
+    def message(self, text: str) -> None:
+        self.messages.append(text)
 
     def started(self, done: int, total: int) -> None: ...
 
     def block(self, records: Records, trials: int) -> None: ...
 
 
-def compute(file: Path, out: Path, trials: int = TRIALS, jobs: int = 1) -> None:
-    """Run a campaign from Python, without the report."""
-    campaign = resolve(str(file), variant=choose_variant().name)
-    run_campaign(campaign, RunRequest(out, trials, jobs), Silent())
+def compute(file: Path, out: Path, trials: int = TRIALS, jobs: int = 1) -> str:
+    """Run a campaign from Python, without the report; return what was said."""
+    campaign, heard = resolve(str(file), variant=choose_variant().name), Heard()
+    run_campaign(campaign, RunRequest(out, trials, jobs), heard)
+    return "\n".join(heard.messages)
 
 
 def command(*arguments: object) -> list[str]:
