@@ -79,6 +79,8 @@ MEASURES = {
     "predicted_error_m": "predicted position error",
     "position_reduction_m": "reduction of the position error",
     "attitude_reduction_deg": "reduction of the attitude error",
+    "error_after_1_reduction": "position error after 1 revolution",
+    "error_after_2_reduction": "position error after 2 revolutions",
     "seconds": "time",
 }
 
