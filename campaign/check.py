@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 import numpy as np
 
-from estimators.contract import Estimate
+from campaign.check_parts import MOST, check_array, check_indices, check_numbers, check_status, check_type
+from estimators.contract import Estimate, Table
 from scenarios.geometry import Pose
 from scenarios.observation import Observation
 
+LANDMARK_NUMBERS = (
+    *("u_px", "v_px", "x_m", "y_m", "z_m"),
+    *("sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2"),
+)
+"""Columns of the details ``landmarks`` beside ``landmark``: corner, mean and covariance."""
+
 _RIGID = 1e-6
+_MOST_PX = 1e6
 
 
 def check(estimate: Estimate, observation: Observation) -> None:
@@ -19,17 +27,19 @@ def check(estimate: Estimate, observation: Observation) -> None:
     Raises
     ------
     ValueError
-        If the status or the reason is none, poses or covariances are not those of the frames, or a number is not
-        finite.
+        If it is none, the status or the reason is none, poses or covariances are not those of the frames, or a number
+        is not finite or of an impossible size.
     """
-    if estimate.status not in {"ok", "failed"}:
-        raise ValueError(f"status is {estimate.status!r}, not ok or failed")
-    if not isinstance(estimate.reason, str) or (estimate.status == "failed" and not estimate.reason):
-        raise ValueError(f"a {estimate.status} estimate gives as its reason {estimate.reason!r}")
+    check_type(estimate, Estimate)
+    check_status(estimate.status, estimate.reason)
     for stage in estimate.stages:
         _check_pose(stage.T_cam_body, f"after {stage.name}")
-    _check_numbers(estimate.diagnostics, "diagnostics")
-    _check_numbers(estimate.timings_s, "timings_s")
+    check_numbers(estimate.diagnostics, "diagnostics", texts=True)
+    if isinstance(estimate.diagnostics.get("n_landmarks"), str):
+        raise ValueError("diagnostics: n_landmarks is a text")  # noqa: TRY004  all rubbish is a ValueError
+    check_numbers(estimate.timings_s, "timings_s")
+    if "landmarks" in estimate.details:
+        _check_landmarks(estimate.details["landmarks"])
     if estimate.status == "ok":
         _check_solution(estimate, len(observation.frames))
 
@@ -40,22 +50,42 @@ def _check_solution(estimate: Estimate, frames: int) -> None:
     for index, pose in enumerate(estimate.poses):
         _check_pose(pose, f"of frame {index}")
     for what, matrices in (("covariance", estimate.covariances), ("bound", estimate.bounds)):
-        if matrices and len(matrices) != frames:
-            raise ValueError(f"{len(matrices)} {what}s for {frames} frames")
-        for matrix in matrices:
-            if np.shape(matrix) != (6, 6) or not np.isfinite(matrix).all():
-                raise ValueError(f"a {what} of shape {np.shape(matrix)} is not (6, 6) of finite numbers")
+        _check_matrices(what, matrices, frames)
+
+
+def _check_matrices(what: str, matrices: Sequence[object], frames: int) -> None:
+    if len(matrices) not in (0, frames):
+        raise ValueError(f"{len(matrices)} {what}s for {frames} frames")
+    for matrix in matrices:
+        check_array(f"a {what}", matrix, (6, 6), MOST**2)
 
 
 def _check_pose(pose: Pose, which: str) -> None:
+    check_type(pose, Pose)
+    if (pose.to_frame, pose.from_frame) != ("cam", "body"):
+        raise ValueError(f"the pose {which} is T_{pose.to_frame}_{pose.from_frame}, not T_cam_body")
     residual = np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max()
-    if not (np.isfinite(pose.translation_m).all() and residual < _RIGID and np.linalg.det(pose.rotation) > 0):
+    possible = np.abs(pose.translation_m).max() <= MOST
+    if not (possible and residual < _RIGID and np.linalg.det(pose.rotation) > 0):
         raise ValueError(
             f"the pose {which} is not rigid: rotation off by {residual:.1e}, translation {pose.translation_m}"
         )
 
 
-def _check_numbers(numbers: Mapping[str, float | int | str], what: str) -> None:
-    for name, value in numbers.items():
-        if not isinstance(value, str) and not np.isfinite(value):
-            raise ValueError(f"{what}: {name} is {value}")
+def _check_landmarks(table: Table) -> None:
+    """Refuse recognised landmarks that cannot be scored: columns, their lengths, and covariances."""
+    n = len(table["landmark"]) if "landmark" in table else -1
+    missing = [name for name in ("landmark", *LANDMARK_NUMBERS) if name not in table]
+    if missing and n != 0:
+        raise ValueError(f"details: landmarks: columns are missing: {', '.join(missing)}")
+    if n == 0:
+        return
+    check_indices("details: landmarks: landmark", table["landmark"], (n,))
+    for name in LANDMARK_NUMBERS:
+        most = _MOST_PX if name.endswith("_px") else MOST**2
+        check_array(f"details: landmarks: {name}", table[name], (n,), most)
+    xx, xy, xz, yy, yz, zz = (np.asarray(table[name], dtype=np.float64) for name in LANDMARK_NUMBERS[5:])
+    try:
+        np.linalg.inv(np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3))
+    except np.linalg.LinAlgError:
+        raise ValueError("details: landmarks: a covariance is singular") from None

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Protocol
 
 import numpy as np
 
-from campaign.crater_score import match_detections
+from campaign.crater_score import check_detections, match_detections
 from campaign.image_store import ImageStore
 from estimators.craters.contract import CraterDetector
 from estimators.craters.registry import crater_detector_class
@@ -31,11 +32,27 @@ BY_GEOMETRY = ""
 """Stands for the name of a detector where rims are projected and there is no image to look at."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Looks:
+    """A trial before any detector has seen it.
+
+    Parameters
+    ----------
+    first
+        The first of the two true views.
+    seen_by
+        Lets the detector of a name look for craters in both images; what it raises is raised.
+    """
+
+    first: View
+    seen_by: Callable[[str], CraterPair]
+
+
 class PairSource(Protocol):
     """Gives the two looks of a trial."""
 
-    def pairs(self, seed: int, trial: int, detectors: Collection[str]) -> Mapping[str, CraterPair]:
-        """Draw the pair of a trial: the same views, as each of the detectors sees them."""
+    def looks(self, seed: int, trial: int) -> Looks:
+        """Draw the two looks of a trial, the same for all detectors."""
         ...
 
     def flush(self) -> None:
@@ -53,10 +70,10 @@ class SimulatedPairs:
     ground: MeshGround
     craters: PlaneCraters
 
-    def pairs(self, seed: int, trial: int, detectors: Collection[str]) -> Mapping[str, CraterPair]:
+    def looks(self, seed: int, trial: int) -> Looks:
         """Draw the pair of a trial."""
         pair = draw_pair(self.spec, self.pose_error, self.camera, self.ground, self.craters, (seed, trial))
-        return dict.fromkeys(detectors, pair)
+        return Looks(pair.first.view, lambda detector: pair)
 
     def flush(self) -> None:
         """Do nothing: no image was rendered."""
@@ -77,8 +94,8 @@ class RenderedPairs:
     finders: Mapping[str, CraterDetector]
     store: ImageStore
 
-    def pairs(self, seed: int, trial: int, detectors: Collection[str]) -> Mapping[str, CraterPair]:
-        """Draw the views of a trial, render them once and let every detector look for craters."""
+    def looks(self, seed: int, trial: int) -> Looks:
+        """Draw the views of a trial and render them once."""
         views, angles = draw_views(self.spec, self.camera, self.ground, generator(seed, Stream.TRUTH, trial))
         priors, noise = generator(seed, Stream.POSE_ERROR, trial), generator(seed, Stream.DETECTOR, trial)
         seen = []
@@ -88,8 +105,13 @@ class RenderedPairs:
                 image = self.detector.expose(image, noise)
             frame = known_frame(view, image, self.pose_error, priors, float(number))
             seen.append((view, frame, crater_truth(self.rims, view, self.renderer)))
-        looks = {name: [self._look(self.finders[name], *one) for one in seen] for name in detectors}
-        return {name: CraterPair(first, second, *angles) for name, (first, second) in looks.items()}
+
+        def seen_by(detector: str) -> CraterPair:
+            first, second = (self._look(self.finders[detector], *one) for one in seen)
+            return CraterPair(first, second, *angles)
+
+        # Matchers that share a detector see the same craters, which are looked for once.
+        return Looks(views[0], cache(seen_by))
 
     def _look(self, finder: CraterDetector, view: View, frame: Frame, truth: CraterTruth) -> CraterLook:
         rims = _found(finder, frame, self.camera)[: self.images.most_detections]
@@ -106,9 +128,11 @@ class RenderedPairs:
 def _found(finder: CraterDetector, frame: Frame, camera: Camera) -> Ellipses:
     """Detect rims; an image in which a detector can see nothing, black or saturated, has none."""
     try:
-        return finder.detect(frame, camera).ellipses
+        found = finder.detect(frame, camera)
     except BoresightError:
         return Ellipses.none()
+    check_detections(found)
+    return found.ellipses
 
 
 def check_detectors(scenario: LoadedScenario, section: CraterPairsSpec, detectors: Mapping[str, str]) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from campaign.check_parts import check_array, check_type
 from estimators.craters.contract import CraterDetections
 from scenarios.geometry import Ellipses
 
@@ -19,6 +20,8 @@ CENTRE_RADII, CENTRE_PX = 0.3, 1.5
 
 LOG_RADIUS = 0.36
 """A match's radius differs by less than this in its logarithm."""
+
+_MOST_PX = 1e6
 
 NONE = -1
 
@@ -83,15 +86,17 @@ def check_detections(found: CraterDetections) -> None:
     Raises
     ------
     ValueError
-        If lengths differ, a number is not finite, axes are not positive with the longer first, or the confidence
-        ascends.
+        If it is none, lengths differ, a number is not finite or of an impossible size, axes are not positive with the
+        longer first, or the confidence ascends.
     """
+    check_type(found, CraterDetections)
+    check_type(found.ellipses, Ellipses)
     ellipses, confidence = found.ellipses, np.asarray(found.confidence)
-    if confidence.shape != (len(ellipses),):
-        raise ValueError(f"{len(ellipses)} ellipses with confidences of shape {confidence.shape}")
-    for name, numbers in (("centres", ellipses.centre_px), ("axes", ellipses.semi_axes_px), ("confidence", confidence)):
-        if not np.isfinite(numbers).all():
-            raise ValueError(f"the {name} of detections are not all finite")
+    n = len(ellipses)
+    check_array("the centres of detections", ellipses.centre_px, (n, 2), _MOST_PX)
+    check_array("the axes of detections", ellipses.semi_axes_px, (n, 2), _MOST_PX)
+    check_array("the angles of detections", ellipses.angle_rad, (n,))
+    check_array("the confidence of detections", confidence, (n,))
     if np.any(ellipses.semi_axes_px[:, 1] <= 0.0) or np.any(np.diff(ellipses.semi_axes_px, axis=1) > 0.0):
         raise ValueError("semi-axes of detections must be positive, the longer one first")
     if np.any(np.diff(confidence) > 0.0):

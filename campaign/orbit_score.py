@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from campaign.check_parts import MOST, check_array, check_indices, check_numbers, check_status, check_type
 from estimators.orbit.contract import Orbit, OrbitEstimate
 from scenarios.orbits.data import OrbitData
 from scenarios.orbits.draw import OrbitTruth
@@ -27,32 +28,49 @@ def check_orbit(estimate: OrbitEstimate, data: OrbitData) -> None:
     Raises
     ------
     ValueError
-        If status or reason is none, an orbit is missing, or an array has another shape or is not finite.
+        If it is none, status or reason is none, an orbit is missing, or an array has another shape, is not finite or
+        of an impossible size.
     """
-    if estimate.status not in {"ok", "failed"}:
-        raise ValueError(f"status is {estimate.status!r}, not ok or failed")
+    check_type(estimate, OrbitEstimate)
+    check_status(estimate.status, estimate.reason)
+    check_numbers(estimate.diagnostics, "diagnostics")
+    check_numbers({"seconds": estimate.seconds}, "an estimate")
     if estimate.status == "failed":
-        if not estimate.reason:
-            raise ValueError("a failed estimate gives no reason")
         return
     if estimate.orbit is None:
         raise ValueError("an estimate that is ok has no orbit")
-    if not np.isfinite(list(estimate.diagnostics.values())).all():
-        raise ValueError("diagnostics are not finite")
-    orbit, wanted, sightings = estimate.orbit, len(data.wanted_s), len(data.pictures.image)
-    shapes: tuple[tuple[str, NDArray[np.generic], tuple[int, ...]], ...] = (
-        ("state", orbit.state, (_STATE,)),
-        ("covariance", orbit.covariance, (_STATE, _STATE)),
-        ("positions_m", orbit.positions_m, (wanted, 3)),
-        ("velocities_m_s", orbit.velocities_m_s, (wanted, 3)),
-        ("position_covariances_m2", orbit.position_covariances_m2, (wanted, 3, 3)),
-        ("used", orbit.used, (sightings,)),
-    )
-    for name, array, shape in shapes:
-        if np.shape(array) != shape or not np.isfinite(array).all():
-            raise ValueError(f"{name} of shape {np.shape(array)} is not {shape} of finite numbers")
+    _check_solution(estimate.orbit, len(data.wanted_s), len(data.pictures.image))
+
+
+def _check_solution(orbit: Orbit, wanted: int, sightings: int) -> None:
+    check_type(orbit, Orbit)
+    landmarks = len(orbit.numbers)
+    for name, array, shape, most in (
+        ("state", orbit.state, (_STATE,), MOST),
+        ("covariance", orbit.covariance, (_STATE, _STATE), MOST**2),
+        ("positions_m", orbit.positions_m, (wanted, 3), MOST),
+        ("velocities_m_s", orbit.velocities_m_s, (wanted, 3), MOST),
+        ("position_covariances_m2", orbit.position_covariances_m2, (wanted, 3, 3), MOST**2),
+    ):
+        check_array(name, array, shape, most)
+    check_indices("numbers", orbit.numbers, (landmarks,))
+    if orbit.points_body_m.shape != (landmarks, 3):
+        raise ValueError(f"points_body_m of shape {orbit.points_body_m.shape} is not {(landmarks, 3)}")
+    if orbit.used.shape != (sightings,) or orbit.used.dtype != np.bool_:
+        raise ValueError(f"used of shape {orbit.used.shape} and type {orbit.used.dtype} is not ({sightings},) of bool")
     if orbit.residuals_px.shape != (sightings, 2):
         raise ValueError(f"residuals_px of shape {orbit.residuals_px.shape} is not {(sightings, 2)}")
+    check_array("residuals_px of used sightings", orbit.residuals_px[orbit.used], (int(orbit.used.sum()), 2))
+    _check_invertible(orbit)
+
+
+def _check_invertible(orbit: Orbit) -> None:
+    """Refuse covariances by which an error cannot be weighed."""
+    for covariance in (orbit.covariance, *orbit.position_covariances_m2):
+        try:
+            _weighted_square(np.ones(len(covariance)), covariance)
+        except np.linalg.LinAlgError:
+            raise ValueError("a covariance is singular") from None
 
 
 def orbit_errors(orbit: Orbit, truth: OrbitTruth, data: OrbitData) -> list[Record]:

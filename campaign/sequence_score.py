@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from campaign.check_parts import MOST, check_array, check_indices, check_numbers, check_status, check_type
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from scenarios.sequences import SequenceTruth
 from scenarios.sequences.frames import inertial_from_body
@@ -27,17 +28,15 @@ def check_sequence(estimate: SequenceEstimate, sequence: TrackSequence) -> None:
     Raises
     ------
     ValueError
-        If the status or the reason is none, frames are too many or missing, or a number is not finite.
+        If it is none, the status or the reason is none, frames are too many or missing, or a number is not finite or of
+        an impossible size.
     """
-    if estimate.status not in {"ok", "failed"}:
-        raise ValueError(f"status is {estimate.status!r}, not ok or failed")
-    if not isinstance(estimate.reason, str) or (estimate.status == "failed" and not estimate.reason):
-        raise ValueError(f"a {estimate.status} estimate gives as its reason {estimate.reason!r}")
+    check_type(estimate, SequenceEstimate)
+    check_status(estimate.status, estimate.reason)
     given, there = len(estimate.frames), len(sequence.frames)
     if given > there or (estimate.status == "ok" and given < there):
         raise ValueError(f"{given} frames of {estimate.status} for {there} of the sequence")
-    if not np.isfinite(list(estimate.diagnostics.values())).all():
-        raise ValueError("diagnostics are not finite")
+    check_numbers(estimate.diagnostics, "diagnostics")
     known: set[int] = set()
     for index, (frame, seen) in enumerate(zip(estimate.frames, sequence.frames, strict=False)):
         known.update(seen.tracks.tolist())
@@ -45,19 +44,19 @@ def check_sequence(estimate: SequenceEstimate, sequence: TrackSequence) -> None:
 
 
 def _check_frame(frame: FrameEstimate, index: int, known: set[int]) -> None:
-    n = len(frame.tracks)
-    wanted: tuple[tuple[str, FloatArray | None, tuple[int, ...]], ...] = (
-        ("position_m", frame.position_m, (3,)),
-        ("covariance_m2", frame.covariance_m2, (3, 3)),
-        ("points_m", frame.points_m, (n, 3)),
-        ("velocity_m_s", frame.velocity_m_s, (3,)),
-    )
-    for name, array, shape in wanted:
-        if array is not None and (np.shape(array) != shape or not np.isfinite(array).all()):
-            raise ValueError(f"frame {index}: {name} of shape {np.shape(array)} is not {shape} of finite numbers")
+    check_type(frame, FrameEstimate)
+    where, n = f"frame {index}", len(frame.tracks)
+    check_indices(f"{where}: tracks", frame.tracks, (n,))
+    check_array(f"{where}: position_m", frame.position_m, (3,))
+    check_array(f"{where}: points_m", frame.points_m, (n, 3))
+    if frame.covariance_m2 is not None:
+        check_array(f"{where}: covariance_m2", frame.covariance_m2, (3, 3), MOST**2)
+    if frame.velocity_m_s is not None:
+        check_array(f"{where}: velocity_m_s", frame.velocity_m_s, (3,))
+    check_numbers({"seconds": frame.seconds}, where)
     tracks = set(frame.tracks.tolist())
     if len(tracks) != n or not tracks <= known:
-        raise ValueError(f"frame {index}: its landmarks are of tracks not seen so far, or of one twice")
+        raise ValueError(f"{where}: its landmarks are of tracks not seen so far, or of one twice")
 
 
 def score_epochs(estimate: SequenceEstimate, sequence: TrackSequence, truth: SequenceTruth) -> list[Epoch]:

@@ -5,15 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, Self
 
 import numpy as np
 
 from campaign.crater_score import NONE, check_detections, ellipse_errors, match_detections
-from campaign.experiments.fault import faulted
+from campaign.experiments.fault import GaveUpError, Work
 from campaign.experiments.kept_images import ImageSink, image_sink
 from campaign.experiments.registry import Bench, Record, Records, Witness
 from campaign.experiments.single_image import SingleImage
+from campaign.guard import Call
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
@@ -121,9 +123,12 @@ class CraterDetection:
         stage = STORED_IMAGE if sight.from_store else FRESH_IMAGE
         for label, detector in self.detectors.items():
             key: Record = {**image_key, "estimator": label}
-            judged = _judged(detector, frame, camera, truth)
+            call = Call(self.world.scenario.spec.name, trial, label)
+            judged = Work(call, "detector", _circumstances(sight)).judged(
+                partial(_detected, detector, frame, camera), _check, partial(_judged, truth=truth)
+            )
             judged.setdefault("timings", []).append({"stage": stage, "seconds": image_seconds})
-            judged["rows"][0] |= _circumstances(sight)
+            judged["rows"][0] = {**_circumstances(sight), **judged["rows"][0]}
             for table, added in judged.items():
                 records.setdefault(table, []).extend({**key, **record} for record in added)
         return records
@@ -142,19 +147,25 @@ class CraterDetection:
         return crater_truth(ground.rims, sight.view, renderer)
 
 
-def _judged(detector: CraterDetector, frame: Frame, camera: Camera, truth: CraterTruth) -> Records:
-    """Let a detector work and score what it finds: records without their key, whatever goes wrong."""
+def _detected(detector: CraterDetector, frame: Frame, camera: Camera) -> tuple[CraterDetections, float]:
+    """Let a detector work; return what it finds and the seconds that it took."""
     started = time.perf_counter()
     try:
         found = detector.detect(frame, camera)
-        seconds = time.perf_counter() - started
-        check_detections(found)
-        if found.rejected is not None:
-            check_detections(found.rejected)
     except BoresightError as error:
-        return {"rows": [{"status": "failed", "reason": str(error), "n_landmarks": 0}]}
-    except Exception:  # noqa: BLE001  a detector's fault is a result, recorded with its trace
-        return faulted("detector", {})
+        raise GaveUpError(str(error)) from error
+    return found, time.perf_counter() - started
+
+
+def _check(answer: tuple[CraterDetections, float]) -> None:
+    check_detections(answer[0])
+    if answer[0].rejected is not None:
+        check_detections(answer[0].rejected)
+
+
+def _judged(answer: tuple[CraterDetections, float], truth: CraterTruth) -> Records:
+    """Score what was found: records without their key."""
+    found, seconds = answer
     return {
         "rows": [{"status": "ok", "reason": "", "n_landmarks": len(found.ellipses)}],
         "detections": _scored(found, truth),

@@ -5,14 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.crater_pairs import BY_GEOMETRY, PairSource, check_detectors, open_pairs
-from campaign.experiments.fault import faulted
+from campaign.check_parts import check_array, check_indices, check_reason
+from campaign.crater_pairs import BY_GEOMETRY, Looks, PairSource, check_detectors, open_pairs
+from campaign.experiments.fault import Work
 from campaign.experiments.registry import Bench, Record, Records, Witness
+from campaign.guard import Call
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
@@ -23,7 +26,7 @@ from scenarios.bodies import load_body
 from scenarios.craters.pairs import CraterLook, CraterPair
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera
+from scenarios.geometry import Camera, View
 from scenarios.load import LoadedScenario
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.crater_pairs import CraterPairsSpec
@@ -108,43 +111,36 @@ class CraterMatching:
         """Run trials, in the order of trials and matchers."""
         records: Records = {}
         for trial in trials:
-            pairs = self.source.pairs(self.seed, trial, sorted(set(self.detectors.values())))
+            looks = self.source.looks(self.seed, trial)
             for label, matcher in self.matchers.items():
                 key: Record = {"trial": trial, "scenario": self.name, "estimator": label}
-                for table, added in self._judged(matcher, pairs[self.detectors[label]]).items():
+                for table, added in self._judged(Call(self.name, trial, label), matcher, looks).items():
                     records.setdefault(table, []).extend({**key, **record} for record in added)
         self.source.flush()
         return records
 
     def pair(self, trial: int, label: str) -> CraterPair:
         """Return the pair of a trial as a matcher sees it."""
-        detector = self.detectors[label]
-        return self.source.pairs(self.seed, trial, [detector])[detector]
+        return self.source.looks(self.seed, trial).seen_by(self.detectors[label])
 
-    def _judged(self, matcher: CraterMatcher, pair: CraterPair) -> Records:
-        """Let a matcher work and score what it returns: records without their key, whatever goes wrong."""
-        first, second = self.images(pair)
-        started, matches = time.perf_counter(), None
+    def _judged(self, call: Call, matcher: CraterMatcher, looks: Looks) -> Records:
+        """Let a detector and a matcher work and score the matches: records without their key, whatever goes wrong."""
+        circumstances = _circumstances(looks.first)
+        answers: list[_Answer] = []
+
+        def work() -> _Answer:
+            answers.append(_Answer(looks.seen_by(self.detectors[call.label])))
+            answers[0].match(matcher, *self.images(answers[0].pair), self.known)
+            return answers[0]
+
         try:
-            matches = matcher.match(first, second, self.known)
-            seconds = time.perf_counter() - started
-            check_matches(matches, first, second)
-        except Exception:  # noqa: BLE001  a matcher's fault is a result, recorded with its trace
-            return faulted("matcher", _circumstances(pair))
+            return Work(call, "matcher", circumstances).judged(work, self._check, partial(_scored, circumstances))
         finally:
-            if self.witness is not None:
-                self.witness(MatchedPair(pair, matches))
-        row: Record = {
-            **_circumstances(pair),
-            "status": "failed" if matches.reason else "ok",
-            "reason": matches.reason,
-            "n_landmarks": len(matches.pairs),
-        }
-        return {
-            "rows": [row],
-            "crater_matches": [score_matches(matches, pair)],
-            "timings": [{"stage": "matching", "seconds": seconds}],
-        }
+            if self.witness is not None and answers:
+                self.witness(MatchedPair(answers[0].pair, answers[0].matches))
+
+    def _check(self, answer: _Answer) -> None:
+        check_matches(answer.matches, *self.images(answer.pair))
 
     def images(self, pair: CraterPair) -> tuple[CraterImage, CraterImage]:
         """Return what a matcher may see of a pair."""
@@ -153,6 +149,37 @@ class CraterMatching:
     def _image(self, number: int, look: CraterLook) -> CraterImage:
         rims = look.detections.ellipses
         return CraterImage(number, look.frame, self.camera, CraterDetections(rims, np.ones(len(rims))))
+
+
+@dataclass(slots=True, eq=False)
+class _Answer:
+    """What became of a pair so far."""
+
+    pair: CraterPair
+    matches: CraterMatches | None = None
+    seconds: float = 0.0
+
+    def match(self, matcher: CraterMatcher, first: CraterImage, second: CraterImage, known: MeshGround) -> None:
+        """Let a matcher work."""
+        started = time.perf_counter()
+        self.matches = matcher.match(first, second, known)
+        self.seconds = time.perf_counter() - started
+
+
+def _scored(circumstances: Record, answer: _Answer) -> Records:
+    """Score matches that keep the contract: records without their key."""
+    matches = answer.matches or CraterMatches.none("")
+    row: Record = {
+        **circumstances,
+        "status": "failed" if matches.reason else "ok",
+        "reason": matches.reason,
+        "n_landmarks": len(matches.pairs),
+    }
+    return {
+        "rows": [row],
+        "crater_matches": [score_matches(matches, answer.pair)],
+        "timings": [{"stage": "matching", "seconds": answer.seconds}],
+    }
 
 
 def score_matches(matches: CraterMatches, pair: CraterPair) -> Record:
@@ -179,27 +206,31 @@ def right_matches(matches: CraterMatches, pair: CraterPair) -> NDArray[np.bool_]
     return np.asarray((here == there) & (here != NO_CRATER))
 
 
-def check_matches(matches: CraterMatches, first: CraterImage, second: CraterImage) -> None:
+def check_matches(matches: CraterMatches | None, first: CraterImage, second: CraterImage) -> None:
     """Refuse matches that break the contract.
 
     Raises
     ------
-    BoresightError
-        If they name a detection that there is not, or one twice, or there are none and no reason.
+    ValueError
+        If they are none, name a detection that there is not, or one twice, or there are none and no reason.
     """
+    if not isinstance(matches, CraterMatches):
+        raise ValueError(f"a {type(matches).__name__} is no CraterMatches")  # noqa: TRY004  all rubbish is a ValueError
+    check_reason(matches.reason)
     sizes = [len(image.detections.ellipses) for image in (first, second)]
-    pairs = matches.pairs
-    if pairs.ndim != 2 or pairs.shape[1] != 2 or len(matches.score) != len(pairs):
-        raise BoresightError(f"matches need (k, 2) pairs and (k,) scores, not {pairs.shape} and {matches.score.shape}")
-    if len(pairs) and (pairs.min() < 0 or (pairs >= sizes).any()):
-        raise BoresightError(f"matches name a detection that there is not: the images have {sizes}")
-    if any(len(np.unique(column)) < len(column) for column in pairs.T):
-        raise BoresightError("matches name a detection twice")
-    if len(pairs) == 0 and not matches.reason:
-        raise BoresightError("there are no matches, and no reason why")
+    k = len(matches.pairs)
+    check_indices("pairs", matches.pairs, (k, 2))
+    check_array("score", matches.score, (k,))
+    pairs = np.asarray(matches.pairs)
+    if k and (pairs.min() < 0 or (pairs >= sizes).any()):
+        raise ValueError(f"matches name a detection that there is not: the images have {sizes}")
+    if any(len(np.unique(column)) < k for column in pairs.T):
+        raise ValueError("matches name a detection twice")
+    if k == 0 and not matches.reason:
+        raise ValueError("there are no matches, and no reason why")
 
 
-def _circumstances(pair: CraterPair) -> Record:
+def _circumstances(view: View) -> Record:
     """Fill the columns of a row that no matcher can change, or that a pair of images has no number for."""
     errors = no_pose_error()
     return {
@@ -207,8 +238,8 @@ def _circumstances(pair: CraterPair) -> Record:
         **{f"prior_{name}": None for name in errors},
         **no_consistency(),
         "image": "",
-        "range_m": float(np.linalg.norm(pair.first.view.T_cam_body.translation_m)),
-        "phase_deg": float(np.degrees(pair.first.view.phase_angle_rad)),
+        "range_m": float(np.linalg.norm(view.T_cam_body.translation_m)),
+        "phase_deg": float(np.degrees(view.phase_angle_rad)),
     }
 
 

@@ -13,7 +13,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from campaign.crater_sights import CraterSights, open_sights
-from campaign.experiments.fault import faulted
+from campaign.experiments.fault import GaveUpError, Work
 from campaign.experiments.orbit_determination import (
     DeterminedOrbit,
     checked_orbit_section,
@@ -22,6 +22,7 @@ from campaign.experiments.orbit_determination import (
     scored_orbit,
 )
 from campaign.experiments.registry import Bench, Record, Records, Witness
+from campaign.guard import Call
 from campaign.navigation_score import (
     at_times,
     image_records,
@@ -30,6 +31,7 @@ from campaign.navigation_score import (
     truth_of_sightings,
 )
 from campaign.navigation_trial import NavigationTrial, SearchedImage, searched_in
+from campaign.orbit_score import check_orbit
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from estimators.craters.navigation.rounds import CraterNavigation, Navigation
@@ -41,6 +43,7 @@ from estimators.craters.registry import (
     crater_matcher_names,
 )
 from estimators.orbit.batch_filter import BatchFilter
+from estimators.orbit.contract import OrbitData, OrbitEstimate
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
 from scenarios.orbits.imaging import epochs_s, imaging_of
@@ -48,6 +51,16 @@ from scenarios.orbits.motion import OrbitLostError
 from scenarios.orbits.world import OrbitWorld
 
 _FOLDER = "chain"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Answer:
+    """What a chain comes to: its images, all rounds, and the orbit of the last at the times that are scored."""
+
+    searched: Sequence[SearchedImage]
+    navigation: Navigation
+    estimate: OrbitEstimate
+    data: OrbitData
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,32 +145,39 @@ class CraterNavigationTrials:
         except BoresightError as error:
             row = {**empty_row(), "status": "failed", "reason": f"there is no such trial: {error}"}
             return {label: {"rows": [row]} for label in self.navigators}
-        return {label: self._judged(one, taken, stages) for label, one in self.navigators.items()}
+        return {
+            label: self._judged(Call(self.name, trial, label), one, taken, stages)
+            for label, one in self.navigators.items()
+        }
 
-    def _judged(self, navigator: CraterNavigation, taken: NavigationTrial, stages: Stages) -> Records:
+    def _judged(self, call: Call, navigator: CraterNavigation, taken: NavigationTrial, stages: Stages) -> Records:
         """Let a chain work and score what it comes to: records without their key, whatever goes wrong."""
         row = {**empty_row(), "range_m": float(np.linalg.norm(taken.flown.wanted_states[0, :3]))}
-        try:
-            searched = taken.search(navigator, stages)
-            navigation = navigator.navigate([image.exposure for image in searched], taken.task, stages)
-            timings: Records = {"timings": _timings(navigation, stages, searched_in(navigator, stages))}
-            return self._scored(navigation, taken, searched, row) | timings
-        except OrbitLostError as error:
-            return {"rows": [{**row, "status": "failed", "reason": f"the a priori orbit: {error}"}]}
-        except Exception:  # noqa: BLE001  a fault of a part is a result, recorded with its trace
-            return faulted("chain", row)
 
-    def _scored(
-        self, navigation: Navigation, taken: NavigationTrial, searched: Sequence[SearchedImage], row: Record
-    ) -> Records:
+        def work() -> _Answer:
+            searched = taken.search(navigator, stages)
+            try:
+                navigation = navigator.navigate([image.exposure for image in searched], taken.task, stages)
+            except OrbitLostError as error:
+                raise GaveUpError(f"the a priori orbit: {error}") from error
+            last = navigation.rounds[-1]
+            return _Answer(searched, navigation, *at_times(last.estimate, last.data, taken.task.wanted_s))
+
+        def score(answer: _Answer) -> Records:
+            timings: Records = {"timings": _timings(answer.navigation, stages, searched_in(navigator, stages))}
+            return self._scored(answer, taken, row) | timings
+
+        return Work(call, "chain", row).judged(work, lambda answer: check_orbit(answer.estimate, answer.data), score)
+
+    def _scored(self, answer: _Answer, taken: NavigationTrial, row: Record) -> Records:
         """Score images, matches, landmarks and the orbit."""
-        last, crater = navigation.rounds[-1], [image.crater for image in searched]
+        searched, estimate, data = answer.searched, answer.estimate, answer.data
+        last, crater = answer.navigation.rounds[-1], [image.crater for image in searched]
         records: Records = {
-            "navigation": [navigation_summary(navigation, searched, len(epochs_s(self.world)))],
+            "navigation": [navigation_summary(answer.navigation, searched, len(epochs_s(self.world)))],
             "navigated_images": image_records(taken, searched, last),
         }
         truth = truth_of_sightings(self.world, taken, last, crater)
-        estimate, data = at_times(last.estimate, last.data, taken.task.wanted_s)
         if self.witness is not None:
             self.witness(DeterminedOrbit(truth, data, estimate))
         scored = scored_orbit(estimate, truth, data, row, with_residuals=taken.address.trial == 0)

@@ -9,8 +9,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from campaign.experiments.fault import faulted
+from campaign.experiments.fault import Work
 from campaign.experiments.registry import Bench, Record, Records, Witness
+from campaign.guard import Call
 from campaign.orbit_score import check_orbit, orbit_errors, orbit_summary, residual_records
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
@@ -98,21 +99,29 @@ class OrbitTrials:
         except OrbitLostError as error:
             row = {**empty_row(), "status": "failed", "reason": f"there is no such trial: {error}"}
             return {label: {"rows": [row]} for label in self.estimators}
-        return {label: self._judged(estimator, truth, data, trial == 0) for label, estimator in self.estimators.items()}
+        return {
+            label: self._judged(Call(self.name, trial, label), estimator, truth, data)
+            for label, estimator in self.estimators.items()
+        }
 
-    def _judged(self, estimator: OrbitEstimator, truth: OrbitTruth, data: OrbitData, with_residuals: bool) -> Records:
+    def _judged(self, call: Call, estimator: OrbitEstimator, truth: OrbitTruth, data: OrbitData) -> Records:
         """Let an estimator solve and score what it returns: records without their key, whatever goes wrong."""
         row = {**empty_row(), "range_m": float(np.linalg.norm(truth.states[0, :3]))}
-        estimate = None
+        returned: list[OrbitEstimate] = []
+
+        def work() -> OrbitEstimate:
+            returned.append(estimator.determine(data))
+            return returned[-1]
+
+        def score(estimate: OrbitEstimate) -> Records:
+            timings: Records = {"timings": [{"stage": "orbit", "seconds": float(estimate.seconds)}]}
+            return scored_orbit(estimate, truth, data, row, with_residuals=call.trial == 0) | timings
+
         try:
-            estimate = estimator.determine(data)
-            timings: Records = {"timings": [{"stage": "orbit", "seconds": estimate.seconds}]}
-            return scored_orbit(estimate, truth, data, row, with_residuals) | timings
-        except Exception:  # noqa: BLE001  an estimator's fault is a result, recorded with its trace
-            return faulted("estimator", row)
+            return Work(call, "estimator", row).judged(work, lambda estimate: check_orbit(estimate, data), score)
         finally:
             if self.witness is not None:
-                self.witness(DeterminedOrbit(truth, data, estimate))
+                self.witness(DeterminedOrbit(truth, data, returned[-1] if returned else None))
 
 
 def checked_orbit_section(scenario: LoadedScenario) -> OrbitSpec:
@@ -139,14 +148,7 @@ def open_orbit_world(scenario: LoadedScenario, seed: int) -> OrbitWorld:
 def scored_orbit(
     estimate: OrbitEstimate, truth: OrbitTruth, data: OrbitData, row: Record, with_residuals: bool
 ) -> Records:
-    """Score an estimate: records without their key; ``row`` is what its row says already.
-
-    Raises
-    ------
-    ValueError
-        If the estimate does not keep the contract.
-    """
-    check_orbit(estimate, data)
+    """Score an estimate that keeps the contract: records without their key; ``row`` is what its row says already."""
     orbit = estimate.orbit
     diagnostics: list[Record] = [{"name": str(n), "value": float(v)} for n, v in estimate.diagnostics.items()]
     if estimate.status == "failed" or orbit is None:

@@ -22,11 +22,15 @@ Witness = Callable[[object], None]
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Where and how a worker works; nothing here may change a row."""
+    """Where and how a worker works; nothing here may change a row, but that a method over ``limit_s`` is stopped.
+
+    ``limit_s`` is the time that a method may take for a trial, None for as long as it likes.
+    """
 
     run: Path
     jobs: int
     keep_images: bool
+    limit_s: float | None = None
 
 
 class Experiment(Protocol):

@@ -8,8 +8,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from campaign.experiments.fault import faulted
+from campaign.experiments.fault import Work
 from campaign.experiments.registry import Bench, Record, Records, Witness
+from campaign.guard import Call
 from campaign.image_tracks import ImageTracks, Seen, Watch
 from campaign.orbit_images import OrbitImages
 from campaign.products import BuiltProduct, Shelf
@@ -147,24 +148,31 @@ class SequenceTrials:
         for label, estimator in self.estimators.items():
             guided = self.images is not None and self.images.guided
             watch = self.images.watch(self.seed, trial) if self.images is not None and guided else None
-            found[label] = self._judged(estimator, seen if watch is None else watch)
+            found[label] = self._judged(Call(self.name, trial, label), estimator, seen if watch is None else watch)
             for table, added in _vision(seen if watch is None else watch.seen()).items():
                 found[label].setdefault(table, []).extend(added)
         return found
 
-    def _judged(self, estimator: SequenceEstimator, view: Seen | Watch) -> Records:
+    def _judged(self, call: Call, estimator: SequenceEstimator, view: Seen | Watch) -> Records:
         """Let an estimator follow and score what it returns: records without their key, whatever goes wrong."""
-        circumstances, estimate = _circumstances(view.path), None
-        try:
-            estimate = estimator.follow(view.sequence)
-            seen = view if isinstance(view, Seen) else view.seen()
-            check_sequence(estimate, seen.sequence)
+        circumstances = _circumstances(view.path)
+        returned: list[SequenceEstimate] = []
+
+        def work() -> SequenceEstimate:
+            returned.append(estimator.follow(view.sequence))
+            return returned[-1]
+
+        def score(estimate: SequenceEstimate) -> Records:
+            seen = _seen(view)
             return _scored(estimate, seen.sequence, seen.truth, circumstances)
-        except Exception:  # noqa: BLE001  an estimator's fault is a result, recorded with its trace
-            return faulted("estimator", {**circumstances, **no_summary()})
+
+        try:
+            return Work(call, "estimator", {**circumstances, **no_summary()}).judged(
+                work, lambda estimate: check_sequence(estimate, _seen(view).sequence), score
+            )
         finally:
             if self.witness is not None:
-                self.witness(FollowedSequence(view if isinstance(view, Seen) else view.seen(), estimate))
+                self.witness(FollowedSequence(_seen(view), returned[-1] if returned else None))
 
     def known(self, trial: int) -> tuple[Path, TrackSequence]:
         """Draw the motion of a trial and what the spacecraft knows of it; no image is looked at.
@@ -184,6 +192,10 @@ class SequenceTrials:
         if self.images is not None:
             return self.images.see(self.seed, trial)
         return Seen(*draw_sequence(self.spec, self.camera, self.ground, self.seed, trial), vision=[], seconds={})
+
+
+def _seen(view: Seen | Watch) -> Seen:
+    return view if isinstance(view, Seen) else view.seen()
 
 
 def _vision(seen: Seen) -> Records:

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaign.check import check
-from campaign.experiments.fault import faulted
+from campaign.experiments.fault import Work
 from campaign.experiments.kept_images import ImageSink, image_sink
 from campaign.experiments.registry import Bench, Record, Records, Witness
+from campaign.guard import Call
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import consistency, no_consistency, no_pose_error, pose_error
@@ -121,7 +122,8 @@ class SingleImage:
         records: Records = {}
         for label, estimator in self.estimators.items():
             key: Record = {"trial": trial, "scenario": self.world.scenario.spec.name, "estimator": label}
-            for table, added in self._judged(estimator, observation, sight, trial).items():
+            call = Call(self.world.scenario.spec.name, trial, label)
+            for table, added in self._judged(call, estimator, observation, sight).items():
                 _add(records, table, key, added)
             stage = STORED_IMAGE if sight.from_store else FRESH_IMAGE
             _add(records, "timings", key, [{"stage": stage, "seconds": image_seconds}])
@@ -149,20 +151,23 @@ class SingleImage:
         )
         return Observation(camera.pinhole, (frame,))
 
-    def _judged(self, estimator: Estimator, observation: Observation, sight: Sight, trial: int) -> Records:
+    def _judged(self, call: Call, estimator: Estimator, observation: Observation, sight: Sight) -> Records:
         """Let an estimator work and score what it returns: records without their key, whatever goes wrong."""
-        rng = generator(self.seed, Stream.ESTIMATOR, trial)
-        estimate = None
+        rng = generator(self.seed, Stream.ESTIMATOR, call.trial)
+        row = {**_circumstances(observation, sight), **no_pose_error(), **no_consistency()}
+        returned: list[Estimate] = []
+
+        def work() -> Estimate:
+            returned.append(estimator.estimate(observation, rng=rng))
+            return returned[-1]
+
         try:
-            estimate = estimator.estimate(observation, rng=rng)
-            check(estimate, observation)
-            return self._scored(estimate, observation, sight)
-        except Exception:  # noqa: BLE001  the one place: an estimator's fault is a result, recorded with its trace
-            row = {**_circumstances(observation, sight), **no_pose_error(), **no_consistency()}
-            return faulted("estimator", row)
+            return Work(call, "estimator", row).judged(
+                work, lambda found: check(found, observation), lambda found: self._scored(found, observation, sight)
+            )
         finally:
             if self.witness is not None:
-                self.witness(EstimatedImage(sight, observation, estimate))
+                self.witness(EstimatedImage(sight, observation, returned[-1] if returned else None))
 
     def _scored(self, estimate: Estimate, observation: Observation, sight: Sight) -> Records:
         true = sight.view.T_cam_body

@@ -87,7 +87,7 @@ def test_nothing_found_and_nothing_there() -> None:
 @pytest.mark.parametrize(
     ("ellipses", "confidence", "words"),
     [
-        (circles((1, 1, 5)), np.array([1.0, 0.5]), "confidences of shape"),
+        (circles((1, 1, 5)), np.array([1.0, 0.5]), "confidence of detections of shape"),
         (circles((1, np.nan, 5)), np.array([1.0]), "centres"),
         (circles((1, 1, 5), (2, 2, 5)), np.array([0.5, 1.0]), "order"),
         (Ellipses(np.zeros((1, 2)), np.array([[3.0, 4.0]]), np.zeros(1)), np.array([0.5]), "longer"),

@@ -615,7 +615,7 @@ def pairs_fingerprint(scenario: LoadedScenario) -> str:
     source = open_pairs(scenario, scenario.spec.crater_pairs, choose_variant().name, [detector])
     parts: list[bytes] = []
     for trial in range(2):
-        pair = source.pairs(3, trial, [detector])[detector]
+        pair = source.looks(3, trial).seen_by(detector)
         for one in (pair.first, pair.second):
             rims, pose = one.detections.ellipses, one.frame.prior_T_cam_body
             arrays = [one.detections.crater, rims.centre_px, rims.semi_axes_px, rims.angle_rad, pose.rotation]

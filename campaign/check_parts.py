@@ -1,0 +1,77 @@
+"""What answers of all kinds are checked for before they are scored: types, shapes, finite numbers of a possible size.
+
+Scoring must not fail on what passes here, and what it works out must be finite: its own faults are no estimator's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+MOST = 1e15
+"""No answer has a larger length, velocity or pixel (SI): beyond it squares and their sums could overflow."""
+
+_LONGEST_REASON = 2000
+
+
+def check_type(answer: object, kind: type) -> None:
+    """Refuse what is no ``kind``.
+
+    Raises
+    ------
+    ValueError
+        As all checks here, with what is wrong.
+    """
+    if not isinstance(answer, kind):
+        raise ValueError(f"a {type(answer).__name__} is no {kind.__name__}")  # noqa: TRY004  all rubbish is a ValueError
+
+
+def check_status(status: object, reason: object) -> None:
+    """Refuse a status that is none, and a failure without a reason."""
+    if status not in ("ok", "failed"):
+        raise ValueError(f"status is {status!r}, not ok or failed")
+    check_reason(reason)
+    if status == "failed" and not reason:
+        raise ValueError(f"a {status} estimate gives as its reason {reason!r}")
+
+
+def check_reason(reason: object) -> None:
+    """Refuse a reason that is no text, or a book."""
+    if not isinstance(reason, str) or len(reason) > _LONGEST_REASON:
+        shown = reason if not isinstance(reason, str) else f"{len(reason)} characters"
+        raise ValueError(f"the reason is {shown!r}, not a line of text")
+
+
+def check_array(what: str, array: object, shape: tuple[int, ...], most: float = MOST) -> None:
+    """Refuse an array of another shape, or one that does not hold finite real numbers up to ``most``."""
+    given = _array(what, array)
+    if given.shape != shape or given.dtype.kind not in "biuf" or not np.isfinite(given).all():
+        raise ValueError(f"{what} of shape {given.shape} is not {shape} of finite numbers")
+    if given.size and np.abs(given.astype(np.float64)).max() > most:
+        raise ValueError(f"{what} has a number beyond {most:g}")
+
+
+def check_indices(what: str, array: object, shape: tuple[int, ...]) -> None:
+    """Refuse what is no array of whole numbers of a shape."""
+    given = _array(what, array)
+    if given.shape != shape or (given.dtype.kind not in "iu" and given.size):
+        raise ValueError(f"{what} of shape {given.shape} and type {given.dtype} is not {shape} of whole numbers")
+
+
+def _array(what: str, array: object) -> NDArray[np.generic]:
+    if not isinstance(array, np.ndarray):
+        raise ValueError(f"{what} is a {type(array).__name__}, not an array")  # noqa: TRY004  all rubbish is a ValueError
+    return array
+
+
+def check_numbers(numbers: Mapping[str, float | int | str], what: str, texts: bool = False) -> None:
+    """Refuse a table of numbers by name in which one is not a finite number or, where it may be, a text."""
+    for name, value in numbers.items():
+        try:
+            finite = texts if isinstance(value, str) else np.isfinite(float(value))
+        except (TypeError, ValueError, OverflowError):
+            raise ValueError(f"{what}: {name} is {type(value).__name__}, not a number") from None
+        if not finite:
+            raise ValueError(f"{what}: {name} is {value}")

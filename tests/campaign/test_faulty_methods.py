@@ -1,0 +1,158 @@
+"""Whatever a method of any contract does wrong is its own error; what scoring does wrong is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_crater_score import circles
+
+from campaign.check import check
+from campaign.crater_score import check_detections
+from campaign.experiments.crater_matching import check_matches
+from campaign.experiments.fault import GaveUpError, Work
+from campaign.guard import Call
+from campaign.sequence_score import check_sequence
+from estimators.contract import Estimate, Stage
+from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
+from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from scenarios.geometry import Camera, Pose
+from scenarios.observation import Frame, Observation
+from scenarios.tracks import TrackFrame, TrackSequence
+
+HERE = Pose(np.eye(3), np.array([0.0, 0.0, 1e3]))
+CAMERA = Camera.from_fov(100, 100, 0.1)
+FRAME = Frame(np.zeros((100, 100), np.float32), np.array([0.0, 0.0, -1.0]), HERE, np.eye(6))
+OBSERVATION = Observation(CAMERA, (FRAME,))
+WORK = Work(Call("scene", 7, "mine"), "estimator", {"range_m": 5.0})
+NAMES = ("u_px", "v_px", "x_m", "y_m", "z_m", "sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
+TABLE = {"landmark": np.arange(2), **{name: np.full(2, float(name[1:3] in ("xx", "yy", "zz"))) for name in NAMES}}
+GOOD = Estimate("ok", poses=(HERE,), covariances=(np.eye(6),), details={"landmarks": TABLE})
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (None, "a NoneType is no Estimate"),
+        ("ok", "a str is no Estimate"),
+        (replace(GOOD, status=["ok"]), "not ok or failed"),
+        (replace(GOOD, reason=7), "the reason is 7"),
+        (Estimate("failed", "x" * 10_000), "the reason is '10000 characters'"),
+        (replace(GOOD, poses=(np.eye(4),)), "a ndarray is no Pose"),
+        (replace(GOOD, poses=(HERE.inverse(),)), "T_body_cam, not T_cam_body"),
+        (replace(GOOD, poses=(Pose(np.eye(3), [0, 0, 1e16]),)), "not rigid"),
+        (replace(GOOD, stages=(Stage("half", Pose(2 * np.eye(3), [0, 0, 1])),)), "after half is not rigid"),
+        (replace(GOOD, covariances=(np.eye(6).tolist(),)), "a list, not an array"),
+        (replace(GOOD, covariances=(np.full((6, 6), 1e300),)), "beyond 1e"),
+        (replace(GOOD, bounds=(1j * np.eye(6),)), "of finite numbers"),
+        (replace(GOOD, diagnostics={"chi2": 1j}), "chi2 is complex, not a number"),
+        (replace(GOOD, diagnostics={"chi2": np.zeros(3)}), "chi2 is ndarray, not a number"),
+        (replace(GOOD, diagnostics={"n_landmarks": "many"}), "n_landmarks is a text"),
+        (replace(GOOD, timings_s={"all": "long"}), "all is str|timings_s: all"),
+        (replace(GOOD, details={"landmarks": {**TABLE, "landmark": np.ones(2)}}), "of whole numbers"),
+        (replace(GOOD, details={"landmarks": {**TABLE, "u_px": np.full(2, 1e9)}}), "u_px has a number beyond"),
+        (replace(GOOD, details={"landmarks": {**TABLE, "v_px": np.ones(3)}}), r"v_px of shape \(3,\)"),
+    ],
+)
+def test_rubbish_for_an_estimate(answer, said):
+    check(GOOD, OBSERVATION)
+    with pytest.raises(ValueError, match=said):
+        check(answer, OBSERVATION)
+
+
+STEP = FrameEstimate(np.zeros(3), np.eye(3), np.zeros(0, np.int64), np.zeros((0, 3)), 0.1)
+
+
+@pytest.fixture
+def sequence():
+    """A sequence of which only the tracks of its one frame are looked at."""
+    frame, found = TrackFrame.__new__(TrackFrame), TrackSequence.__new__(TrackSequence)
+    object.__setattr__(frame, "tracks", np.arange(3))
+    object.__setattr__(found, "frames", (frame,))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (None, "a NoneType is no SequenceEstimate"),
+        (SequenceEstimate("ok", (None,)), "a NoneType is no FrameEstimate"),
+        (SequenceEstimate("ok", (replace(STEP, position_m=None),)), "position_m is a NoneType"),
+        (SequenceEstimate("ok", (replace(STEP, position_m=np.full(3, 1e200)),)), "position_m has a number beyond"),
+        (SequenceEstimate("ok", (replace(STEP, position_m=np.zeros(4)),)), r"is not \(3,\)"),
+        (SequenceEstimate("ok", (replace(STEP, covariance_m2=np.full((3, 3), np.nan)),)), "of finite numbers"),
+        (SequenceEstimate("ok", (replace(STEP, seconds=None),)), "seconds is NoneType"),
+        (SequenceEstimate("ok", (replace(STEP, tracks=np.zeros(1)),)), "of whole numbers"),
+        (SequenceEstimate("ok", (STEP,), diagnostics={"gm_m3_s2": "heavy"}), "gm_m3_s2"),
+    ],
+)
+def test_rubbish_for_a_sequence(sequence, answer, said):
+    check_sequence(SequenceEstimate("ok", (STEP,)), sequence)
+    with pytest.raises(ValueError, match=said):
+        check_sequence(answer, sequence)
+
+
+def test_rubbish_for_craters():
+    rims = circles((10, 10, 5), (30, 30, 5))
+    for answer in (None, CraterDetections(None, np.ones(2)), CraterDetections(circles((1e9, 1, 5)), np.ones(1))):
+        with pytest.raises(ValueError, match=r"is no|beyond"):
+            check_detections(answer)
+    images = [CraterImage(number, FRAME, CAMERA, CraterDetections(rims, np.ones(2))) for number in (0, 1)]
+    for answer in (None, CraterMatches(np.zeros((1, 2)), np.ones(1)), CraterMatches([[0, 0]], np.ones(1))):
+        with pytest.raises(ValueError, match=r"is no|whole numbers|not an array"):
+            check_matches(answer, *images)
+
+
+def _never(answer: object) -> dict[str, list[dict[str, object]]]:
+    raise AssertionError("this is not to be scored")
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (ZeroDivisionError("by nought"), "the estimator raised ZeroDivisionError: by nought"),
+        (SystemExit(0), "the estimator raised SystemExit: 0"),
+        (MemoryError(), "the estimator raised MemoryError"),
+        (KeyError("a\nb"), "the estimator raised KeyError: 'a\\nb'"),
+        (ValueError("in <thing at 0x7f00a1>"), "the estimator raised ValueError: in <thing at 0x...>"),
+    ],
+)
+def test_what_a_method_raises_is_a_row_with_its_reason(error, reason):
+    def work():
+        raise error
+
+    records = WORK.judged(work, lambda answer: None, _never)
+    assert records["rows"] == [{"range_m": 5.0, "status": "error", "reason": reason, "n_landmarks": 0}]
+    assert "in work\n    raise error\n" in records["tracebacks"][0]["traceback"]
+
+
+def test_what_breaks_the_contract_is_rubbish_whatever_the_check_raises():
+    for error, said in ((ValueError("too long"), "too long"), (TypeError("len"), "TypeError: len")):
+
+        def refuse(answer, error=error):
+            raise error
+
+        (row,) = WORK.judged(lambda: 1, refuse, _never)["rows"]
+        assert row["status"] == "error"
+        assert row["reason"] == f"the estimator returned rubbish: {said}"
+
+
+def test_a_method_may_give_up():
+    def work():
+        raise GaveUpError("too dark")
+
+    records = WORK.judged(work, lambda answer: None, _never)
+    assert records["rows"] == [{"range_m": 5.0, "status": "failed", "reason": "too dark", "n_landmarks": 0}]
+    assert "tracebacks" not in records
+
+
+def test_a_fault_of_scoring_is_not_the_methods():
+    def score(answer):
+        raise KeyError("of our own")
+
+    with pytest.raises(KeyError) as caught:
+        WORK.judged(lambda: 1, lambda answer: None, score)
+    (note,) = caught.value.__notes__
+    assert "scenario='scene', trial=7, label='mine'" in note
+    assert "a fault of boresight" in note
