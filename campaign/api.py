@@ -41,6 +41,7 @@ def run(
     out: str | PathLike[str] | None = None,
     variant: str | None = None,
     keep_images: bool = False,
+    trial_limit_s: float | None = None,
     listener: Listener | None = None,
 ) -> pd.DataFrame:
     """Run a campaign, or continue it where it stopped, and return its rows.
@@ -63,6 +64,9 @@ def run(
         Mitsuba variant; the fastest that works if left out.
     keep_images
         Whether every image is kept in the run folder.
+    trial_limit_s
+        How long an estimator may work at a trial; one that takes longer is stopped, and its row is an error. No limit
+        if left out.
     listener
         Is told how the run goes; the logger ``campaign`` if left out.
 
@@ -87,6 +91,7 @@ def run(
         out=None if out is None else Path(out),
         variant=variant,
         keep_images=keep_images,
+        trial_limit_s=trial_limit_s,
     )
     folder = begun.go(listener or _Logged())
     stored = folder.table("rows")

@@ -12,6 +12,7 @@ from typing import Any
 
 from campaign.images import left_out_notes, open_images
 from campaign.machine import describe, package_versions
+from campaign.newest import KEY, next_start
 from campaign.products import BuiltProduct
 from campaign.products.kinds import product_kind
 from campaign.request import RunRequest
@@ -47,7 +48,9 @@ def make_manifest(
         "credits": sorted({s.spec.images.credit for s in campaign.scenarios if s.spec.images and s.spec.images.credit}),
         "grid": _grid(campaign),
         "created": earlier.get("created", now()),
+        KEY: next_start(request.out),
         "command": request.command,
+        "trial_limit_s": request.limit_s,
         "commit": commit_here(),
         "versions": package_versions(),
         "machine": {**describe(), "variant": campaign.variant, "kernels": campaign.kernels},
@@ -59,12 +62,13 @@ def make_manifest(
 
 def updated(manifest: Mapping[str, object], **changes: object) -> dict[str, object]:
     """Return a manifest with some entries replaced and the time of the change."""
-    return {**manifest, **changes, "updated": now()}
+    return {**manifest, **changes, "updated": now(manifest)}
 
 
-def now() -> str:
-    """Return the time in UTC, to the second."""
-    return datetime.now(UTC).isoformat(timespec="seconds")
+def now(manifest: Mapping[str, object] | None = None) -> str:
+    """Return the time in UTC, to the second; not before what a manifest tells of, should a clock be set back."""
+    before = [str((manifest or {}).get(key, "")) for key in ("created", "finished", "updated")]
+    return max(datetime.now(UTC).isoformat(timespec="seconds"), *before)
 
 
 def _draft_notes(campaign: ResolvedCampaign) -> list[str]:

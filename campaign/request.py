@@ -16,7 +16,7 @@ class Cluster:
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """Where and how to run; nothing here but ``trials`` changes what is stored.
+    """Where and how to run; nothing here but ``trials``, and ``limit_s`` where it is passed, changes what is stored.
 
     Parameters
     ----------
@@ -32,6 +32,8 @@ class RunRequest:
         The command line, for the manifest.
     cluster
         The Dask cluster whose workers run the trials; None for processes of this machine.
+    limit_s
+        How long an estimator may work at a trial before it is stopped, which is an error; None for as long as it likes.
     """
 
     out: Path
@@ -40,3 +42,4 @@ class RunRequest:
     keep_images: bool = False
     command: str = ""
     cluster: Cluster | None = None
+    limit_s: float | None = None

@@ -11,14 +11,15 @@ from campaign import manifest as manifests
 from campaign.costs import remember
 from campaign.experiments.registry import Bench, Records, experiment_class
 from campaign.images import left_out_notes
+from campaign.losses import Losses
 from campaign.parallel import in_order
 from campaign.products import BuiltProduct, Shelf
 from campaign.request import RunRequest
 from campaign.resolve import ResolvedCampaign
 from campaign.store import RunFolder, RunLock
 from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
-from campaign.store.folder import Block, blocks
-from campaign.worker import run_block
+from campaign.store.folder import Block, BlockState, blocks
+from campaign.worker import renew_after, run_block
 from scenarios.errors import BoresightError
 
 
@@ -55,12 +56,12 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
         products = _build_products(campaign, request, listener)
         manifest = manifests.make_manifest(campaign, request, products, previous)
         folder.write_manifest(manifest)
-        todo, stored = _plan(folder, campaign, request)
+        todo, stored = _plan(folder, campaign, request, listener)
         total = request.trials * len(campaign.scenarios)
         listener.started(stored, total)
         images: Counter[str] = Counter()
         began = time.monotonic()
-        for block, records in _computed(campaign, todo, request):
+        for block, records in _computed(campaign, todo, request, listener):
             folder.write_block(block, records)
             images.update(_images(records))
             listener.block(records, block.last - block.first)
@@ -69,7 +70,7 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
         if images:
             fresh, kept = images[FRESH_IMAGE], images[STORED_IMAGE]
             listener.message(f"images: {fresh} rendered or read, {kept} from the store")
-        folder.write_manifest(manifests.updated(manifest, finished=manifests.now()))
+        folder.write_manifest(manifests.updated(manifest, finished=manifests.now(manifest)))
     return folder
 
 
@@ -105,24 +106,42 @@ def _images(records: Records) -> Counter[str]:
     return Counter({record["trial"]: str(record["stage"]) for record in ways}.values())
 
 
-def _plan(folder: RunFolder, campaign: ResolvedCampaign, request: RunRequest) -> tuple[list[Block], int]:
+def _plan(
+    folder: RunFolder, campaign: ResolvedCampaign, request: RunRequest, listener: Listener
+) -> tuple[list[Block], int]:
+    """Return the blocks that are not stored whole, and how many trials the others hold; say what is damaged."""
     size = experiment_class(campaign.spec.experiment).block_trials
     every = list(blocks([s.spec.name for s in campaign.scenarios], request.trials, size))
-    todo = [block for block in every if not folder.is_done(block, len(campaign.labels))]
+    states = [folder.state(block, len(campaign.labels)) for block in every]
+    bad = [block for block, state in zip(every, states, strict=True) if state is BlockState.DAMAGED]
+    if bad:
+        listener.message(
+            f"{len(bad)} of {len(every)} stored blocks are not what was stored (the first: {bad[0].file_name}):"
+            f" {sum(block.last - block.first for block in bad)} trials are run again"
+        )
+    todo = [block for block, state in zip(every, states, strict=True) if state is not BlockState.WHOLE]
     stored = sum(b.last - b.first for b in every) - sum(b.last - b.first for b in todo)
     return todo, stored
 
 
 def _computed(
-    campaign: ResolvedCampaign, todo: Sequence[Block], request: RunRequest
+    campaign: ResolvedCampaign, todo: Sequence[Block], request: RunRequest, listener: Listener
 ) -> Iterator[tuple[Block, Records]]:
     """Yield each block with its records, in order, holding only what is in flight."""
     if request.cluster is not None:
         # Imported here: Dask is optional, and slow to import.
         from campaign.remote.cluster import blocks_in_order
 
-        yield from zip(todo, blocks_in_order(request.cluster, campaign, request.out, todo), strict=True)
+        there = blocks_in_order(request.cluster, campaign, request.out, todo, request.limit_s)
+        yield from zip(todo, there, strict=True)
         return
-    bench = Bench(request.out, request.jobs, request.keep_images)
-    results = in_order(request.jobs, run_block, ((campaign, block, bench) for block in todo))
+    bench = Bench(request.out, request.jobs, request.keep_images, request.limit_s)
+    results = in_order(
+        request.jobs,
+        run_block,
+        ((campaign, block, bench, {}) for block in todo),
+        apart=request.limit_s is not None,
+        renew_after=renew_after(experiment_class(campaign.spec.experiment).block_trials),
+        after_death=Losses(listener.message).after,
+    )
     yield from zip(todo, results, strict=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,6 +66,7 @@ def start(
     variant: str | None = None,
     keep_images: bool = False,
     cluster: Cluster | None = None,
+    trial_limit_s: float | None = None,
     command: str = "",
 ) -> Start:
     """Read a campaign and say how it is to run; what is left out is as the campaign, or the machine, says.
@@ -79,11 +81,13 @@ def start(
     wanted = campaign.spec.trials if trials is None else trials
     workers = cores() if jobs is None else jobs
     _check(campaign, wanted, workers)
+    if trial_limit_s is not None and not 0.0 < trial_limit_s < math.inf:
+        raise BoresightError(f"--trial-limit {trial_limit_s:g}: give a number of seconds above 0")
     condition = None if until is None else _condition(until, campaign)
     folder = out or RUNS / f"{campaign.spec.name}-{campaign.digest[:8]}"
     if cluster is not None and keep_images:
         raise BoresightError("--keep-images: workers of a cluster cannot write to the run folder: leave it out")
-    request = RunRequest(folder, wanted, workers, keep_images, command, cluster)
+    request = RunRequest(folder, wanted, workers, keep_images, command, cluster, trial_limit_s)
     return Start(campaign, request, condition, chosen.advice)
 
 

@@ -2,19 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
+from types import MappingProxyType
 
 from campaign.experiments.registry import Bench, Experiment, Records, experiment_class
+from campaign.guard import Call, Loss, guarding
 from campaign.machine import use_threads
 from campaign.resolve import ResolvedCampaign
 from campaign.store import TABLES
 from campaign.store.folder import Block
 
+_TRIALS_OF_A_PROCESS = 1000
 
-def run_block(campaign: ResolvedCampaign, block: Block, bench: Bench) -> Records:
-    """Run every trial of a block: the records of each table, in the order of trials and estimators."""
+
+def renew_after(block_trials: int) -> int:
+    """Return after how many blocks a worker makes room for a fresh one, so that nothing leaks for ever.
+
+    Mitsuba has been reported to fail after some thousands of renderings in one process.
+    """
+    return max(1, _TRIALS_OF_A_PROCESS // block_trials)
+
+
+def run_block(
+    campaign: ResolvedCampaign, block: Block, bench: Bench, lost: Mapping[Call, Loss] = MappingProxyType({})
+) -> Records:
+    """Run every trial of a block: the records of each table, in the order of trials and estimators.
+
+    ``lost`` are those that ended the process that they were in: they are not tried again.
+    """
     use_threads(bench.jobs)
-    found = experiment_of(campaign, block.scenario, bench).run(range(block.first, block.last))
+    with guarding(limit_s=bench.limit_s, lost=lost):
+        found = experiment_of(campaign, block.scenario, bench).run(range(block.first, block.last))
     return {name: found.get(name, []) for name in TABLES}
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from scenarios.checksums import refuse_damaged
 from scenarios.errors import BoresightError
 
 POSE_COLUMNS = (
@@ -276,10 +277,11 @@ def read_run(folder: str | PathLike[str]) -> RunData:
     Raises
     ------
     BoresightError
-        If the manifest is missing or broken, or if no trial has been stored yet.
+        If the manifest is missing or broken, a file is not what was stored, or no trial has been stored yet.
     """
     folder = Path(folder)
     manifest = _read_manifest(folder / "manifest.json")
+    refuse_damaged(folder)
     tables = {name: _read_table(folder / name, columns, manifest) for name, columns in _COLUMNS.items()}
     rows = tables.pop("rows")
     if rows.empty:

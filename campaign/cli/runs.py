@@ -11,6 +11,7 @@ from campaign.cli.progress import ProgressListener
 from campaign.cli.terminal import console
 from campaign.image_store import store_is_on, store_switched
 from campaign.machine import cores
+from campaign.newest import newest_first
 from campaign.request import Cluster
 from campaign.start import RUNS, start
 from campaign.store import RunFolder
@@ -36,6 +37,10 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     run.add_argument("--variant", help="Mitsuba variant (default: the fastest that works; see boresight doctor)")
     run.add_argument("--keep-images", action="store_true", help="keep every image as TIFF in the run folder")
     run.add_argument("--no-store", action="store_true", help="render every image anew, and keep none in the cache")
+    run.add_argument(
+        "--trial-limit", type=float, metavar="SECONDS",
+        help="stop an estimator that works longer at a trial, and store that as an error (default: no limit)",
+    )  # fmt: skip
     run.add_argument("--backend", choices=("loky", "dask"), default="loky", help="what workers are (default: loky)")
     run.add_argument(
         "--scheduler", metavar="ADDRESS", help="with --backend dask: a scheduler, such as tcp://10.0.0.1:8786"
@@ -92,6 +97,7 @@ def _run(arguments: argparse.Namespace) -> int:
         variant=arguments.variant,
         keep_images=arguments.keep_images,
         cluster=_cluster(arguments),
+        trial_limit_s=arguments.trial_limit,
         command=arguments.command,
     )
     campaign, request = begun.campaign, begun.request
@@ -165,7 +171,7 @@ def find_run(name: str) -> RunFolder:
     """
     prefix = f"{name}-"
     named = [path for path in RUNS.iterdir() if path.name.startswith(prefix)] if RUNS.is_dir() else []
-    candidates = [Path(name), *sorted(named, key=lambda path: path.stat().st_mtime, reverse=True)]
+    candidates = [Path(name), *newest_first(named)]
     for candidate in candidates:
         if (candidate / "manifest.json").exists():
             return RunFolder(candidate)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from campaign.experiments.registry import Bench, Experiment, Record, Records
+from campaign.guard import STOPPED, Call, Loss, guarding
 from campaign.inspection.case import Case
 from campaign.inspection.same import Sameness, compare_with_stored
 from campaign.resolve import ResolvedCampaign, reload, unlike
@@ -90,12 +91,25 @@ def _remake(manifest: Mapping[str, Any]) -> str:
     return shlex.join([*words, *(part for change in manifest.get("overrides", ()) for part in ("--set", change))])
 
 
+def _stopped_before(folder: RunFolder, case: Case) -> dict[Call, Loss]:
+    """Tell that a method was stopped in a case: it would take as long again, or this process with it."""
+    rows = folder.of_trial("rows", case.scenario, case.estimator, case.trial).to_pylist()
+    reasons = [row["reason"].partition(STOPPED)[2] for row in rows if row["status"] == "error"]
+    traces = folder.of_trial("tracebacks", case.scenario, case.estimator, case.trial).to_pylist()
+    return {
+        Call(case.scenario, case.trial, case.estimator): Loss(reason, "\n".join(trace["traceback"] for trace in traces))
+        for reason in reasons
+        if reason
+    }
+
+
 def recompute(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> Recomputed:
     """Run one case again, with a witness, and compare it with what is stored."""
     bench = Bench(folder.path, jobs=1, keep_images=False)
     shown: list[object] = []
     experiment = experiment_of(campaign, case.scenario, bench)
     watched = experiment.watched(case.estimator, shown.append)
-    records = watched.run(range(case.trial, case.trial + 1))
+    with guarding(lost=_stopped_before(folder, case)):
+        records = watched.run(range(case.trial, case.trial + 1))
     sameness = compare_with_stored(folder, case, records)
     return Recomputed(case, watched, records, shown[-1] if shown else None, sameness)

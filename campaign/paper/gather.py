@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from campaign.newest import start_of
 from campaign.resolve import ResolvedCampaign, reload
 from campaign.store import RunFolder
 from reports.content import Content, read_content
@@ -57,7 +58,7 @@ class FinishedRun:
 
 
 def newest_finished(runs: Sequence[Path], name: str, draft: float = 1.0) -> FinishedRun | None:
-    """Return the run of a campaign that finished last among some folders; None without any.
+    """Return the finished run of a campaign that was started last among some folders; None without any.
 
     Drafts are runs of fewer trials and smaller data bases: those of a scale are asked for by it.
 
@@ -74,7 +75,7 @@ def newest_finished(runs: Sequence[Path], name: str, draft: float = 1.0) -> Fini
             continue
         if float(manifest.get("draft", 1.0)) == draft and _is_whole(folder, manifest):
             finished.append(FinishedRun(folder, manifest))
-    return max(finished, key=lambda run: str(run.manifest["finished"]), default=None)
+    return max(finished, key=lambda run: (start_of(run.folder.path), str(run.manifest["finished"])), default=None)
 
 
 def _is_whole(folder: RunFolder, manifest: dict[str, Any]) -> bool:

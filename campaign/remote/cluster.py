@@ -34,7 +34,7 @@ _AHEAD = 4
 
 
 def blocks_in_order(
-    cluster: Cluster, campaign: ResolvedCampaign, run: Path, blocks: Iterable[Block]
+    cluster: Cluster, campaign: ResolvedCampaign, run: Path, blocks: Iterable[Block], limit_s: float | None
 ) -> Iterator[Records]:
     """Yield the records of each block, in order, holding only what is in flight.
 
@@ -50,7 +50,7 @@ def blocks_in_order(
         parallel = Parallel(
             backend=backend, return_as="generator", pre_dispatch=f"{_AHEAD}*n_jobs", batch_size=1, n_jobs=-1
         )
-        results = parallel(delayed(run_block_there)(bundle.digest, block, store_is_on()) for block in blocks)
+        results = parallel(delayed(run_block_there)(bundle.digest, block, store_is_on(), limit_s) for block in blocks)
         try:
             yield from results
         except KilledWorker as error:

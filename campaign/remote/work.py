@@ -15,20 +15,22 @@ from typing import cast
 
 from distributed import get_worker
 
-from campaign.experiments.registry import Bench, Records
+from campaign.experiments.registry import Bench, Records, experiment_class
 from campaign.image_store import store_switched
+from campaign.losses import Losses
 from campaign.machine import cores
+from campaign.parallel import in_order
 from campaign.remote.assets import Fetch, asset_file, from_scheduler
 from campaign.remote.bundle import CAMPAIGN, DATA, RUN
 from campaign.resolve import ResolvedCampaign
 from campaign.store.folder import Block
-from campaign.worker import run_block
+from campaign.worker import renew_after, run_block
 
 # Scenes, meshes and estimators belong to a process and are used by one block at a time, however many threads there are.
 _ALONE = threading.Lock()
 
 
-def run_block_there(bundle: str, block: Block, images_kept: bool) -> Records:
+def run_block_there(bundle: str, block: Block, images_kept: bool, limit_s: float | None) -> Records:
     """Run every trial of a block with what the bundle holds.
 
     Parameters
@@ -39,11 +41,21 @@ def run_block_there(bundle: str, block: Block, images_kept: bool) -> Records:
         The trials.
     images_kept
         Whether rendered images go to the store of this worker's machine.
+    limit_s
+        How long a method may work at a trial. With a limit the block runs in a process of its own, which can be ended
+        where the method does not stop, while the worker stays.
     """
     with _ALONE, store_switched(images_kept):
         campaign, folder = opened(bundle, from_scheduler)
         workers = max(1, cores() // max(1, get_worker().state.nthreads))
-        return run_block(campaign, block, Bench(folder / RUN, workers, keep_images=False))
+        bench = Bench(folder / RUN, workers, keep_images=False, limit_s=limit_s)
+        if limit_s is None:
+            return run_block(campaign, block, bench)
+        again = renew_after(experiment_class(campaign.spec.experiment).block_trials)
+        calls: list[tuple[object, ...]] = [(campaign, block, bench, {})]
+        # All of it is taken, as what is broken off costs the process.
+        (found,) = in_order(1, run_block, calls, apart=True, renew_after=again, after_death=Losses().after)
+        return found
 
 
 @lru_cache(maxsize=1)

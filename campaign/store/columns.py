@@ -75,7 +75,11 @@ def _inertial(prefix: str, what: str) -> tuple[Column, ...]:
 TABLES: dict[str, tuple[Column, ...]] = {
     "rows": (
         *_key(),
-        Column("status", pa.string(), "ok, failed (the estimator says why) or error (it raised or returned rubbish)"),
+        Column(
+            "status",
+            pa.string(),
+            "ok, failed (the estimator says why) or error (it raised, was stopped or returned rubbish)",
+        ),
         Column("reason", pa.string(), "why it is not ok; empty when ok"),
         *(Column(f"prior_{c.name}", c.type, f"of the prior: {c.meaning}") for c in _pose_error()),
         *_pose_error(),

@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from campaign.store.columns import TABLES, schema
+from scenarios import checksums
 from scenarios.atomic import write_atomically, write_text
+from scenarios.checksums import refuse_damaged
 from scenarios.errors import BoresightError
 
 Records = Sequence[Mapping[str, object]]
@@ -37,6 +40,20 @@ class Block:
         """Name of the block's file in each table's folder; names sort in the order of trials."""
         return f"{self.scenario}-{self.number:07d}.parquet"
 
+    @property
+    def checksums_name(self) -> str:
+        """Name of the file of its checksums."""
+        return f"{self.scenario}-{self.number:07d}.sha256"
+
+
+class BlockState(Enum):
+    """What is stored of a block."""
+
+    ABSENT = "nothing, or not yet its rows"
+    SHORT = "rows of fewer trials than are wanted"
+    WHOLE = "all of it"
+    DAMAGED = "files that are not what was stored"
+
 
 def blocks(scenarios: Sequence[str], trials: int, size: int) -> Iterator[Block]:
     """Yield every block of ``size`` trials of a campaign.
@@ -48,6 +65,18 @@ def blocks(scenarios: Sequence[str], trials: int, size: int) -> Iterator[Block]:
         for scenario in scenarios:
             for first in range(start, min(start + _ROUND_BLOCKS * size, trials), size):
                 yield Block(scenario, first, min(first + size, trials), first // size)
+
+
+def _parquet(table: str, records: Records) -> bytes:
+    """Write a table as Parquet."""
+    found = pa.Table.from_pylist([dict(record) for record in records], schema=schema(table))
+    sink = pa.BufferOutputStream()
+    pq.write_table(found, sink)
+    return bytes(sink.getvalue())
+
+
+def _write_bytes(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
 
 
 class RunFolder:
@@ -85,7 +114,7 @@ class RunFolder:
 
     def sweep(self) -> None:
         """Remove what a killed process left half written; only for who holds the lock."""
-        places = (*TABLES, "products", "images/*", "chain/**")
+        places = (*TABLES, checksums.FOLDER, "products", "images/*", "chain/**")
         patterns = [".manifest.json.*.tmp", *(f"{place}/.*.tmp" for place in places)]
         for leftover in [path for pattern in patterns for path in self.path.glob(pattern)]:
             if leftover.is_dir():
@@ -94,30 +123,49 @@ class RunFolder:
                 leftover.unlink(missing_ok=True)
 
     def write_block(self, block: Block, tables: Mapping[str, Records]) -> None:
-        """Store a block: its detail tables first, its rows last, so that rows stand for the whole block."""
-        for name in sorted(tables, key=lambda table: table == "rows"):
-            target = self.path / name / block.file_name
-            if tables[name]:
-                table = pa.Table.from_pylist([dict(record) for record in tables[name]], schema=schema(name))
-                write_atomically(target, lambda path, table=table: pq.write_table(table, path))  # type: ignore[misc]
-            else:
-                target.unlink(missing_ok=True)
+        """Store a block: its detail tables first, then all checksums, its rows last: rows stand for the whole block."""
+        contents = {name: _parquet(name, tables[name]) for name in tables if tables[name]}
+        for name in tables:
+            if name in contents and name != "rows":
+                self._write(f"{name}/{block.file_name}", contents[name])
+            elif name not in contents:
+                (self.path / name / block.file_name).unlink(missing_ok=True)
+        sums = checksums.checksum_text({f"{name}/{block.file_name}": contents[name] for name in sorted(contents)})
+        self._write(f"{checksums.FOLDER}/{block.checksums_name}", sums.encode())
+        if "rows" in contents:
+            self._write(f"rows/{block.file_name}", contents["rows"])
 
-    def is_done(self, block: Block, estimators: int) -> bool:
-        """Tell whether rows of all the block's trials are stored and readable; more trials than that are fine."""
-        path = self.path / "rows" / block.file_name
-        if not path.exists():
-            return False
+    def _write(self, name: str, content: bytes) -> None:
+        write_atomically(self.path / name, lambda path: _write_bytes(path, content))
+
+    def state(self, block: Block, estimators: int) -> BlockState:
+        """Tell what is stored of a block; more trials than it has are fine."""
+        if not (self.path / "rows" / block.file_name).exists():
+            return BlockState.ABSENT
+        if any(self._damaged(block)):
+            return BlockState.DAMAGED
         try:
-            trials = pq.read_table(path, columns=["trial"]).column("trial").to_pylist()
+            trials = pq.read_table(self.path / "rows" / block.file_name, columns=["trial"]).column("trial").to_pylist()
         except (OSError, pa.ArrowException):
-            return False
+            return BlockState.DAMAGED
         wanted = [trial for trial in range(block.first, block.last) for _ in range(estimators)]
-        return bool(trials[: len(wanted)] == wanted)
+        return BlockState.WHOLE if trials[: len(wanted)] == wanted else BlockState.SHORT
+
+    def _damaged(self, block: Block) -> Iterator[str]:
+        """Yield the files of a block that are not what was stored; runs of earlier versions have no checksums."""
+        path = self.path / checksums.FOLDER / block.checksums_name
+        return checksums.damaged_of(self.path, path) if path.exists() else iter(())
 
     def table(self, name: str) -> pd.DataFrame:
-        """Read one stored table whole; an empty frame with its columns where nothing is stored."""
+        """Read one stored table whole; an empty frame with its columns where nothing is stored.
+
+        Raises
+        ------
+        BoresightError
+            If it is not what was stored.
+        """
         folder = self.path / name
+        refuse_damaged(self.path, name)
         if not any(folder.glob("*.parquet")):
             empty: pd.DataFrame = schema(name).empty_table().to_pandas()
             return empty

@@ -84,6 +84,7 @@ def test_one_changed_bit_is_told(copied, capsys):
     values[row] = float(np.nextafter(values[row], np.inf))
     at = table.column_names.index("range_m")
     pq.write_table(table.set_column(at, table.schema.field("range_m"), [values]), path)
+    shutil.rmtree(copied / "checksums")
     trial = table["trial"][row].as_py()
     assert main(["inspect", str(copied), "--trial", str(trial), "--estimator", "landmark-harris"]) == 1
     assert "NOT the same as stored: rows.range_m in 1 of 1 rows" in capsys.readouterr().out
@@ -156,6 +157,9 @@ def test_what_cannot_be_inspected(copied, tmp_path, capsys):
 def test_a_half_written_table_is_told(copied, capsys):
     for path in (copied / "stages").glob("*.parquet"):
         path.write_bytes(path.read_bytes()[:100])
+    assert f"{copied / 'stages'}" in (said := refused(capsys, copied, "--worst", 1))
+    assert "damaged" in said
+    shutil.rmtree(copied / "checksums")
     assert f"{copied / 'stages'}: cannot be read as Parquet" in refused(capsys, copied, "--worst", 1)
 
 

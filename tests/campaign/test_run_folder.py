@@ -6,7 +6,7 @@ import itertools
 import json
 import os
 import subprocess
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 from pathlib import Path
 
@@ -15,10 +15,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from tiny_campaign import CAMPAIGN, DATABASE, RESULTS, SCENE, TRIALS, compute, files, run, write_campaign
+from tiny_sequences import write_sequences
 
 from campaign.cli import main
 from campaign.cli.progress import RunningMedian
 from campaign.experiments.single_image import SingleImage
+from campaign.paper.gather import newest_finished, run_folders
 from campaign.resolve import reload, resolve
 from campaign.score import pose_error
 from campaign.store import TABLES, RunFolder
@@ -236,3 +238,33 @@ def test_the_running_median_takes_a_perfect_answer():
     for value in (0.0, 0.0, 5.0):
         median.add(value)
     assert median.value == pytest.approx(1e-9, rel=0.01)
+
+
+class ClockSetBack:
+    """Goes an hour back with every look."""
+
+    def __init__(self) -> None:
+        self._now = datetime(2026, 1, 1, tzinfo=UTC)
+
+    def now(self, zone):
+        self._now -= timedelta(hours=1)
+        return self._now.astimezone(zone)
+
+
+def test_a_clock_that_is_set_back_turns_no_order_round(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    file = write_sequences(tmp_path, 2)
+    monkeypatch.setattr("campaign.manifest.datetime", ClockSetBack())
+    for number in (1, 2):
+        folder = Path("runs") / f"orbits-{number}"
+        compute(file, folder, number)
+        os.utime(folder, (1e9 - number, 1e9 - number))
+        manifest = RunFolder(folder).read_manifest()
+        assert manifest["created"] <= manifest["finished"] <= manifest["updated"]
+    assert RunFolder(Path("runs/orbits-2")).read_manifest()["created"] < "2025-12-31T22"
+    assert main(["status", "orbits"]) == 0
+    assert capsys.readouterr().out.startswith("runs/orbits-2: orbits, 2 of 2 trials stored")
+    assert newest_finished(run_folders(Path("runs")), "orbits").folder.path.name == "orbits-2"
+    compute(file, Path("runs/orbits-1"), 2)
+    assert main(["status", "orbits"]) == 0
+    assert capsys.readouterr().out.startswith("runs/orbits-1: "), "what was gone on with last is the newest"

@@ -14,7 +14,7 @@ import pytest
 from campaign.score import no_pose_error, pose_error
 from campaign.store import TABLES, RunFolder, RunLock
 from campaign.store.columns import schema
-from campaign.store.folder import Block, blocks
+from campaign.store.folder import Block, BlockState, blocks
 from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
 from scenarios.geometry import look_at
@@ -57,23 +57,81 @@ def test_a_stored_block_reads_back_in_the_order_of_trials(tmp_path):
     assert list(rows.columns) == [c.name for c in TABLES["rows"]]
 
 
-def test_a_block_is_done_only_when_its_rows_are_whole(tmp_path):
+def test_a_block_is_whole_only_when_its_rows_are(tmp_path):
     folder, block = RunFolder(tmp_path), Block("a", 0, 10, 0)
-    assert not folder.is_done(block, 1)
+    assert folder.state(block, 1) is BlockState.ABSENT
     folder.write_block(Block("a", 0, 5, 0), {"rows": [record(t) for t in range(5)]})
-    assert not folder.is_done(block, 1)
-    assert folder.is_done(Block("a", 0, 5, 0), 1)
+    assert folder.state(block, 1) is BlockState.SHORT
+    assert folder.state(Block("a", 0, 5, 0), 1) is BlockState.WHOLE
     folder.write_block(block, {"rows": [record(t) for t in range(10)]})
-    assert folder.is_done(block, 1)
-    assert folder.is_done(Block("a", 0, 5, 0), 1), "more trials than asked for are kept"
+    assert folder.state(block, 1) is BlockState.WHOLE
+    assert folder.state(Block("a", 0, 5, 0), 1) is BlockState.WHOLE, "more trials than asked for are kept"
 
 
-def test_a_damaged_block_is_not_done(tmp_path):
+@pytest.fixture
+def stored(tmp_path):
+    """A block with rows and details."""
     folder, block = RunFolder(tmp_path), Block("a", 0, 10, 0)
-    folder.write_block(block, {"rows": [record(t) for t in range(10)]})
-    path = tmp_path / "rows" / block.file_name
+    key = {"scenario": "a", "estimator": "prior"}
+    timings = [{"trial": t, **key, "stage": "image", "seconds": 0.1} for t in range(10)]
+    folder.write_block(block, {"rows": [record(t) for t in range(10)], "timings": timings, "stages": []})
+    return folder, block
+
+
+def test_a_flipped_bit_or_a_missing_end_is_found_wherever_it_is(stored):
+    folder, block = stored
+    rng = np.random.default_rng(8)
+    for name in ("rows/a-0000000.parquet", "timings/a-0000000.parquet", "checksums/a-0000000.sha256"):
+        path = folder.path / name
+        whole = path.read_bytes()
+        for at in (0, len(whole) - 1, *rng.integers(len(whole), size=20)):
+            damaged = bytearray(whole)
+            damaged[at] ^= 1 << int(rng.integers(8))
+            path.write_bytes(damaged)
+            assert folder.state(block, 1) is BlockState.DAMAGED, f"{name}, byte {at} of {len(whole)}"
+            path.write_bytes(whole[:at])
+            assert folder.state(block, 1) is BlockState.DAMAGED, f"{name}, cut after {at} of {len(whole)}"
+        path.write_bytes(whole)
+        assert folder.state(block, 1) is BlockState.WHOLE
+    (folder.path / "timings" / block.file_name).unlink()
+    assert folder.state(block, 1) is BlockState.DAMAGED
+
+
+def test_a_damaged_table_is_not_read(stored):
+    folder, block = stored
+    path = folder.path / "timings" / block.file_name
+    path.write_bytes(path.read_bytes()[:-7])
+    assert len(folder.table("rows")) == 10
+    with pytest.raises(BoresightError, match=r"timings/a-0000000.parquet: damaged.* run\sthe campaign again") as caught:
+        folder.table("timings")
+    assert "\n" not in str(caught.value)
+
+
+def test_checksums_are_those_of_another_program(stored):
+    folder, _ = stored
+    checked = subprocess.run(
+        ["sha256sum", "--strict", "-c", "checksums/a-0000000.sha256"], cwd=folder.path, capture_output=True, check=False
+    )
+    assert checked.returncode == 0, checked.stderr
+    assert checked.stdout.count(b": OK") == 2
+
+
+def test_a_run_of_an_earlier_version_has_no_checksums_and_is_read(stored):
+    folder, block = stored
+    (folder.path / "checksums" / block.checksums_name).unlink()
+    assert folder.state(block, 1) is BlockState.WHOLE
+    assert len(folder.table("timings")) == 10
+    path = folder.path / "rows" / block.file_name
     path.write_bytes(path.read_bytes()[:-20])
-    assert not folder.is_done(block, 1)
+    assert folder.state(block, 1) is BlockState.DAMAGED
+
+
+def test_half_of_a_block_that_was_never_finished_is_no_damage(stored):
+    folder, block = stored
+    (folder.path / "rows" / block.file_name).unlink()
+    assert folder.state(block, 1) is BlockState.ABSENT
+    assert folder.table("rows").empty
+    assert len(folder.table("timings")) == 10
 
 
 def test_missing_values_are_nan_and_not_infinite(tmp_path):
