@@ -52,7 +52,7 @@ def test_the_numbers_are_those_of_the_rows(page, runs):
         for method in ("ekf-slam", "ba-slam"):
             scenario = f"apophis-sphere-sequence-{n}"
             mine = rows[(rows["scenario"] == scenario) & (rows["estimator"] == method)]
-            one = table["quantity"].str.startswith("position error after 1")
+            one = table["quantity"].str.startswith("position error after 1 revolution, sequence")
             told = table[one & (table["scenario"] == scenario) & (table["estimator"] == method)].set_index("statistic")
             assert told.loc["mean", "ours"] == pytest.approx(mine["error_after_1_m"].mean())
             assert told.loc["deviation", "ours"] == pytest.approx(mine["error_after_1_m"].std())
@@ -68,5 +68,5 @@ def test_reductions_stand_beside_the_sentences_of_the_paper(page, runs):
         .dropna()
         .mean()
     )
-    mine = told[told["quantity"].str.startswith("error after 2")]["ours"].item()
+    mine = told[told["quantity"].str.startswith("position error after 2 revolutions, reduction")]["ours"].item()
     assert mine == pytest.approx(100 * (1 - mean["ba-slam-7"] / mean["ba-slam-3"]))
