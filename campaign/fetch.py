@@ -19,8 +19,9 @@ import requests
 
 from campaign.download import TIMEOUT_S, Progress, ResumingDownloader, disk_fault, network_fault
 from scenarios.atomic import write_text
-from scenarios.data.datasets import DataSetSpec, FileSpec
+from scenarios.data.datasets import FILE_NAME, DataSetSpec, FileSpec
 from scenarios.errors import BoresightError
+from scenarios.reading import read_json
 
 _LEDGER = ".boresight-fetched.json"
 _REGISTERED, _FIRST, _NOTHING = "registration", "first fetch", "nothing"
@@ -141,14 +142,12 @@ class _Ledger:
 
     def _read(self) -> dict[str, dict[str, Any]]:
         try:
-            entries = json.loads(self._path.read_text(encoding="utf-8"))
+            entries = read_json(self._path, "the checksums of what was fetched")
         except FileNotFoundError:
             return {}
-        except (OSError, ValueError) as error:
-            raise BoresightError(
-                f"{self._path}: cannot be read: {error}; it holds the checksums of what was fetched"
-            ) from error
-        return entries if isinstance(entries, dict) else {}
+        if not isinstance(entries, dict) or not all(isinstance(entry, dict) for entry in entries.values()):
+            raise BoresightError(f"{self._path}: does not hold the checksums of what was fetched: move it away")
+        return entries
 
 
 def _files(dataset: DataSetSpec) -> list[FileSpec]:
@@ -169,6 +168,9 @@ def _files(dataset: DataSetSpec) -> list[FileSpec]:
     wanted = sorted(name for name in names if re.fullmatch(listing.pattern, name))
     if not wanted:
         raise BoresightError(f"{listing.url}: lists no file that matches {listing.pattern!r}")
+    for name in wanted:
+        if not re.fullmatch(FILE_NAME, name):
+            raise BoresightError(f"{listing.url}: lists {name!r}, which is no plain file name: narrow the pattern")
     return [FileSpec(url=urljoin(listing.url, name)) for name in wanted]
 
 

@@ -152,12 +152,12 @@ def _cache() -> Cache | None:
 def _read(chunk: str) -> dict[int, KeptImage]:
     cache = _cache()
     folder = None if cache is None else cache.find(KIND, chunk)
-    return {} if folder is None else _read_file(folder / _FILE)
+    return {} if folder is None else read_chunk(folder / _FILE)
 
 
-def _read_file(path: Path) -> dict[int, KeptImage]:
-    """Read a chunk; another process may have thrown it out this moment."""
+def read_chunk(path: Path) -> dict[int, KeptImage]:
+    """Read a chunk; nothing where it is damaged, or where another process has thrown it out this moment."""
     try:
         return read_images(path)
-    except (OSError, pa.ArrowException):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, MemoryError, AttributeError, pa.ArrowException):
         return {}

@@ -10,8 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from campaign.experiments.registry import experiment_class
 from campaign.images import images_digest
 from estimators.registry import base_of, needed_sensors
@@ -241,7 +239,7 @@ def _read_again(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
             )
             for name, scenario in _in_order(manifest)
         )
-    except (KeyError, ValidationError):
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError):
         return None
     machine = manifest["machine"]
     return ResolvedCampaign(

@@ -1,8 +1,29 @@
 """The one exception root of boresight."""
 
+_LONGEST = 2000
+
 
 class BoresightError(Exception):
     """A fault that a user can mend: the message says what is wrong, where, and what to do.
 
-    The command line prints the message as one line and exits with code 2.
+    The command line prints the message as one line and exits with code 2. Words of a damaged file may be part of it:
+    what would steer a terminal is escaped, and what is too long to be read is cut out of the middle.
     """
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__("\n".join(_shown(line) for line in str(message).split("\n")))
+
+
+def printable(text: str) -> str:
+    """Escape what would break a line or steer a terminal."""
+    return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
+
+
+def one_line(error: object) -> str:
+    """Write what another library says as one line."""
+    return " ".join(str(error).split())
+
+
+def _shown(line: str) -> str:
+    line = printable(line)
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"

@@ -25,6 +25,7 @@ from campaign.speed.works import GROUPS, WORKS, names_of
 from renderers.mitsuba3 import choose_variant
 from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
+from scenarios.reading import read_json
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction
@@ -81,7 +82,7 @@ def _bench(arguments: argparse.Namespace) -> int:
     if arguments.check or arguments.record:
         raise BoresightError(f"--check and --record are for ratios to peers, of which {arguments.name!r} has none")
     out = console()
-    earlier = {} if arguments.against is None else _read_ratios(arguments.against)
+    earlier = {} if arguments.against is None else read_ratios(arguments.against)
     campaign = resolve(arguments.name, arguments.overrides, variant=choose_variant(arguments.variant).name)
     with tempfile.TemporaryDirectory(prefix="boresight-bench-") as folder:
         found = benchmark(campaign, arguments.blocks, Path(folder), out.print)
@@ -144,9 +145,10 @@ def _change(stage: StageTime, earlier: _Ratios) -> str:
     return "new" if not before else f"x {stage.ratio / before:.2f}"
 
 
-def _read_ratios(path: Path) -> _Ratios:
+def read_ratios(path: Path) -> _Ratios:
+    """Read the ratios of an earlier ``--json``; raise BoresightError where the file is none."""
     try:
-        stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        stored: dict[str, Any] = read_json(path, "a result of boresight bench --json")
         return {(s["scenario"], s["estimator"], s["stage"]): float(s["ratio"]) for s in stored["stages"]}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise BoresightError(f"{path}: is no result of boresight bench --json ({error})") from error

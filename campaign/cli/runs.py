@@ -140,9 +140,11 @@ def _status(arguments: argparse.Namespace) -> int:
     out = console()
     finished = manifest.get("finished") if done >= total else None
     out.print(f"{folder.path}: {manifest['name']}, {done} of {total} trials stored, seed {manifest['seed']}")
-    out.print(f"started {manifest['created']}, " + (f"finished {finished}" if finished else "not finished"))
+    out.print(
+        f"started {manifest.get('created', 'some time')}, " + (f"finished {finished}" if finished else "not finished")
+    )
     if not finished:
-        out.print(f"to continue: {manifest['command'] or 'run the campaign again into the same folder'}")
+        out.print(f"to continue: {manifest.get('command') or 'run the campaign again into the same folder'}")
     for (scenario, estimator), group in rows.groupby(["scenario", "estimator"]):
         counts = group["status"].value_counts()
         out.print(f"  {scenario} / {estimator}: " + ", ".join(f"{n} {status}" for status, n in counts.items()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scenarios.data import find_data_file
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, TriangleMesh, View, project_circles
+from scenarios.limits import LARGEST_NUMBER
 from scenarios.sequences.ground import MeshGround
 
 FloatArray = NDArray[np.float64]
@@ -57,20 +58,25 @@ def read_gazetteer(search_dirs: Sequence[Path] = ()) -> tuple[NamedCrater, ...]:
         If it is missing or a row is not one.
     """
     path = find_data_file(GAZETTEER, search_dirs, ".", "craters")
-    with path.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
     try:
-        return tuple(
-            NamedCrater(
-                row["name"],
-                float(np.radians(float(row["lat_deg"]))),
-                float(np.radians(float(row["lon_east_deg"]))),
-                1e3 * float(row["diam_km"]),
-            )
-            for row in rows
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise BoresightError(f"{path}: a row is not name, lat_deg, lon_east_deg, diam_km: {error}") from error
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader((line for line in file if not line.startswith("#")), strict=True))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise BoresightError(f"{path}: cannot be read as a CSV table: {error}") from error
+    if not rows:
+        raise BoresightError(f"{path}: the table has no craters")
+    return tuple(_crater(row, f"{path}: crater {number}") for number, row in enumerate(rows, start=1))
+
+
+def _crater(row: Mapping[str, str | None], place: str) -> NamedCrater:
+    try:
+        lat_deg, lon_deg, diameter_km = (float(row[key] or "") for key in ("lat_deg", "lon_east_deg", "diam_km"))
+        name = str(row["name"] or "")
+    except (KeyError, ValueError) as error:
+        raise BoresightError(f"{place} is not name, lat_deg, lon_east_deg, diam_km: {error}") from error
+    if not (name and abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0 and 0.0 < diameter_km <= LARGEST_NUMBER):
+        raise BoresightError(f"{place}: {name} at {lat_deg:g} and {lon_deg:g} deg, {diameter_km:g} km wide, cannot be")
+    return NamedCrater(name, float(np.radians(lat_deg)), float(np.radians(lon_deg)), 1e3 * diameter_km)
 
 
 def predict(craters: Sequence[NamedCrater], mesh: TriangleMesh, view: View) -> Predicted:

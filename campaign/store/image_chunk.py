@@ -17,6 +17,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from scenarios.limits import MOST_PIXELS
+
 Image = NDArray[np.float32]
 
 _SCHEMA = pa.schema(
@@ -60,11 +62,19 @@ def write_images(path: Path, images: Mapping[int, KeptImage]) -> None:
 
 
 def read_images(path: Path) -> dict[int, KeptImage]:
-    """Read all images of a file; they are read-only."""
+    """Read all images of a file; they are read-only.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError, OSError or one of pyarrow's
+        If the file is damaged.
+    """
     images: dict[int, KeptImage] = {}
     for batch in pq.ParquetFile(path).read().to_batches():
         for row in range(batch.num_rows):
             index, view, height, width, lit = (batch.column(name)[row].as_py() for name in _SCHEMA.names[:-1])
+            if not 0 < height * width <= MOST_PIXELS:
+                raise ValueError(f"{path}: {height} x {width} pixels are no image")
             image = np.zeros((height, width), dtype=np.float32)
             mask = np.unpackbits(np.frombuffer(lit, np.uint8), count=height * width).reshape(height, width)
             image[mask.view(np.bool_)] = batch.column("values")[row].values.to_numpy()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,12 +13,17 @@ from numpy.typing import NDArray
 
 from estimators.descriptors.features import DESCRIPTOR_BYTES, Kind
 from scenarios.errors import BoresightError
+from scenarios.limits import LARGEST_NUMBER
+from scenarios.reading import read_arrays
 
 FloatArray = NDArray[np.float64]
 
 FORMAT = "boresight-descriptors"
 FORMAT_VERSION = 1
 FILE = "descriptors.npz"
+
+_UNIT = 1e-6
+_FAULTS = (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError, BoresightError)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,8 +75,14 @@ class DescriptorDatabase:
         for view in self.views:
             n = len(view.points_m)
             shapes = (view.points_m.shape, view.descriptors.shape)
-            if shapes != ((n, 3), (n, DESCRIPTOR_BYTES[self.kind])) or not np.isfinite(view.points_m).all():
+            in_reach = bool((np.abs(view.points_m) <= LARGEST_NUMBER).all())
+            if shapes != ((n, 3), (n, DESCRIPTOR_BYTES[self.kind])) or not in_reach:
                 raise BoresightError(f"a view of {self.kind} features cannot have points and descriptors {shapes}")
+            if view.descriptors.dtype != np.uint8:
+                raise BoresightError(f"descriptors are bytes, not {view.descriptors.dtype}")
+            for direction in (view.camera_dir_body, view.sun_dir_body):
+                if direction.shape != (3,) or not (np.abs(direction) <= 1.0 + _UNIT).all():
+                    raise BoresightError("the direction of a view is no unit vector")
 
     @property
     def n_features(self) -> int:
@@ -111,8 +121,7 @@ class DescriptorDatabase:
         """
         path = folder / FILE
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
+            arrays = read_arrays(path)
             head = json.loads(bytes(arrays["head"]).decode())
             if (head["format"], head["version"]) == (FORMAT, FORMAT_VERSION):
                 ends = np.cumsum(arrays["counts"])[:-1]
@@ -122,7 +131,15 @@ class DescriptorDatabase:
                 views = tuple(ViewFeatures(c, s, p.astype(np.float64), d) for c, s, p, d in columns)
                 return cls(cast("Kind", head["kind"]), views, head["provenance"])
             fault = f"it is not format {FORMAT!r} version {FORMAT_VERSION}"
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, BoresightError) as error:
+        except (
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            OverflowError,
+            RecursionError,
+            BoresightError,
+        ) as error:
             fault = str(error)
         raise BoresightError(f"{path}: cannot be read as a data base of descriptors: {fault}; build it again")
 

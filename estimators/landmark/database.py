@@ -25,8 +25,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from scenarios.errors import BoresightError
+from scenarios.errors import BoresightError, one_line
 from scenarios.geometry import TriangleMesh
+from scenarios.limits import LARGEST_NUMBER
+from scenarios.reading import read_json
 
 FloatArray = NDArray[np.float64]
 
@@ -157,8 +159,8 @@ def _check_whole(values: FloatArray, name: str) -> None:
 
 def _read_head(path: Path) -> Mapping[str, object]:
     try:
-        head = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        head = read_json(path, "the head of a landmark data base")
+    except FileNotFoundError as error:
         raise BoresightError(f"{path}: cannot be read as the head of a landmark data base: {error}") from error
     if not isinstance(head, dict) or head.get("format") != FORMAT or head.get("version") != FORMAT_VERSION:
         raise BoresightError(f"{path}: is not format {FORMAT!r} version {FORMAT_VERSION}; build the data base again")
@@ -180,12 +182,14 @@ def _read_table(path: Path, columns: list[str]) -> FloatArray:
     try:
         table = pd.read_csv(path, dtype=str, keep_default_na=False)
     except (OSError, ValueError) as error:
-        raise BoresightError(f"{path}: cannot be read as a table: {error}") from error
+        raise BoresightError(f"{path}: cannot be read as a table: {one_line(error)}") from error
     if list(table.columns) != columns:
         raise BoresightError(f"{path}: the columns must be {columns}, not {[str(name) for name in table.columns]}")
     numbers = np.array([[_number(text) for text in row] for row in table.to_numpy()]).reshape(-1, len(columns))
-    bad = np.argwhere(~np.isfinite(numbers))
+    bad = np.argwhere(~(np.abs(numbers) <= LARGEST_NUMBER))
     if len(bad):
         row, column = bad[0]
-        raise BoresightError(f"{path}:{row + 2}: {columns[column]} is no finite number: {table.iloc[row, column]!r}")
+        raise BoresightError(
+            f"{path}:{row + 2}: {columns[column]} is no finite number, or far too large: {table.iloc[row, column]!r}"
+        )
     return numbers

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,6 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
+from scenarios.limits import LARGEST_NUMBER
+from scenarios.reading import read_arrays
 
 FloatArray = NDArray[np.float64]
 
@@ -27,6 +28,7 @@ _NOTHING = np.iinfo(np.int16).min
 _ALBEDO_STEPS = np.iinfo(np.uint16).max
 _OVERLAP = 3.0
 _SAME_SURFACE = 1.5
+_FAULTS = (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError, BoresightError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +74,12 @@ class MapletDatabase:
         rotation_error = np.abs(self.axes @ np.swapaxes(self.axes, 1, 2) - np.eye(3)).max()
         if not (rotation_error < 1e-6 and (np.linalg.det(self.axes) > 0.0).all()):
             raise BoresightError("the axes of a maplet are not right-handed and orthonormal")
-        if not (np.isfinite(self.centres_m).all() and np.isfinite(self.heights_m[:, side // 2, side // 2]).all()):
+        if not 0.0 < self.spacing_m <= LARGEST_NUMBER:
+            raise BoresightError(f"the nodes of maplets cannot be {self.spacing_m} m apart")
+        if not (
+            (np.abs(self.centres_m) <= LARGEST_NUMBER).all()
+            and np.isfinite(self.heights_m[:, side // 2, side // 2]).all()
+        ):
             raise BoresightError("a maplet has no surface at its centre")
 
     def __len__(self) -> int:
@@ -195,8 +202,7 @@ class MapletDatabase:
         """
         path = folder / FILE
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
+            arrays = read_arrays(path)
             head = json.loads(bytes(arrays["head"]).decode())
             _check_format(head)
             stored = arrays["heights"]
@@ -204,7 +210,15 @@ class MapletDatabase:
             albedo = arrays["albedo"] * (head["albedo_max"] / _ALBEDO_STEPS) if "albedo" in arrays else None
             axes = Rotation.from_quat(arrays["quat_wxyz"], scalar_first=True).as_matrix()
             return cls(arrays["centres_m"], axes, heights_m, float(head["spacing_m"]), albedo, head["provenance"])
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, BoresightError) as error:
+        except (
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            OverflowError,
+            RecursionError,
+            BoresightError,
+        ) as error:
             raise BoresightError(
                 f"{path}: cannot be read as a data base of maplets: {error}; build it again"
             ) from error

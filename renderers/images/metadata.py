@@ -12,6 +12,7 @@ from typing import Literal
 from pvl.collections import Quantity
 
 from scenarios.errors import BoresightError
+from scenarios.limits import LARGEST_NUMBER
 
 _UNKNOWN = ("", "N/A", "NA", "UNK", "UNKNOWN", "NULL")
 _SECONDS = {"S": 1.0, "SECOND": 1.0, "SECONDS": 1.0, "SEC": 1.0, "MS": 1e-3, "MILLISECOND": 1e-3, "MILLISECONDS": 1e-3}
@@ -111,7 +112,10 @@ def _start(values: Mapping[str, object], path: Path) -> str | None:
             raise BoresightError(f"{path}: {value!r} is not a time such as 2005-10-01T12:34:56.789") from error
     if not isinstance(value, datetime):
         raise BoresightError(f"{path}: the start of the exposure is {value}, which has no time of the day")
-    utc = value if value.tzinfo is None else value.astimezone(UTC)
+    try:
+        utc = value if value.tzinfo is None else value.astimezone(UTC)
+    except OverflowError as error:
+        raise BoresightError(f"{path}: the start of the exposure is {value}, before or after all years") from error
     return utc.replace(tzinfo=None).isoformat()
 
 
@@ -124,6 +128,17 @@ def _exposure_s(values: Mapping[str, object], path: Path, unit_s: float) -> floa
         if unit not in _SECONDS:
             raise BoresightError(f"{path}: exposure: {value.units} is not a unit of time that is read")
         value, unit_s = value.value, _SECONDS[unit]
-    if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)) or not float(value) >= 0.0:
+    exposure = number(value)
+    if not 0.0 <= exposure <= LARGEST_NUMBER:
         raise BoresightError(f"{path}: exposure: {value!r} is not a number of at least 0")
-    return float(value) * unit_s
+    return exposure * unit_s
+
+
+def number(value: object) -> float:
+    """Return a number of a label or header; NaN where it is none, or beyond any that is used."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)):
+        return float("nan")
+    try:
+        return float(value)
+    except (OverflowError, ValueError):  # a whole number of too many digits; a signalling NaN
+        return float("nan")

@@ -14,14 +14,18 @@ from numpy.typing import NDArray
 from pvl.collections import Quantity
 from pvl.decoder import OmniDecoder
 from pvl.exceptions import LexerError, ParseError, QuantityError
+from pvl.parser import OmniParser
 
-from scenarios.errors import BoresightError
+from renderers.images.metadata import number
+from scenarios.errors import BoresightError, one_line
+from scenarios.limits import MOST_PIXELS
 
 LABEL_SUFFIXES = (".lbl",)
 ATTACHED_SUFFIXES = (".img",)
 _FIRST_WORDS = (b"PDS_VERSION_ID", b"CCSD3ZF", b"NJPL1I00")
 _END = re.compile(rb"^[ \t]*END[ \t]*\r?$", re.MULTILINE)
-_LONGEST_LABEL = 1 << 20
+_LONGEST_LABEL = 1 << 17  # ten times the longest of NEAR and Hayabusa; pvl reads this in a few seconds
+_MOST_MENDED = 100
 # SAMPLE_TYPE to NumPy's byte order and kind (PDS Standards Reference 3.8, appendix C).
 _TYPES = {
     **dict.fromkeys(("UNSIGNED_INTEGER", "MSB_UNSIGNED_INTEGER", "MAC_UNSIGNED_INTEGER", "SUN_UNSIGNED_INTEGER"), ">u"),
@@ -31,7 +35,31 @@ _TYPES = {
     **dict.fromkeys(("IEEE_REAL", "REAL", "FLOAT", "MAC_REAL", "SUN_REAL"), ">f"),
     "PC_REAL": "<f",
 }
+_LARGEST = 1e39  # beyond single precision, in which missing pixels are often marked by the lowest number
 _BITS = {"u": (8, 16, 32), "i": (8, 16, 32), "f": (32, 64)}
+
+
+# Beside its own, pvl raises TypeError for a date that it takes for one with a time zone, such as 2005-10-0, and what
+# numbers, dates and nesting beyond Python's own bounds give.
+_PARSER_FAULTS = (
+    LexerError, ParseError, QuantityError, ArithmeticError, AttributeError, LookupError, RecursionError, RuntimeError,
+    StopIteration, TypeError, ValueError,
+)  # fmt: skip
+
+
+class _Parser(OmniParser):  # type: ignore[misc]
+    """Mends values that are missing as pvl does, but not for ever: ``A = 1 = 2`` within an object never ends there."""
+
+    def __init__(self, decoder: OmniDecoder) -> None:
+        super().__init__(decoder=decoder)
+        self._mended = 0
+
+    def parse_module_post_hook(self, module: object, tokens: object) -> object:
+        """Give the last keyword an empty value, and go on behind it."""
+        self._mended += 1
+        if self._mended > _MOST_MENDED:
+            raise ValueError("a keyword has no value, or two")
+        return super().parse_module_post_hook(module, tokens)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +109,13 @@ def parse_label(content: bytes, path: Path) -> Label:
         raise BoresightError(f"{path}: does not start with a PDS3 label (PDS_VERSION_ID = PDS3)")
     end = _END.search(content, 0, _LONGEST_LABEL)
     if end is None:
-        raise BoresightError(f"{path}: the label has no line END within its first MiB")
+        raise BoresightError(f"{path}: the label has no line END within its first {_LONGEST_LABEL >> 10} KiB")
     text = content[: end.end()].decode("latin-1")
     try:
-        values = pvl.loads(text, decoder=OmniDecoder(real_cls=Decimal))
-    except (LexerError, ParseError, QuantityError, ValueError, TypeError) as error:
-        # pvl raises TypeError for a date that it takes for a date with a time zone, such as 2005-10-0.
-        raise BoresightError(f"{path}: not a readable PDS3 label: {' '.join(str(error).split())[:200]}") from error
+        values = pvl.loads(text, parser=_Parser(decoder=OmniDecoder(real_cls=Decimal)))
+    except _PARSER_FAULTS as error:
+        reason = one_line(error)[:200] or type(error).__name__
+        raise BoresightError(f"{path}: not a readable PDS3 label: {reason}") from error
     return Label(path, _flattened(values))
 
 
@@ -140,10 +168,10 @@ def read_pixels(label: Label) -> NDArray[np.float32]:
     samples = rows[:, layout.prefix : stride - layout.suffix if layout.suffix else stride]
     stored = np.ascontiguousarray(samples).view(layout.dtype)
     missing = _number(label, image, "MISSING_CONSTANT", None)
-    if missing is not None and (gaps := int((stored == layout.dtype.type(missing)).sum())):
+    if missing is not None and (gaps := int((stored == missing).sum())):
         raise label.fault(f"{gaps} pixels are marked as missing (MISSING_CONSTANT = {missing:g})")
     scale, offset = _number(label, image, "SCALING_FACTOR", 1.0), _number(label, image, "OFFSET", 0.0)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         return (stored.astype(np.float64) * (scale or 1.0) + (offset or 0.0)).astype(np.float32)
 
 
@@ -161,12 +189,15 @@ def _layout(label: Label) -> _Layout:
     bands = _whole(label, image, "BANDS", 1)
     if bands != 1:
         raise label.fault(f"BANDS: {bands} is not 1: only grey images are read")
+    lines, samples = (_whole(label, image, key, None) for key in ("LINES", "LINE_SAMPLES"))
+    if not 0 < lines * samples <= MOST_PIXELS:
+        raise label.fault(f"LINES, LINE_SAMPLES: {lines} x {samples} pixels are none, or more than {MOST_PIXELS}")
     return _Layout(
         pixel_file(label),
         _offset(label),
         _dtype(label, image),
-        _whole(label, image, "LINES", None),
-        _whole(label, image, "LINE_SAMPLES", None),
+        lines,
+        samples,
         _whole(label, image, "LINE_PREFIX_BYTES", 0),
         _whole(label, image, "LINE_SUFFIX_BYTES", 0),
     )
@@ -208,6 +239,7 @@ def _number(label: Label, values: Mapping[str, object], key: str, default: float
     value = values.get(key, default)
     if value is None or (isinstance(value, str) and value.upper() in ("N/A", "UNK", "NULL")):
         return default
-    if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)):
-        raise label.fault(f"{key}: {value!r} is not a number")
-    return float(value)
+    found = number(value)
+    if not abs(found) <= _LARGEST:
+        raise label.fault(f"{key}: {value!r} is not a finite number of any use")
+    return found

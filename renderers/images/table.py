@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
 from scenarios.geometry import Pose
+from scenarios.limits import LARGEST_NUMBER
 
 FloatArray = NDArray[np.float64]
 QUATERNION_TOLERANCE = 1e-3
@@ -68,6 +69,8 @@ class _Row:
             value = np.nan
         if not np.isfinite(value):
             raise BoresightError(f"{self.place}: {column}: {text!r} is not a finite number")
+        if abs(value) > LARGEST_NUMBER:
+            raise BoresightError(f"{self.place}: {column}: {text!r} is larger than anything that this can be")
         return value
 
     def numbers(self, columns: Sequence[str]) -> FloatArray:

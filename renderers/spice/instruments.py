@@ -75,10 +75,10 @@ def _amica(constants: Constants) -> Camera:
     CENTER = (511.5, 511.5) counts pixels from 0, as the middle of 1024 pixels: so the kernel's field of view is
     symmetric. (ISIS counts it from 1 and lies a pixel, 20 arcsec, off.) OD_K holds the k of 1 - k0 - k1 r2 - k2 r4.
     """
-    samples, lines = (int(constants.number(name)) for name in ("PIXEL_SAMPLES", "PIXEL_LINES"))
-    focal_mm, pitch_mm = 1e3 * constants.number("FOCAL_LENGTH"), 1e3 * constants.number("PIXEL_SIZE")
-    centre = constants.numbers("CENTER") + 0.5
-    k0, k1, k2 = constants.numbers("OD_K").tolist()
+    samples, lines = (int(constants.above_zero(name)) for name in ("PIXEL_SAMPLES", "PIXEL_LINES"))
+    focal_mm, pitch_mm = 1e3 * constants.above_zero("FOCAL_LENGTH"), 1e3 * constants.above_zero("PIXEL_SIZE")
+    centre = constants.numbers("CENTER", 2) + 0.5
+    k0, k1, k2 = constants.numbers("OD_K", 3).tolist()
     if k0 != 0.0:
         raise BoresightError(
             f"INS{constants.kernel_id}_OD_K: k0 = {k0:g} would change the focal length; 0 is all that is known"
@@ -106,7 +106,7 @@ def _msi(constants: Constants) -> Camera:
     The addendum counts pixels of 0.016 mm, of which there are 412 lines; the images have 244 lines of 412 / 244
     times that. BORESIGHT_SAMPLE and _LINE count from 1.
     """
-    focal_mm, pitch_mm = constants.number("FOCAL_LENGTH"), constants.number("PIXEL_PITCH")
+    focal_mm, pitch_mm = constants.above_zero("FOCAL_LENGTH"), constants.above_zero("PIXEL_PITCH")
     height = _MSI_LINES / _MSI_DETECTOR_LINES
     cx_px = constants.number("BORESIGHT_SAMPLE") - 0.5
     from_last_line = constants.number("BORESIGHT_LINE") - 0.5  # ISIS turns the lines over

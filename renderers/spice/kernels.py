@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
 from scenarios.errors import BoresightError
+from scenarios.limits import LARGEST_NUMBER
 
 SPICE_ERRORS = (SpiceyError, NotFoundError)
 _POOL = threading.Lock()
@@ -77,23 +78,37 @@ class Constants:
 
     kernel_id: int
 
-    def numbers(self, name: str) -> NDArray[np.float64]:
-        """Return the numbers under ``INS<id>_<name>``.
+    def numbers(self, name: str, count: int) -> NDArray[np.float64]:
+        """Return the ``count`` numbers under ``INS<id>_<name>``.
 
         Raises
         ------
         BoresightError
-            If no loaded kernel has them.
+            If no loaded kernel has them, they are not so many, or one of them is far too large.
         """
         key = f"INS{self.kernel_id}_{name}"
         try:
-            return np.array(spiceypy.gdpool(key, 0, 100), dtype=np.float64)
+            values = np.array(spiceypy.gdpool(key, 0, 100), dtype=np.float64)
         except SPICE_ERRORS as error:
             raise BoresightError(f"{key}: not in the kernels: name the instrument kernel and its addendum") from error
+        if len(values) != count or not (np.abs(values) <= LARGEST_NUMBER).all():
+            said = "one number" if count == 1 else f"{count} numbers"
+            raise BoresightError(f"{key}: {values.tolist()} is not {said} of any use: check the instrument kernel")
+        return values
 
     def number(self, name: str) -> float:
         """Return the one number under ``INS<id>_<name>``."""
-        values = self.numbers(name)
-        if len(values) != 1:
-            raise BoresightError(f"INS{self.kernel_id}_{name}: {values.tolist()} is not one number")
-        return float(values[0])
+        return float(self.numbers(name, 1)[0])
+
+    def above_zero(self, name: str) -> float:
+        """Return the one number under ``INS<id>_<name>``, which must be above 0.
+
+        Raises
+        ------
+        BoresightError
+            If it is not.
+        """
+        value = self.number(name)
+        if not value > 0.0:
+            raise BoresightError(f"INS{self.kernel_id}_{name}: {value:g} is not above 0: check the instrument kernel")
+        return value

@@ -7,11 +7,10 @@ from importlib import resources
 from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from reports.records import DERIVED, DIAGNOSTICS, REDUCTION, UNITS, unit_of
 from scenarios.errors import BoresightError
+from scenarios.load.yaml_text import parse_yaml
 
 _FILES = ("cheng2003.yaml", "delpech2015.yaml", "rowell2015.yaml")
 _SCALE = {
@@ -191,9 +190,7 @@ def parse(text: str, file: str) -> _Document:
         If the text is not YAML or does not fit the schema.
     """
     try:
-        return _Document.model_validate(YAML(typ="safe", pure=True).load(text))
-    except YAMLError as error:
-        raise BoresightError(f"{file}: not YAML: {error}") from error
+        return _Document.model_validate(parse_yaml(text, file).plain())
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path, PurePosixPath
 from typing import Annotated, ClassVar, Self
 
@@ -14,6 +15,8 @@ from scenarios.spec.base import SpecModel
 
 CATALOG = Path(__file__).parent / "catalog"
 _URL = r"^https?://[^\s]+$"
+FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
+"""Of a fetched file: it stays in its folder, and takes the place of no file that boresight keeps there itself."""
 Url = Annotated[str, Field(pattern=_URL)]
 
 
@@ -21,7 +24,7 @@ class FileSpec(SpecModel):
     """One file of a data set."""
 
     url: Url = Field(description="Where it is published")
-    name: str | None = Field(None, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="Name here; that of the URL")
+    name: str | None = Field(None, pattern=FILE_NAME, description="Name here; that of the URL")
     size_bytes: int | None = Field(None, gt=0, description="Size, where it is known")
     sha256: str | None = Field(
         None, pattern=r"^[0-9a-f]{64}$", description="Checksum; left out: that of the first fetch is kept and holds"
@@ -32,12 +35,26 @@ class FileSpec(SpecModel):
         """Name of the file in the data set's folder."""
         return self.name or PurePosixPath(self.url).name
 
+    @model_validator(mode="after")
+    def _stays_in_its_folder(self) -> Self:
+        if not re.fullmatch(FILE_NAME, self.file_name):
+            raise ValueError(f"url: {self.url} ends in no plain file name: give one as name")
+        return self
+
 
 class ListingSpec(SpecModel):
     """Files of a folder on a server, by the links of its listing."""
 
     url: Url = Field(description="The folder, with a slash at its end")
     pattern: str = Field(min_length=1, description="Regular expression of the whole names of the files")
+
+    @model_validator(mode="after")
+    def _is_an_expression(self) -> Self:
+        try:
+            re.compile(self.pattern)
+        except (re.error, OverflowError, RecursionError) as error:
+            raise ValueError(f"pattern: {self.pattern!r} is no regular expression: {error}") from error
+        return self
 
 
 class DataSetSpec(SpecModel):

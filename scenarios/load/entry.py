@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from scenarios.errors import printable
+
 Scalar = str | int | float | bool | None
 _LARGEST_EXACT = 2**53
 
@@ -54,11 +56,6 @@ def nested(keys: Iterable[str], entry: Entry) -> Entry:
     for key in reversed(list(keys)):
         entry = Entry({key: entry}, entry.place)
     return entry
-
-
-def printable(text: str) -> str:
-    """Escape what would break a line or steer a terminal."""
-    return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
 
 
 def describe(entry: Entry) -> str:

@@ -11,7 +11,8 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from scenarios.load.entry import Entry, describe, printable
+from scenarios.errors import printable
+from scenarios.load.entry import Entry, describe
 from scenarios.load.merge import Models, field_models
 from scenarios.spec.base import SpecModel
 

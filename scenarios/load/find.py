@@ -74,6 +74,8 @@ def read(path: Path) -> Entry:
     try:
         if path.is_dir():
             raise BoresightError(f"{shown}: is a folder, not a YAML file")
+        if path.exists() and not path.is_file():
+            raise BoresightError(f"{shown}: is a device or a pipe, not a YAML file")
         size = path.stat().st_size
         if size > _MAX_BYTES:
             raise BoresightError(f"{shown}: {size} bytes is too long for a scenario or campaign file")

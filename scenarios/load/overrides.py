@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from scenarios.errors import BoresightError
+from scenarios.errors import BoresightError, printable
 from scenarios.load.entry import Entry, entry_of, nested
 from scenarios.load.merge import Models, merge
 from scenarios.load.yaml_text import parse_yaml
@@ -18,7 +18,7 @@ def parse_override(text: str) -> Entry:
     BoresightError
         If it is not of that form.
     """
-    place = f"--set {text}"
+    place = f"--set {printable(text)}"
     dotted, equals, value = text.partition("=")
     if not equals or not all(key.strip() for key in dotted.split(".")):
         raise BoresightError(f"{place}: write it as key=value, for example --set camera.fov_deg=20")

@@ -19,8 +19,8 @@ from ruamel.yaml.events import (
     StreamEndEvent,
 )
 
-from scenarios.errors import BoresightError
-from scenarios.load.entry import Entry, Scalar, printable
+from scenarios.errors import BoresightError, one_line
+from scenarios.load.entry import Entry, Scalar
 
 MAX_VALUES = 20_000
 MAX_DEPTH = 40
@@ -66,7 +66,7 @@ def parse_yaml(text: str, source: str, *, place: str | None = None) -> Entry:
 
 
 def _invalid(place: str, what: object) -> BoresightError:
-    return BoresightError(printable(f"{place}: not valid YAML: {' '.join(str(what).split())}"))
+    return BoresightError(f"{place}: not valid YAML: {one_line(what)}")
 
 
 def resolve_scalar(text: str) -> Scalar:
@@ -173,4 +173,4 @@ class _Builder:
         return self._place or f"{self._source}:{event.start_mark.line + 1}"
 
     def _error(self, event: Any, what: str) -> BoresightError:
-        return BoresightError(printable(f"{self._at(event)}: {what}"))
+        return BoresightError(f"{self._at(event)}: {what}")

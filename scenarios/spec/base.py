@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from itertools import combinations
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, JsonValue, model_validator
 
 
 def _describe_alternatives(schema: dict[str, Any], model: type[BaseModel]) -> None:
@@ -13,6 +15,19 @@ def _describe_alternatives(schema: dict[str, Any], model: type[BaseModel]) -> No
     groups = model.alternatives if issubclass(model, SpecModel) else ()
     if groups:
         schema["allOf"] = [{"not": {"required": list(pair)}} for keys in groups for pair in combinations(keys, 2)]
+
+
+def _finite(value: object) -> object:
+    """Refuse NaN and infinities anywhere in a plain value: no canonical form has them."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{value} is not a finite number")
+    for item in value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ():
+        _finite(item)
+    return value
+
+
+PlainValue = Annotated[JsonValue, AfterValidator(_finite)]
+"""Whatever a file may hold where the schema leaves it open, but for numbers that are not finite."""
 
 
 class SpecModel(BaseModel):

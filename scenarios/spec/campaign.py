@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, JsonValue, model_validator
 
-from scenarios.spec.base import SpecModel
+from scenarios.spec.base import PlainValue, SpecModel
 from scenarios.spec.grid import GridSpec
 from scenarios.spec.scenario import NAME_PATTERN
 
@@ -24,7 +24,7 @@ class EstimatorSpec(SpecModel):
 
     name: str = Field(pattern=_LABEL)
     label: str = Field(pattern=_LABEL)
-    options: Mapping[str, JsonValue] = Field(default_factory=dict)
+    options: Mapping[str, PlainValue] = Field(default_factory=dict)
 
 
 def _read_estimator(value: object) -> EstimatorSpec:
@@ -74,7 +74,7 @@ class CampaignSpec(SpecModel):
         "crater-navigation",
     ] = Field("single-image", description="The kind of trial")
     scenarios: tuple[str, ...] = Field(min_length=1, description="Scenarios by name, or by path from this file")
-    overrides: Mapping[str, JsonValue] = Field(
+    overrides: Mapping[str, PlainValue] = Field(
         default_factory=dict, alias="set", description="Overrides of every scenario, as sections or as dotted keys"
     )
     grid: GridSpec | None = Field(None, description="Variations of every scenario, each a scenario of its own")

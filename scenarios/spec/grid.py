@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, JsonValue, model_validator
 
-from scenarios.spec.base import SpecModel
+from scenarios.spec.base import PlainValue, SpecModel
 
 _NAME = re.compile(r"[a-z0-9._-]+")
 MOST_SCENARIOS = 1000
@@ -22,7 +22,7 @@ class AxisSpec(SpecModel):
     label: str = Field("", description="What is varied and in which unit, for tables and figures")
     key: str | None = Field(None, description="The dotted key that takes the values")
     values: tuple[float, ...] | None = Field(None, min_length=2, description="Numbers; the first is the reference")
-    levels: dict[str, Mapping[str, JsonValue]] | None = Field(
+    levels: dict[str, Mapping[str, PlainValue]] | None = Field(
         None, min_length=2, description="Overrides by the name of the level; the first is the reference"
     )
 

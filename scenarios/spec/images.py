@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import PurePosixPath
 from typing import ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from scenarios.spec.base import SpecModel
 from scenarios.spec.rectangle import Rectangle
@@ -25,6 +27,14 @@ class SpiceSpec(SpecModel):
     aberration: Literal["LT+S", "NONE"] = Field(
         "LT+S", description="Light time and stellar aberration of the body's position, or the geometric position"
     )
+
+    @field_validator("files")
+    @classmethod
+    def _stays_in_the_folder(cls, files: str) -> str:
+        path = PurePosixPath(files)
+        if path.is_absolute() or ".." in path.parts or "\0" in files or re.search(r"[^/]\*\*|\*\*[^/]", files):
+            raise ValueError(f"files: {files!r} is no pattern of files in the folder, such as *.lbl")
+        return files
 
 
 class ImageSetSpec(SpecModel):

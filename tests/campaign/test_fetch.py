@@ -242,6 +242,55 @@ def test_the_files_of_a_folder_are_those_of_its_listing(tmp_path):
         running.shutdown()
 
 
+@pytest.mark.parametrize(
+    "link", ["..%2F..%2Fevil", "%2e%2e", "a%20b.fit", ".boresight-fetched.json", "x%00", "-rf", "a%5Cb"]
+)
+def test_a_listing_cannot_lead_out_of_its_folder(tmp_path, link):
+    class Listing(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(f'<a href="{link}">x</a>'.encode() if self.path == "/day/" else b"content")
+
+        def log_message(self, *_: object) -> None:
+            """Say nothing."""
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Listing) as running:
+        threading.Thread(target=running.serve_forever, args=(0.01,), daemon=True).start()
+        about = {"name": "day", "title": "A day", "folder": "images/day", "credit": "us", "licence": "none"}
+        listing = {"url": f"http://127.0.0.1:{running.server_port}/day/", "pattern": "(?s).+"}
+        data = DataSetSpec.model_validate({**about, "listing": listing})
+        try:
+            fetched = run(data, tmp_path / "data")
+        except BoresightError as error:
+            assert "is no plain file name" in str(error)
+        else:
+            assert [name for name, _, _ in fetched] == ["evil"], "the last part alone is the name"
+        running.shutdown()
+    folder = tmp_path / "data" / "images" / "day"
+    assert {path.parent for path in tmp_path.rglob("*") if path.is_file()} <= {folder}
+
+
+@pytest.mark.parametrize(
+    ("keys", "line"),
+    [
+        ("folder: ../x\nfiles: [{url: 'http://h/a'}]", "folder: '../x' does not match"),
+        ("folder: a/../../x\nfiles: [{url: 'http://h/a'}]", "leads out of the data folder"),
+        ("folder: /etc\nfiles: [{url: 'http://h/a'}]", "folder: '/etc' does not match"),
+        ("folder: a\nfiles: [{url: 'http://h/a', name: ../b}]", "name: '../b' does not match"),
+        ("folder: a\nfiles: [{url: 'http://h/..'}]", "ends in no plain file name"),
+        ("folder: a\nfiles: [{url: 'http://h/.boresight-fetched.json'}]", "ends in no plain file name"),
+        ("folder: a\nfiles: [{url: 'file:///etc/passwd', name: b}]", "url: 'file:///etc/passwd' does not match"),
+        ("folder: a\nlisting: {url: 'http://h/', pattern: '('}", "is no regular expression"),
+    ],
+)
+def test_a_data_set_cannot_lead_out_of_its_folder(tmp_path, keys, line):
+    (tmp_path / "x.yaml").write_text(f"title: X\ncredit: us\nlicence: none\n{keys}\n")
+    with pytest.raises(BoresightError) as refused:
+        load_dataset(str(tmp_path / "x.yaml"))
+    assert line in str(refused.value)
+
+
 # --- the command -------------------------------------------------------------------------------------------------
 
 

@@ -94,7 +94,7 @@ def test_a_gazetteer_that_is_none_is_named(tmp_path):
     folder = tmp_path / "craters"
     folder.mkdir()
     (folder / "eros_named_craters_iau.csv").write_text("name,lat_deg\nPsyche,31.6\n")
-    with pytest.raises(BoresightError, match=r"eros_named_craters_iau.csv: a row is not name, lat_deg"):
+    with pytest.raises(BoresightError, match=r"eros_named_craters_iau.csv: crater 1 is not name, lat_deg"):
         read_gazetteer([tmp_path])
 
 

@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from astropy.io import fits
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from renderers.images import open_product
 from scenarios.errors import BoresightError
@@ -212,22 +210,6 @@ def test_a_date_that_looks_like_a_time_zone_is_refused_in_one_line(tmp_path):
     (tmp_path / "a.lbl").write_bytes(label().replace(b"END\r\n", b"A_DATE = 2005-10-0\r\nEND\r\n"))
     with pytest.raises(BoresightError, match="not a readable PDS3 label"):
         open_product(tmp_path / "a.lbl")
-
-
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.data())
-def test_a_damaged_label_gives_pixels_or_one_line(tmp_path, data):
-    content = bytearray(label())
-    for _ in range(data.draw(st.integers(1, 4))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    (tmp_path / "a.img").write_bytes(packed(">h"))
-    (tmp_path / "a.lbl").write_bytes(bytes(content))
-    try:
-        product = open_product(tmp_path / "a.lbl")
-        product.metadata()
-        assert product.pixels().dtype == np.float32
-    except BoresightError as error:
-        assert "\n" not in str(error)
 
 
 @pytest.mark.skipif(not MSI.is_file(), reason=f"{MSI.name} is absent: set BORESIGHT_DATA")

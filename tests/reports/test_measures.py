@@ -140,7 +140,10 @@ def _split_reversed(part):
         (lambda run: (run / "manifest.json").write_text("{"), "manifest.json"),
         (lambda run: (run / "manifest.json").write_text('{"name": "x"}'), "seed: Field required"),
         (lambda run: (run / "rows" / "block-0.parquet").unlink(), "no finished trial"),
-        (lambda run: (run / "rows" / "block-0.parquet").write_bytes(b"rubbish"), "rows: cannot be read as Parquet"),
+        (
+            lambda run: (run / "rows" / "block-0.parquet").write_bytes(b"rubbish"),
+            "rows: cannot be read as Parquet",
+        ),
     ],
 )
 def test_a_damaged_run_is_one_clear_line(builder, damage, message):

@@ -134,7 +134,7 @@ def test_names_are_listed_and_an_unknown_one_is_refused_with_them():
         ("tolerance: 0.087", "tolerance: -0.1", "tolerance"),
         ("printed: 0.58 deg", "printed: .58deg", "printed"),
         ("statistic: mean, printed", "statistic: median, printed", "given twice"),
-        ("source: >-", "source: [", "not YAML"),
+        ("source: >-", "source: [", "not valid YAML"),
     ],
 )
 def test_a_wrong_file_is_refused_with_its_place(old, new, message):

@@ -5,16 +5,12 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from scenarios.errors import BoresightError
 from scenarios.load.entry import describe, entry_of
 from scenarios.load.files import CATALOG
 from scenarios.load.yaml_text import MAX_VALUES, parse_yaml, resolve_scalar
-
-QUICKSTART = (CATALOG / "quickstart.yaml").read_text(encoding="utf-8")
 
 
 def test_every_key_and_item_knows_its_line():
@@ -101,36 +97,6 @@ def test_what_is_refused_is_named_in_one_line(text, line):
         parse_yaml(text, "x.yaml")
     assert str(caught.value).startswith(line)
     assert "\n" not in str(caught.value)
-
-
-@settings(max_examples=300, deadline=None)
-@given(st.text(alphabet=st.sampled_from("ab1.:-[]{}&*!|>'\"%#?,@`~ \n\t\\\x00é\u2028"), max_size=60))
-@example("%YAML 9.9\n--- a")
-@example("%TAG ! tag:x,2000:\n--- !y z")
-@example("&a &b c")
-def test_any_text_gives_entries_or_one_line(text):
-    _entries_or_one_line(text)
-
-
-@settings(max_examples=300, deadline=None)
-@given(st.data())
-def test_a_damaged_scenario_gives_entries_or_one_line(data):
-    start = data.draw(st.integers(0, len(QUICKSTART)))
-    length = data.draw(st.integers(0, 20))
-    patch = data.draw(
-        st.text(max_size=8) | st.sampled_from(["{", "[", "*a", "&a ", "!!x ", "'", '"', "\n", ": ", "- "])
-    )
-    _entries_or_one_line(QUICKSTART[:start] + patch + QUICKSTART[start + length :])
-
-
-def _entries_or_one_line(text):
-    try:
-        root = parse_yaml(text, "x.yaml")
-    except BoresightError as error:
-        assert str(error).startswith("x.yaml")
-        assert len(str(error).splitlines()) == 1
-    else:
-        assert root.place.startswith("x.yaml:")
 
 
 def test_values_are_described_in_one_short_line():

@@ -1,16 +1,13 @@
 """Shape readers on small files written here, on trimesh's own exports, and on hostile input."""
 
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from scenarios.bodies.cubegrid import lattice
-from scenarios.bodies.readers import READERS, ShapeFile, read_shape
+from scenarios.bodies.readers import read_shape
 from scenarios.errors import BoresightError
 
 TETRAHEDRON = "v 1 0 0\nv 0 1 0\nv 0 0 1\nv -1 -1 -1\n"
@@ -209,37 +206,3 @@ def test_missing_files_folders_and_meaningless_options_are_refused(tmp_path):
         read_shape(tmp_path)
     with pytest.raises(BoresightError, match=r"body\.longitude: west has no meaning for a file of format obj"):
         read(tmp_path, "a.obj", OBJ, west_longitudes=True)
-
-
-RUBBISH = [b"", b"nan", b"-", b"9" * 30, b"\0", b"\n", b"\xff", b" 7 ", b"/", b"1e400"]
-SEEDS = [OBJ.encode(), PLY.encode(), grid_text(step=60).encode(), icq_text(1).encode(), counted_text().encode()]
-
-
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    seed=st.sampled_from(SEEDS),
-    file_format=st.sampled_from(sorted(READERS)),
-    cut=st.floats(0.0, 1.0),
-    edits=st.lists(st.tuples(st.floats(0.0, 1.0), st.sampled_from(RUBBISH)), max_size=4),
-)
-def test_damaged_files_give_a_shape_or_a_clear_line(seed, file_format, cut, edits):
-    data = seed[: int(cut * len(seed))] if cut < 0.5 else seed
-    for place, insert in edits:
-        at = int(place * len(data))
-        data = data[:at] + insert + data[at + 2 :]
-    try:
-        shape = READERS[file_format](ShapeFile(Path("damaged"), data or b"\n"))
-    except BoresightError as error:
-        assert str(error).startswith("damaged")
-        assert "\n" not in str(error)
-    else:
-        assert np.isfinite(shape.vertices).all()
-        assert shape.faces.min() >= 0
-        assert shape.faces.max() < len(shape.vertices)
-
-
-@settings(max_examples=200, deadline=None)
-@given(data=st.binary(max_size=400), file_format=st.sampled_from(sorted(READERS)))
-def test_garbage_is_refused_with_a_clear_line(data, file_format):
-    with pytest.raises(BoresightError, match="garbage"):
-        READERS[file_format](ShapeFile(Path("garbage"), data))

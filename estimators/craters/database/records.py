@@ -12,6 +12,9 @@ from pathlib import Path
 
 from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
+from scenarios.limits import LARGEST_NUMBER
+
+_MOST_DIGITS = 18  # more may not fit 64 bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +33,10 @@ class Record:
     def integer(self, field: int) -> int:
         """Read a field as a whole number that is not negative."""
         text = self.fields[field]
-        if not text.isdecimal():
-            raise self.wrong(f"field {field + 1} of the {self.kind} is {text!r}, not a whole number")
+        if not text.isdecimal() or len(text) > _MOST_DIGITS:
+            raise self.wrong(
+                f"field {field + 1} of the {self.kind} is {text!r}, not a whole number of at most {_MOST_DIGITS} digits"
+            )
         return int(text)
 
     def numbers(self, first: int, last: int) -> list[float]:
@@ -42,8 +47,10 @@ class Record:
                 value = float(self.fields[field])
             except ValueError:
                 value = float("nan")
-            if not -float("inf") < value < float("inf"):
-                raise self.wrong(f"field {field + 1} of the {self.kind} is {self.fields[field]!r}, not a finite number")
+            if not abs(value) <= LARGEST_NUMBER:
+                raise self.wrong(
+                    f"field {field + 1} of the {self.kind} is {self.fields[field]!r}, not a finite number of any use"
+                )
             values.append(value)
         return values
 

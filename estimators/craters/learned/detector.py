@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import as_file, files
+from pathlib import Path
 from typing import ClassVar, Self
 
 import numpy as np
@@ -17,14 +18,15 @@ from estimators.craters.detection.confidence import suppress
 from estimators.craters.detection.options import ClassicOptions
 from estimators.craters.detection.picture import noise_level, prepare
 from estimators.craters.learned.blending import blended
-from estimators.craters.learned.network import NAMES, Network
-from estimators.craters.learned.patches import Source, cut
+from estimators.craters.learned.network import NAMES, OUTPUTS, Network
+from estimators.craters.learned.patches import SCALARS, SIDE, Source, cut
 from estimators.craters.learned.placing import placed
 from estimators.craters.learned.proposals import propose
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Ellipses
 from scenarios.observation import Frame
+from scenarios.reading import read_arrays
 from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
@@ -66,11 +68,32 @@ def own_network() -> Network:
         If it is damaged.
     """
     with as_file(files(__package__ or "") / WEIGHTS) as path:
-        try:
-            with np.load(path) as stored:
-                return Network({name: stored[name].astype(np.float32) for name in NAMES})
-        except (OSError, KeyError, ValueError) as error:
-            raise BoresightError(f"{path}: the network's weights cannot be read: {error}") from error
+        return read_network(path)
+
+
+def read_network(path: Path) -> Network:
+    """Read the weights of a network.
+
+    Raises
+    ------
+    BoresightError
+        If the file is missing or damaged, or its weights do not fit together.
+    """
+    try:
+        stored = read_arrays(path)
+        network = Network({name: stored[name].astype(np.float32) for name in NAMES})
+        blank = np.zeros((1, SIDE, SIDE, 1), dtype=np.float32), np.zeros((1, SCALARS), dtype=np.float32)
+        with np.errstate(all="ignore"):
+            out = network.forward(*blank)
+    except (KeyError, ValueError, IndexError, TypeError, ArithmeticError, MemoryError) as error:
+        raise BoresightError(
+            f"{path}: the network's weights cannot be read: {error}; install boresight again"
+        ) from error
+    if out.shape != (1, OUTPUTS) or not all(np.isfinite(part).all() for part in network.weights.values()):
+        raise BoresightError(
+            f"{path}: the network's weights are not finite or of another network; install boresight again"
+        )
+    return network
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from scenarios.atomic import write_text
+from scenarios.errors import BoresightError
+from scenarios.reading import read_json
 
 T = TypeVar("T")
 
@@ -45,6 +47,15 @@ class Stages:
         write_text(self.folder / _SECONDS, json.dumps(spent))
 
     def seconds(self) -> dict[str, float]:
-        """Return the time that each stage took, over all starts."""
+        """Return the time that each stage took, over all starts.
+
+        Raises
+        ------
+        BoresightError
+            If the file of times is damaged.
+        """
         path = self.folder / _SECONDS
-        return dict(json.loads(path.read_text(encoding="utf-8"))) if path.exists() else {}
+        spent = read_json(path, "the times of stages") if path.exists() else {}
+        if not isinstance(spent, dict) or not all(isinstance(seconds, (int, float)) for seconds in spent.values()):
+            raise BoresightError(f"{path}: does not hold the times of stages: remove it, and the run goes on")
+        return dict(spent)

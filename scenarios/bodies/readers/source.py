@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
+from scenarios.limits import LARGEST_NUMBER
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -92,7 +93,7 @@ class ShapeFile:
             values = np.loadtxt((lines[i] for i in rows), usecols=columns, comments=None, ndmin=2)
         except ValueError as error:
             raise self._first_bad(lines, rows, columns) from error
-        if len(values) != len(rows) or not np.isfinite(values).all():
+        if len(values) != len(rows) or not (np.abs(values) <= LARGEST_NUMBER).all():
             raise self._first_bad(lines, rows, columns)
         return values
 
@@ -102,8 +103,8 @@ class ShapeFile:
             if len(words) <= max(columns):
                 return self.fault(f"expected {max(columns) + 1} columns, found {len(words)}; is the file cut?", i + 1)
             for column in columns:
-                if not _is_finite_number(words[column]):
-                    return self.fault(f"{words[column][:40]!r} is not a finite number", i + 1)
+                if not abs(_number(words[column])) <= LARGEST_NUMBER:
+                    return self.fault(f"{words[column][:40]!r} is not a finite number of any use", i + 1)
         return self.fault("the table cannot be read as numbers; check body.format")
 
     def shape(self, vertices: FloatArray, faces: FloatArray | IndexArray) -> RawShape:
@@ -112,9 +113,10 @@ class ShapeFile:
             raise self.fault(f"{len(vertices)} vertices and {len(faces)} faces; a shape needs both")
         if vertices.ndim != 2 or vertices.shape[1] != 3:
             raise self.fault(f"vertices have {vertices.shape[-1]} coordinates, not 3")
-        if not np.isfinite(vertices).all():
-            first = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
-            raise self.fault(f"vertex {first + 1} is not finite: {vertices[first].tolist()}")
+        useful = (np.abs(vertices) <= LARGEST_NUMBER).all(axis=1)
+        if not useful.all():
+            first = int(np.argmin(useful))
+            raise self.fault(f"vertex {first + 1} is not finite, or far too large: {vertices[first].tolist()}")
         bad = (faces < 0) | (faces >= len(vertices)) | (faces != np.floor(faces))
         if bad.any():
             first = int(np.flatnonzero(bad.any(axis=1))[0])
@@ -125,8 +127,8 @@ class ShapeFile:
         return RawShape(np.asarray(vertices, dtype=np.float64), faces.astype(np.int64))
 
 
-def _is_finite_number(word: str) -> bool:
+def _number(word: str) -> float:
     try:
-        return bool(np.isfinite(float(word)))
+        return float(word)
     except ValueError:
-        return False
+        return float("nan")

@@ -1,0 +1,14 @@
+"""What no sound file exceeds: checked before numbers overflow and before memory is taken."""
+
+LARGEST_NUMBER = 1e30
+"""A length of so many metres is beyond the universe; the squares and cubes of such numbers are finite."""
+MOST_PIXELS = 1 << 26
+"""Of an image: 8192 x 8192, the largest camera of a scenario."""
+
+_MOST_BYTES = 1 << 28
+_MOST_FOLD = 64
+
+
+def may_unfold(stored_bytes: int, unfolded_bytes: int) -> bool:
+    """Tell whether so many bytes may come out of a file of so many: a small one that gives very many is a bomb."""
+    return unfolded_bytes <= max(_MOST_BYTES, _MOST_FOLD * stored_bytes)

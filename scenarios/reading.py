@@ -1,0 +1,75 @@
+"""Readers of JSON and of NumPy archives that many files are made of."""
+
+from __future__ import annotations
+
+import json
+import tokenize
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.errors import BoresightError, one_line
+from scenarios.limits import may_unfold
+
+# np.load documents ValueError and OSError alone; the others are what damaged headers and members were seen to raise.
+_ARCHIVE_FAULTS = (
+    ArithmeticError, EOFError, LookupError, MemoryError, NotImplementedError, OSError, RecursionError, RuntimeError,
+    SyntaxError, TypeError, ValueError, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+
+def read_json(path: Path, what: str) -> Any:
+    """Read a JSON file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    what
+        What it should be, for the error.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is none.
+    BoresightError
+        If it cannot be read or is no JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
+        raise BoresightError(f"{path}: cannot be read as {what}: {one_line(error)}") from error
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Read the arrays of a NumPy archive, none of them made of pickled objects.
+
+    Raises
+    ------
+    ValueError
+        If the file is missing, is none, or names more numbers than it can hold. The caller says what it should be.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+        size = path.stat().st_size
+        names = [member.filename for member in members]
+        if len(set(names)) < len(names) or not may_unfold(size, sum(member.file_size for member in members)):
+            raise ValueError("an array is there twice, or much more is packed in it than a sound file holds")
+        with np.load(path, allow_pickle=False) as stored:
+            return {name: _sound(stored[name]) for name in stored.files}
+    except _ARCHIVE_FAULTS as error:
+        raise ValueError(one_line(error) or type(error).__name__) from error
+
+
+def _sound(array: object) -> NDArray[Any]:
+    """Refuse what is no array of numbers: a member that is not one comes as bytes."""
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+        raise ValueError("a member is no array of numbers")
+    return array

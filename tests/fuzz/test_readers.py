@@ -1,0 +1,85 @@
+"""Hostile input for every reader: no traceback, no hang, no flood of memory, and complaints in printable lines.
+
+``python -m hostile.survey`` (with ``PYTHONPATH=tests/helpers``) lists all that goes wrong in one of them at once.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hostile.found import FOUND
+from hostile.guard import LIMIT_BYTES, TooMuchError, TooSlowError, fed
+from hostile.mutations import mutated
+from hostile.target import Target
+from hostile.targets import TARGETS
+from hypothesis import HealthCheck, Phase, example, given, seed, settings
+
+from scenarios.errors import BoresightError
+
+FEW, MANY = 100, 10_000
+
+
+def fuzz(name: str, inputs: int, folder: Path) -> None:
+    """Feed a reader what once broke it, then damaged files; the same ones each time."""
+
+    def feed(content: bytes) -> None:
+        fed(TARGETS[name], content, folder)
+
+    trial = given(mutated(TARGETS[name]))(feed)
+    for content in FOUND.get(name, ()):
+        trial = example(content)(trial)
+    checks = settings(
+        max_examples=inputs,
+        deadline=None,
+        database=None,
+        phases=[Phase.explicit, Phase.generate, Phase.shrink],
+        suppress_health_check=list(HealthCheck),
+    )
+    checks(seed(2003)(trial))()
+
+
+def test_what_is_found_belongs_to_a_reader():
+    assert set(FOUND) <= set(TARGETS)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_valid_files_are_read(tmp_path, name):
+    for content in TARGETS[name].seeds():
+        assert fed(TARGETS[name], content, tmp_path) is None
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_damaged_files_give_a_value_or_lines(tmp_path, name):
+    fuzz(name, FEW // TARGETS[name].cost, tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", TARGETS)
+def test_very_many_damaged_files_give_a_value_or_lines(tmp_path, name):
+    fuzz(name, MANY, tmp_path)
+
+
+HARMFUL = {
+    "code": (lambda: 1 // 0, ZeroDivisionError),
+    "loop": (lambda: all(True for _ in iter(int, 1)), TooSlowError),
+    "flood": (lambda: bytearray(b"x") * (LIMIT_BYTES + (LIMIT_BYTES >> 1)), TooMuchError),
+    "terminal": (lambda: refuse("\x1b[31mred"), None),
+}
+
+
+def refuse(text: str) -> None:
+    raise BoresightError(text)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("harm", HARMFUL)
+def test_the_guard_sees_what_a_reader_must_not_do(tmp_path, harm):
+    """A guard that sees nothing would let every reader pass."""
+    act, raised = HARMFUL[harm]
+    target = Target(lambda _content, _folder: act(), lambda: (b"",))
+    if raised is None:
+        assert str(fed(target, b"", tmp_path)) == "\\x1b[31mred"
+    else:
+        with pytest.raises(raised):
+            fed(target, b"", tmp_path)

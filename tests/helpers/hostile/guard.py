@@ -1,0 +1,78 @@
+"""What a reader may do with any input: return or raise BoresightError in printable lines, soon, in little memory."""
+
+from __future__ import annotations
+
+import resource
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+from hostile.target import Target
+from scenarios.errors import BoresightError
+
+LIMIT_S = 5.0
+LIMIT_BYTES = 1 << 30
+
+
+class TooSlowError(BaseException):
+    """A reader took longer than it may. It derives from BaseException so that no reader catches it."""
+
+
+class TooMuchError(BaseException):
+    """A reader took more memory than it may."""
+
+
+def fed(target: Target, content: bytes, folder: Path) -> BoresightError | None:
+    """Let a reader read; return what it complained about.
+
+    Raises
+    ------
+    TooSlowError, TooMuchError
+        It took more than 5 s of this process, or more than 1 GiB.
+    AssertionError
+        Its complaint is not lines of printable text.
+    """
+    complaint = None
+    with _limited():
+        try:
+            target.read(content, folder)
+        except BoresightError as error:
+            complaint = error
+    if complaint is not None:
+        lines = str(complaint).split("\n")
+        assert all(line.strip() and line.isprintable() for line in lines), ascii(str(complaint))
+    return complaint
+
+
+@contextmanager
+def _limited() -> Iterator[None]:
+    """Hold what is within to the limits: time of this process, as the machine may be busy, and resident memory."""
+    allowed = max(_peak_bytes(), _resident_bytes() + LIMIT_BYTES)
+    before = signal.signal(signal.SIGPROF, _late)
+    signal.setitimer(signal.ITIMER_PROF, LIMIT_S)
+    started = time.process_time()
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+    if time.process_time() - started > LIMIT_S:  # in compiled code, which no signal interrupts
+        raise TooSlowError(f"{time.process_time() - started:.1f} s")
+    if _peak_bytes() > allowed:
+        raise TooMuchError(f"{_peak_bytes() - allowed + LIMIT_BYTES} bytes")
+
+
+def _late(_signal: int, _frame: FrameType | None) -> None:
+    raise TooSlowError(f"more than {LIMIT_S:g} s")
+
+
+def _peak_bytes() -> int:
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def _resident_bytes() -> int:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize()

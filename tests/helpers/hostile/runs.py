@@ -1,0 +1,81 @@
+"""Readers of what runs and downloads leave behind, kept images, times and ledgers; and kernels of SPICE."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from campaign.cli.bench import read_ratios
+from campaign.fetch import state
+from campaign.image_store import read_chunk
+from campaign.store.image_chunk import KeptImage, write_images
+from hostile.target import Target
+from renderers.spice.instruments import INSTRUMENTS
+from renderers.spice.kernels import loaded
+from scenarios.data.datasets import DataSetSpec
+
+
+def targets() -> dict[str, Target]:
+    """The cache, ledgers and kernels."""
+    return {
+        "image-chunk": Target(_chunk, lambda: (_chunk_recipe(),), cost=3),
+        "ledger": Target(_ledger, lambda: (b'{"b.bin": {"sha256": "%s", "bytes": 3}}' % (b"0" * 64),), _JSON),
+        "bench": Target(_bench, lambda: (_BENCH,), _JSON),
+        "kernel": Target(_kernel, lambda: (_KERNEL,), _SPICE, cost=2),
+    }
+
+
+_JSON = (b"{}", b"[]", b"null", b"NaN", b"Infinity", b"-Infinity", b'"\\ud800"', b'{"a": 1}', b"[[1]]", b'"x"', b"1.5")
+_SPICE = (
+    b"\\begindata", b"\\begintext", b"KPL/LSK", b"DAF/SPK ", b"DAF/CK  ", b"DAS/DSK ", b"+=", b"( 1, 2 )", b"'x'",
+    b"@2005",
+    b"PATH_VALUES", b"KERNELS_TO_LOAD = ( '/etc/passwd' )", b"KPL/MK", b"'" + b"x" * 200, b"( " + b"1.0 " * 3000 + b")",
+)  # fmt: skip
+_BENCH = b'{"stages": [{"scenario": "s", "estimator": "e", "stage": "whole", "ratio": 1.5}]}'
+_KERNEL = b"""KPL/IK
+\\begindata
+INS-130102_PIXEL_SAMPLES = ( 64 )
+INS-130102_PIXEL_LINES = ( 64 )
+INS-130102_CENTER = ( 31.5 31.5 )
+INS-130102_PIXEL_SIZE = ( 1.9D-4 )
+INS-130102_FOCAL_LENGTH = ( 0.1208 )
+INS-130102_OD_K = ( 0.0 2.8D-5 0.0 )
+\\begintext
+"""
+
+
+def _laid(content: bytes, path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    return path
+
+
+def _chunk_recipe() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "images.parquet"
+        image = np.array([[0.0, 0.5], [0.25, 0.0]], dtype=np.float32)
+        write_images(path, {0: KeptImage(image, b"view"), 1: KeptImage(image.T, b"view")})
+        return path.read_bytes()
+
+
+def _chunk(content: bytes, folder: Path) -> object:
+    return [kept.image.sum() for kept in read_chunk(_laid(content, folder / "images.parquet")).values()]
+
+
+def _ledger(content: bytes, folder: Path) -> object:
+    listing = {"url": "http://127.0.0.1/", "pattern": ".*"}
+    about = {"name": "some", "title": "Some", "folder": "d", "credit": "us", "licence": "none", "listing": listing}
+    _laid(content, folder / "d" / ".boresight-fetched.json")
+    return state(DataSetSpec.model_validate(about), folder)
+
+
+def _bench(content: bytes, folder: Path) -> object:
+    return read_ratios(_laid(content, folder / "before.json"))
+
+
+def _kernel(content: bytes, folder: Path) -> object:
+    instrument = INSTRUMENTS["hayabusa-amica"]
+    with loaded([_laid(content, folder / "x.ti")]):
+        return instrument.camera(instrument.constants())

@@ -1,0 +1,3 @@
+"""Readers of what is asked for: scenarios, campaigns, data sets, overrides, options, published values."""
+
+from __future__ import annotations

@@ -1,0 +1,14 @@
+"""All readers by name."""
+
+from __future__ import annotations
+
+from hostile import asked, databases, images, runs, shapes
+from hostile.target import Target
+
+TARGETS: dict[str, Target] = {
+    **asked.targets(),
+    **shapes.targets(),
+    **images.targets(),
+    **databases.targets(),
+    **runs.targets(),
+}
