@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tiny_campaign import (
-    Silent,
+    Heard,
     assert_same_results,
     command,
     members,
@@ -81,7 +81,7 @@ class Disk:
         return {p: kept[p] for p in kept if not lost & {self.root / above for above in p.parents}}
 
 
-class Told(Silent):
+class Told(Heard):
     """Hears of stored blocks, and after how much of what the disk was told."""
 
     def __init__(self, disk: Disk) -> None:
@@ -111,7 +111,7 @@ def test_a_power_cut_at_any_instant_loses_nothing_that_was_told(tmp_path, monkey
         folder = RunFolder(place / "whole")
         done = sum(told <= instant for told in listener.blocks)
         assert [folder.state(block, 1) for block in every[:done]] == [BlockState.WHOLE] * done, f"after {instant}"
-        run_campaign(campaign, RunRequest(folder.path, CUT_TRIALS, 1), Silent())
+        run_campaign(campaign, RunRequest(folder.path, CUT_TRIALS, 1), Heard())
         assert_same_results(whole, folder.path)
 
 

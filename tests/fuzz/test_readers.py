@@ -17,6 +17,9 @@ from hypothesis import HealthCheck, Phase, example, given, seed, settings
 
 from scenarios.errors import BoresightError
 
+# Inputs are files: told of in full where they are the fault, however long.
+pytestmark = pytest.mark.filterwarnings("ignore:Generating overly large repr")
+
 FEW, MANY = 100, 10_000
 
 
