@@ -145,7 +145,9 @@ class _Ledger:
             entries = read_json(self._path, "the checksums of what was fetched")
         except FileNotFoundError:
             return {}
-        if not isinstance(entries, dict) or not all(isinstance(entry, dict) for entry in entries.values()):
+        if not isinstance(entries, dict) or not all(
+            isinstance(entry, dict) and re.fullmatch(FILE_NAME, name) for name, entry in entries.items()
+        ):
             raise BoresightError(f"{self._path}: does not hold the checksums of what was fetched: move it away")
         return entries
 

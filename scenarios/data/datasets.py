@@ -15,7 +15,7 @@ from scenarios.spec.base import SpecModel
 
 CATALOG = Path(__file__).parent / "catalog"
 _URL = r"^https?://[^\s]+$"
-FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
+FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,199}$"
 """Of a fetched file: it stays in its folder, and takes the place of no file that boresight keeps there itself."""
 Url = Annotated[str, Field(pattern=_URL)]
 

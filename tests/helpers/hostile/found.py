@@ -94,7 +94,8 @@ FOUND: dict[str, tuple[bytes, ...]] = {
     "crater-detections": (b"# boresight crater detections 1\nimage %s 0 -\n" % (b"9" * 5000),),
     # UnicodeDecodeError, _csv.Error.
     "gazetteer": (b"\xff", b'name,lat_deg,lon_east_deg,diam_km\n"a', b"name,lat_deg,lon_east_deg,diam_km\na,nan,1,1\n"),
-    "ledger": (b'{"a": 1}', b"[1]"),
+    # The last: a name that no file system takes.
+    "ledger": (b'{"a": 1}', b"[1]", b'{"' + 300 * b"a" + b'": {}}'),
     # RecursionError.
     "bench": (b"[" * 3000,),
     # One number where three belong; a division by zero.
