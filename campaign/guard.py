@@ -3,7 +3,7 @@
 A method that takes too long is stopped in two ways. An alarm raises in it, which ends all that comes back to the
 interpreter now and then. What does not, a loop in compiled code that may even hold the interpreter's lock, costs the
 process: a watchdog that is no thread of Python (`faulthandler`) writes down where it hangs and ends the process, whose
-parent reads what was under way and goes on without it (`campaign.crew`).
+parent reads what was under way and goes on without it (`campaign.losses`).
 """
 
 from __future__ import annotations

@@ -21,6 +21,9 @@ _ARCHIVE_FAULTS = (
     SyntaxError, TypeError, ValueError, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 
+CONTENT_FAULTS = (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError, BoresightError)
+"""What making something of arrays and their head raises where they are sound but do not fit together."""
+
 
 def read_json(path: Path, what: str) -> Any:
     """Read a JSON file.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estimators.descriptors.features import DESCRIPTOR_BYTES, Kind
 from scenarios.errors import BoresightError
 from scenarios.limits import LARGEST_NUMBER
-from scenarios.reading import read_arrays
+from scenarios.reading import CONTENT_FAULTS, read_arrays
 
 FloatArray = NDArray[np.float64]
 
@@ -23,7 +23,6 @@ FORMAT_VERSION = 1
 FILE = "descriptors.npz"
 
 _UNIT = 1e-6
-_FAULTS = (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError, BoresightError)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,15 +130,7 @@ class DescriptorDatabase:
                 views = tuple(ViewFeatures(c, s, p.astype(np.float64), d) for c, s, p, d in columns)
                 return cls(cast("Kind", head["kind"]), views, head["provenance"])
             fault = f"it is not format {FORMAT!r} version {FORMAT_VERSION}"
-        except (
-            ValueError,
-            KeyError,
-            TypeError,
-            AttributeError,
-            OverflowError,
-            RecursionError,
-            BoresightError,
-        ) as error:
+        except CONTENT_FAULTS as error:
             fault = str(error)
         raise BoresightError(f"{path}: cannot be read as a data base of descriptors: {fault}; build it again")
 

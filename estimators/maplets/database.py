@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
 from scenarios.limits import LARGEST_NUMBER
-from scenarios.reading import read_arrays
+from scenarios.reading import CONTENT_FAULTS, read_arrays
 
 FloatArray = NDArray[np.float64]
 
@@ -28,7 +28,6 @@ _NOTHING = np.iinfo(np.int16).min
 _ALBEDO_STEPS = np.iinfo(np.uint16).max
 _OVERLAP = 3.0
 _SAME_SURFACE = 1.5
-_FAULTS = (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError, BoresightError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,15 +209,7 @@ class MapletDatabase:
             albedo = arrays["albedo"] * (head["albedo_max"] / _ALBEDO_STEPS) if "albedo" in arrays else None
             axes = Rotation.from_quat(arrays["quat_wxyz"], scalar_first=True).as_matrix()
             return cls(arrays["centres_m"], axes, heights_m, float(head["spacing_m"]), albedo, head["provenance"])
-        except (
-            ValueError,
-            KeyError,
-            TypeError,
-            AttributeError,
-            OverflowError,
-            RecursionError,
-            BoresightError,
-        ) as error:
+        except CONTENT_FAULTS as error:
             raise BoresightError(
                 f"{path}: cannot be read as a data base of maplets: {error}; build it again"
             ) from error
