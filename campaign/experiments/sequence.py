@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import ClassVar, Self
 
 import numpy as np
@@ -157,22 +158,24 @@ class SequenceTrials:
         """Let an estimator follow and score what it returns: records without their key, whatever goes wrong."""
         circumstances = _circumstances(view.path)
         returned: list[SequenceEstimate] = []
+        # What a watch has seen is complete, and worked out once, when the estimator is done with it.
+        seen_by_then = cache(partial(_seen, view))
 
         def work() -> SequenceEstimate:
             returned.append(estimator.follow(view.sequence))
             return returned[-1]
 
         def score(estimate: SequenceEstimate) -> Records:
-            seen = _seen(view)
+            seen = seen_by_then()
             return _scored(estimate, seen.sequence, seen.truth, circumstances)
 
         try:
             return Work(call, "estimator", {**circumstances, **no_summary()}).judged(
-                work, lambda estimate: check_sequence(estimate, _seen(view).sequence), score
+                work, lambda estimate: check_sequence(estimate, seen_by_then().sequence), score
             )
         finally:
             if self.witness is not None:
-                self.witness(FollowedSequence(_seen(view), returned[-1] if returned else None))
+                self.witness(FollowedSequence(seen_by_then(), returned[-1] if returned else None))
 
     def known(self, trial: int) -> tuple[Path, TrackSequence]:
         """Draw the motion of a trial and what the spacecraft knows of it; no image is looked at.
