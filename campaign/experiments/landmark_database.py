@@ -11,7 +11,8 @@ from campaign.draft import drafted
 from campaign.experiments.registry import Bench, Record, Records, Witness
 from campaign.image_store import store_switched
 from campaign.products import BuiltProduct, Shelf, landmark_database
-from campaign.products.landmark_candidates import IN_THIS_PROCESS, candidates_of
+from campaign.products.landmark_candidates import candidates_of
+from campaign.products.spread import IN_THIS_PROCESS
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_pose_error
 from campaign.world import believed

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from campaign.products.database_images import DatabaseImage, database_images
+from campaign.products.spread import over_images
 from campaign.world import open_world
 from estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
 from estimators.craters.database.build import build_database
@@ -51,20 +52,23 @@ def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int,
 
     The images see the body's craters, which only the camera knows of; the poses they were taken from are known.
     """
-    del jobs
     wanted, world = _checked(options), open_world(scenario, variant)
     if world.ground is None:
         raise BoresightError(f"{scenario.path}: craters: missing, but {KIND} is made of them")
-    finder = crater_detector_class(wanted.detector).from_options({})
-    pictured = database_images(scenario, range(wanted.images), wanted.phase_deg, wanted.seed, variant)
-    images = [_searched(number, one, finder, wanted.most_detections) for number, one in enumerate(pictured)]
+    found = over_images(jobs, wanted.images, _of_images, scenario, wanted, variant)
+    images = [image for image, _ in found]
     matcher = crater_matcher_class(_MATCHER).from_options(
         {"height_sigma_m": wanted.height_sigma_m, "association": wanted.association.model_dump()}
     )
     preliminary = PreliminaryOptions(height_sigma_m=wanted.height_sigma_m)
     built = build_database(images, matcher, MeshGround(world.body.mesh), preliminary)
     triangulated(built.database, wanted.height_sigma_m, wanted.association).save(folder)
-    return {"images": wanted.images, "image_pairs": len(built.found), "conflicts": built.numbering.conflicts}
+    return {
+        "images": wanted.images,
+        "images_from_store": sum(stored for _, stored in found),
+        "image_pairs": len(built.found),
+        "conflicts": built.numbering.conflicts,
+    }
 
 
 def load(folder: Path) -> CraterDatabase:
@@ -76,6 +80,18 @@ def about(folder: Path) -> dict[str, object]:
     """Describe a stored data base for the manifest."""
     database = load(folder)
     return {"n_landmarks": len(database.landmarks), "pictures": len(database.pictures)}
+
+
+def _of_images(
+    scenario: LoadedScenario, wanted: CraterDatabaseOptions, variant: str, images: Sequence[int]
+) -> list[tuple[CraterImage, bool]]:
+    """Look for craters in some images; whether each image came from the store."""
+    finder = crater_detector_class(wanted.detector).from_options({})
+    pictured = database_images(scenario, images, wanted.phase_deg, wanted.seed, variant)
+    return [
+        (_searched(number, image, finder, wanted.most_detections), image.from_store)
+        for number, image in zip(images, pictured, strict=True)
+    ]
 
 
 def _searched(number: int, pictured: DatabaseImage, finder: CraterDetector, most_detections: int) -> CraterImage:

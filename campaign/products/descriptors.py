@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from campaign.machine import use_threads
-from campaign.parallel import in_order
 from campaign.products.database_images import database_images
+from campaign.products.spread import over_images
 from estimators.descriptors.build import METHOD_VERSION, DescriptorOptions, view_features
 from estimators.descriptors.database import DescriptorDatabase, ViewFeatures
 from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
 
 KIND = "descriptors"
-_CHUNK_IMAGES = 10
 
 
 def parse(options: Mapping[str, object]) -> DescriptorOptions:
@@ -36,9 +34,7 @@ def announcement(options: SpecModel) -> str:
 def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
     """Build the data base of ``scenario`` and store it in ``folder``."""
     options = _checked(options)
-    chunks = [range(i, min(i + _CHUNK_IMAGES, options.images)) for i in range(0, options.images, _CHUNK_IMAGES)]
-    calls = ((scenario, options, chunk, variant, jobs) for chunk in chunks)
-    found = [image for chunk in in_order(jobs, _of_images, calls) for image in chunk]
+    found = over_images(jobs, options.images, _of_images, scenario, options, variant)
     views = tuple(features for features, _ in found)
     provenance = {"options": options.model_dump(mode="json"), "method_version": METHOD_VERSION}
     DescriptorDatabase(options.kind, views, provenance).save(folder)
@@ -57,9 +53,8 @@ def about(folder: Path) -> dict[str, object]:
 
 
 def _of_images(
-    scenario: LoadedScenario, options: DescriptorOptions, images: Sequence[int], variant: str, jobs: int
+    scenario: LoadedScenario, options: DescriptorOptions, variant: str, images: Sequence[int]
 ) -> list[tuple[ViewFeatures, bool]]:
-    use_threads(jobs)
     return [
         (view_features(image.pixels, image.view, image.deproject, options), image.from_store)
         for image in database_images(scenario, images, (0.0, options.phase_deg_max), options.seed, variant)

@@ -9,18 +9,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.machine import use_threads
-from campaign.parallel import in_order
 from campaign.products.database_images import database_images
 from campaign.products.keys import content_key
+from campaign.products.spread import over_images
 from estimators.landmark.build import METHOD_VERSION, CandidateOptions, extract_candidates
 from scenarios.cache import default_cache
 from scenarios.load import LoadedScenario
 
 KIND = "landmark-candidates"
 VERSION = 1
-IN_THIS_PROCESS = 0
-_CHUNK_IMAGES = 10
 
 FloatArray = NDArray[np.float64]
 
@@ -53,7 +50,7 @@ def candidates_of(scenario: LoadedScenario, options: CandidateOptions, jobs: int
     options
         Images and corners; further fields of a derived model have no part in it.
     jobs
-        Workers; ``IN_THIS_PROCESS`` in a worker, which has its threads already.
+        Workers, or ``spread.IN_THIS_PROCESS``.
     variant
         The Mitsuba variant.
     """
@@ -61,12 +58,7 @@ def candidates_of(scenario: LoadedScenario, options: CandidateOptions, jobs: int
     stored: list[int] = []
 
     def build(folder: Path) -> None:
-        chunks = [range(i, min(i + _CHUNK_IMAGES, options.images)) for i in range(0, options.images, _CHUNK_IMAGES)]
-        if jobs == IN_THIS_PROCESS:
-            found = [image for chunk in chunks for image in _of_images(scenario, options, chunk, variant)]
-        else:
-            calls = ((scenario, options, chunk, variant, jobs) for chunk in chunks)
-            found = [image for chunk in in_order(jobs, _in_worker, calls) for image in chunk]
+        found = over_images(jobs, options.images, _of_images, scenario, options, variant)
         stored.append(sum(from_store for _, from_store in found))
         np.save(folder / "points_m.npy", np.concatenate([np.empty((0, 3)), *(points for points, _ in found)]))
         np.save(folder / "counts.npy", np.array([len(points) for points, _ in found], dtype=np.int64))
@@ -77,15 +69,8 @@ def candidates_of(scenario: LoadedScenario, options: CandidateOptions, jobs: int
     return Candidates(tuple(np.split(points_m, np.cumsum(counts)[:-1])), stored[0] if stored else None)
 
 
-def _in_worker(
-    scenario: LoadedScenario, options: CandidateOptions, images: Sequence[int], variant: str, jobs: int
-) -> list[tuple[FloatArray, bool]]:
-    use_threads(jobs)
-    return _of_images(scenario, options, images, variant)
-
-
 def _of_images(
-    scenario: LoadedScenario, options: CandidateOptions, images: Sequence[int], variant: str
+    scenario: LoadedScenario, options: CandidateOptions, variant: str, images: Sequence[int]
 ) -> list[tuple[FloatArray, bool]]:
     """Find the candidates of some images, and whether each image came from the store."""
     pictured = database_images(

@@ -12,7 +12,8 @@ import trimesh
 from tiny_campaign import DATABASE, SCENE, assert_same_results, compute, files, write_campaign
 
 from campaign.products import Shelf, landmark_database, product_key
-from campaign.products.landmark_candidates import IN_THIS_PROCESS, candidates_of
+from campaign.products.landmark_candidates import candidates_of
+from campaign.products.spread import IN_THIS_PROCESS
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.database import LandmarkDatabase
 from renderers.mitsuba3 import choose_variant
