@@ -17,6 +17,11 @@ _MOST_CHARACTERS = 300
 _ADDRESS = re.compile(r"0x[0-9a-fA-F]+")
 
 
+def _to_nobody(answer: object) -> None:
+    """Show an answer where there is no witness."""
+    del answer
+
+
 class GaveUpError(Exception):
     """What ``Work.judged`` takes for a failure with a reason, not for a fault."""
 
@@ -39,8 +44,14 @@ class Work:
     method: str
     row: Record
 
-    def judged(self, work: Callable[[], T], check: Callable[[T], None], score: Callable[[T], Records]) -> Records:
-        """Let the method work, check what it answers, and score that.
+    def judged(
+        self,
+        work: Callable[[], T],
+        check: Callable[[T], None],
+        score: Callable[[T], Records],
+        show: Callable[[T | None], None] = _to_nobody,
+    ) -> Records:
+        """Let the method work, check what it answers, score that, and show it.
 
         Parameters
         ----------
@@ -50,18 +61,27 @@ class Work:
             Raises if the answer breaks the contract, and lets nothing pass on which scoring could fail.
         score
             Returns the records of an answer, without their key.
+        show
+            Is shown the answer in the end, or None where there was none, also of a trial that goes wrong.
 
         Raises
         ------
         Exception
             What scoring raises: a fault of boresight, of which no row may be made.
         """
+        answer: T | None = None
         try:
             answer = guarded(self.call, work)
         except GaveUpError as failure:
             return {"rows": [{**self.row, "status": "failed", "reason": str(failure), "n_landmarks": 0}]}
         except (Exception, SystemExit) as error:  # noqa: BLE001  the one place: a method's fault is a result
             return self._fault(_why(error), error)
+        else:
+            return self._scored(answer, check, score)
+        finally:
+            show(answer)
+
+    def _scored(self, answer: T, check: Callable[[T], None], score: Callable[[T], Records]) -> Records:
         try:
             check(answer)
         except Exception as error:  # noqa: BLE001  rubbish may be anything

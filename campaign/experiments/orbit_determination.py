@@ -107,21 +107,18 @@ class OrbitTrials:
     def _judged(self, call: Call, estimator: OrbitEstimator, truth: OrbitTruth, data: OrbitData) -> Records:
         """Let an estimator solve and score what it returns: records without their key, whatever goes wrong."""
         row = {**empty_row(), "range_m": float(np.linalg.norm(truth.states[0, :3]))}
-        returned: list[OrbitEstimate] = []
-
-        def work() -> OrbitEstimate:
-            returned.append(estimator.determine(data))
-            return returned[-1]
 
         def score(estimate: OrbitEstimate) -> Records:
             timings: Records = {"timings": [{"stage": "orbit", "seconds": float(estimate.seconds)}]}
             return scored_orbit(estimate, truth, data, row, with_residuals=call.trial == 0) | timings
 
-        try:
-            return Work(call, "estimator", row).judged(work, lambda estimate: check_orbit(estimate, data), score)
-        finally:
+        def show(estimate: OrbitEstimate | None) -> None:
             if self.witness is not None:
-                self.witness(DeterminedOrbit(truth, data, returned[-1] if returned else None))
+                self.witness(DeterminedOrbit(truth, data, estimate))
+
+        return Work(call, "estimator", row).judged(
+            lambda: estimator.determine(data), lambda estimate: check_orbit(estimate, data), score, show
+        )
 
 
 def checked_orbit_section(scenario: LoadedScenario) -> OrbitSpec:

@@ -157,25 +157,23 @@ class SequenceTrials:
     def _judged(self, call: Call, estimator: SequenceEstimator, view: Seen | Watch) -> Records:
         """Let an estimator follow and score what it returns: records without their key, whatever goes wrong."""
         circumstances = _circumstances(view.path)
-        returned: list[SequenceEstimate] = []
         # What a watch has seen is complete, and worked out once, when the estimator is done with it.
         seen_by_then = cache(partial(_seen, view))
-
-        def work() -> SequenceEstimate:
-            returned.append(estimator.follow(view.sequence))
-            return returned[-1]
 
         def score(estimate: SequenceEstimate) -> Records:
             seen = seen_by_then()
             return _scored(estimate, seen.sequence, seen.truth, circumstances)
 
-        try:
-            return Work(call, "estimator", {**circumstances, **no_summary()}).judged(
-                work, lambda estimate: check_sequence(estimate, seen_by_then().sequence), score
-            )
-        finally:
+        def show(estimate: SequenceEstimate | None) -> None:
             if self.witness is not None:
-                self.witness(FollowedSequence(seen_by_then(), returned[-1] if returned else None))
+                self.witness(FollowedSequence(seen_by_then(), estimate))
+
+        return Work(call, "estimator", {**circumstances, **no_summary()}).judged(
+            lambda: estimator.follow(view.sequence),
+            lambda estimate: check_sequence(estimate, seen_by_then().sequence),
+            score,
+            show,
+        )
 
     def known(self, trial: int) -> tuple[Path, TrackSequence]:
         """Draw the motion of a trial and what the spacecraft knows of it; no image is looked at.

@@ -155,19 +155,17 @@ class SingleImage:
         """Let an estimator work and score what it returns: records without their key, whatever goes wrong."""
         rng = generator(self.seed, Stream.ESTIMATOR, call.trial)
         row = {**_circumstances(observation, sight), **no_pose_error(), **no_consistency()}
-        returned: list[Estimate] = []
 
-        def work() -> Estimate:
-            returned.append(estimator.estimate(observation, rng=rng))
-            return returned[-1]
-
-        try:
-            return Work(call, "estimator", row).judged(
-                work, lambda found: check(found, observation), lambda found: self._scored(found, observation, sight)
-            )
-        finally:
+        def show(found: Estimate | None) -> None:
             if self.witness is not None:
-                self.witness(EstimatedImage(sight, observation, returned[-1] if returned else None))
+                self.witness(EstimatedImage(sight, observation, found))
+
+        return Work(call, "estimator", row).judged(
+            lambda: estimator.estimate(observation, rng=rng),
+            lambda found: check(found, observation),
+            lambda found: self._scored(found, observation, sight),
+            show,
+        )
 
     def _scored(self, estimate: Estimate, observation: Observation, sight: Sight) -> Records:
         true = sight.view.T_cam_body
