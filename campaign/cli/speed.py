@@ -40,12 +40,12 @@ def bench_speed(arguments: argparse.Namespace) -> int:
         write_text(arguments.json, json.dumps(found.plain(), indent=1) + "\n")
     if arguments.record:
         tell(f"{record(found, arguments.history)} ratio(s) recorded in {arguments.history}")
-    return _checked(found, arguments) if arguments.check else 0
+    return _checked(found, history) if arguments.check else 0
 
 
-def _checked(found: SpeedTable, arguments: argparse.Namespace) -> int:
+def _checked(found: SpeedTable, history: Mapping[str, Kept]) -> int:
     """Say what fell and what cannot be checked; 1 where something fell."""
-    out, history = console(), read_history(arguments.history)
+    out = console()
     for key in unrecorded(found, history):
         out.print(f"not checked, as it has no record: {key}", markup=False)
     fallen = regressions(found, history)
