@@ -68,10 +68,11 @@ class Content:
         if not self.run.epochs.empty:
             return [*sequence_grids(self.records, self.compared, self.run), *([] if failures is None else [failures])]
         if not self.run.crater_matches.empty:
-            return [*matching_grids(self.records, self.run), *([] if failures is None else [failures])]
+            found = [*matching_grids(self.records, self.run), comparison_grid(self.compared), failures]
+            return [grid for grid in found if grid is not None]
         if not self.run.craters.empty:
-            found = [*crater_grids(self.records, self.run), comparison_grid(self.compared), timing_grid(self.records)]
-            return [grid for grid in (*found, failures) if grid is not None]
+            found = [*crater_grids(self.records, self.run), comparison_grid(self.compared)]
+            return [grid for grid in (*found, timing_grid(self.records), failures) if grid is not None]
         if not self.run.surveyed_images.empty:
             return [*survey_grids(self.records, self.compared), *([] if failures is None else [failures])]
         if not (self.run.orbits.empty and self.run.navigation.empty):

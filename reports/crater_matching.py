@@ -14,12 +14,14 @@ from reports.grid import NO_VALUE, Grid, value_of
 from reports.named_figure import NamedFigure, file_stem
 from reports.records import Record, unit_of
 from reports.run_data import RunData
-from reports.statistics import MEDIAN, Measured, cluster_interval, measure
+from reports.statistics import MEDIAN, P95, Measured, cluster_interval, measure
 
 FloatArray = NDArray[np.float64]
 
 RECALL, WRONG, SECONDS = "matching_recall_share", "matching_wrong_share", "matching_seconds"
+OFFSET = "epipolar_offset_px"
 MATCHING = "matching"
+_OFFSETS = (MEDIAN, P95)
 _VIEWS = ((0.0, 10.0), (10.0, 20.0), (0.0, 20.0), (20.0, 30.0), (30.0, 90.0))
 _SUNS = ((0.0, 10.0), (10.0, 30.0), (0.0, 30.0), (30.0, 50.0), (50.0, 60.0), (60.0, 90.0))
 _DRAWN = (0.0, 20.0)
@@ -52,12 +54,22 @@ def matching_records(run: RunData) -> list[Record]:
         return []
     timed = run.timings[run.timings["stage"] == MATCHING]
     table = run.crater_matches.merge(timed, on=["trial", "scenario", "estimator"], how="left")
-    return [
-        record
-        for (scenario, estimator), own in table.groupby(["scenario", "estimator"], sort=False)
-        for cell in _cells(run, own)
-        for record in _measured(str(scenario), str(estimator), cell, cell.of(own))
-    ]
+    found: list[Record] = []
+    for (scenario, estimator), own in table.groupby(["scenario", "estimator"], sort=False):
+        found += _offset(str(scenario), str(estimator), own)
+        found += [r for cell in _cells(run, own) for r in _measured(str(scenario), str(estimator), cell, cell.of(own))]
+    return found
+
+
+def _offset(scenario: str, estimator: str, pairs: pd.DataFrame) -> Iterator[Record]:
+    """Measure how far craters lie from their epipolar lines, over all pairs of images that have one in common."""
+    known = pairs[pairs["epipolar_offset_px"].notna()]
+    offsets, trials = known["epipolar_offset_px"].to_numpy(float), known["trial"].to_numpy()
+    for statistic, found in zip(_OFFSETS, measure(offsets, trials, _OFFSETS), strict=True):
+        yield Record(
+            scenario, estimator, MATCHING, "", OFFSET, unit_of(OFFSET), statistic.name, found.value, found.low,
+            found.high, len(known), len(pairs),
+        )  # fmt: skip
 
 
 def matching_grids(records: Sequence[Record], run: RunData) -> list[Grid]:

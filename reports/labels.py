@@ -71,6 +71,7 @@ MEASURES = {
     "detection_share": "detectable craters found",
     "false_alarm_share": "false alarms among the detections",
     "best_false_alarm_share": "false alarms among the 12 most confident of an image",
+    "epipolar_offset_px": "largest distance of a crater from its epipolar line",
     "best_centre_error_px": "centre error of these 12",
     "detections_per_image": "detections in an image",
     "epoch_error_m": "position error at the epoch",

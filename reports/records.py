@@ -59,6 +59,7 @@ UNITS = {
     "axes_error_px": "px",
     "matching_recall_share": "%",
     "matching_wrong_share": "%",
+    "epipolar_offset_px": "px",
     "mixed_share": "%",
     "craters_per_image": "",
     "median_craters_per_image": "",

@@ -52,6 +52,7 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
         "n_correct",
         "n_wrong",
         "n_missed",
+        "epipolar_offset_px",
     ),
     "crater_images": ("scenario", "trial", "phase_deg", "n_craters", "n_detectable", "n_clean"),
     "craters": (

@@ -20,6 +20,7 @@ from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
+from estimators.craters.matching.epipolar import epipolar_offsets
 from estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
 from scenarios.beliefs import believed_spec
 from scenarios.bodies import load_body
@@ -134,13 +135,29 @@ class CraterMatching:
             return answers[0]
 
         try:
-            return Work(call, "matcher", circumstances).judged(work, self._check, partial(_scored, circumstances))
+            return Work(call, "matcher", circumstances).judged(work, self._check, partial(self._scored, circumstances))
         finally:
             if self.witness is not None and answers:
                 self.witness(MatchedPair(answers[0].pair, answers[0].matches))
 
     def _check(self, answer: _Answer) -> None:
         check_matches(answer.matches, *self.images(answer.pair))
+
+    def _scored(self, circumstances: Record, answer: _Answer) -> Records:
+        """Score matches that keep the contract: records without their key."""
+        matches = answer.matches or CraterMatches.none("")
+        row: Record = {
+            **circumstances,
+            "status": "failed" if matches.reason else "ok",
+            "reason": matches.reason,
+            "n_landmarks": len(matches.pairs),
+        }
+        offset_px = largest_epipolar_offset(*self.images(answer.pair), answer.pair)
+        return {
+            "rows": [row],
+            "crater_matches": [{**score_matches(matches, answer.pair), "epipolar_offset_px": offset_px}],
+            "timings": [{"stage": "matching", "seconds": answer.seconds}],
+        }
 
     def images(self, pair: CraterPair) -> tuple[CraterImage, CraterImage]:
         """Return what a matcher may see of a pair."""
@@ -166,22 +183,6 @@ class _Answer:
         self.seconds = time.perf_counter() - started
 
 
-def _scored(circumstances: Record, answer: _Answer) -> Records:
-    """Score matches that keep the contract: records without their key."""
-    matches = answer.matches or CraterMatches.none("")
-    row: Record = {
-        **circumstances,
-        "status": "failed" if matches.reason else "ok",
-        "reason": matches.reason,
-        "n_landmarks": len(matches.pairs),
-    }
-    return {
-        "rows": [row],
-        "crater_matches": [score_matches(matches, answer.pair)],
-        "timings": [{"stage": "matching", "seconds": answer.seconds}],
-    }
-
-
 def score_matches(matches: CraterMatches, pair: CraterPair) -> Record:
     """Count correct, wrong and missed matches of a pair by which crater each detection is."""
     one, other = pair.first.detections.crater, pair.second.detections.crater
@@ -197,6 +198,16 @@ def score_matches(matches: CraterMatches, pair: CraterPair) -> Record:
         "n_wrong": len(matches.pairs) - correct,
         "n_missed": len(common) - correct,
     }
+
+
+def largest_epipolar_offset(first: CraterImage, second: CraterImage, pair: CraterPair) -> float | None:
+    """Return the largest distance, px, of a crater that is in both from its epipolar line; None of no such crater.
+
+    The line is that of the poses and rims which a matcher is given (Cheng et al. 2003, figure 4).
+    """
+    one, other = pair.first.detections.crater[:, None], pair.second.detections.crater[None]
+    offsets_px = epipolar_offsets(first, second)[(one == other) & (one != NO_CRATER)]
+    return float(offsets_px.max()) if len(offsets_px) else None
 
 
 def right_matches(matches: CraterMatches, pair: CraterPair) -> NDArray[np.bool_]:

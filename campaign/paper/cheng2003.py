@@ -102,7 +102,7 @@ _ORDER = ("detection", "matching", "matching-images", "invariants", "survey", "o
 PAPER = Paper(
     title="Cheng et al. (2003): every figure and every number",
     campaigns=tuple(f"cheng2003-{name}" for name in _ORDER),
-    methods=(_DETECTOR, PLANNER, _FILTER, _CHAIN),
+    methods=(_DETECTOR, *_MATCHERS, PLANNER, _FILTER, _CHAIN),
     figures=(
         PaperFigure("2", ("cheng2003-detection",), _figure_2),
         PaperFigure("3", ("cheng2003-detection",), _figure_3),

@@ -148,6 +148,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("n_correct", pa.int64(), "matches that join two detections of one of them"),
         Column("n_wrong", pa.int64(), "the other matches"),
         Column("n_missed", pa.int64(), "craters in both without a correct match"),
+        Column("epipolar_offset_px", pa.float64(), "largest distance of one of them from its epipolar line"),
     ),
     "orbits": (
         *_key(),

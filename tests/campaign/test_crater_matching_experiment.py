@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,12 @@ import pytest
 from tiny_pairs import PAIRS
 
 from campaign.crater_pairs import _found
-from campaign.experiments.crater_matching import CraterMatching, check_matches, score_matches
+from campaign.experiments.crater_matching import (
+    CraterMatching,
+    check_matches,
+    largest_epipolar_offset,
+    score_matches,
+)
 from campaign.experiments.registry import Bench
 from campaign.resolve import resolve
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
@@ -52,6 +58,7 @@ def test_trials_depend_on_their_number_alone(campaign_file, tmp_path) -> None:
     for record in together["crater_matches"]:
         assert record["n_common"] == record["n_correct"] + record["n_missed"]
         assert 0.0 <= record["view_deg"] <= 20.0
+        assert (record["epipolar_offset_px"] is None) == (record["n_common"] == 0)
     found = [record for record in together["crater_matches"] if record["estimator"] == "vote"]
     assert sum(record["n_correct"] for record in found) > 0.8 * sum(record["n_common"] for record in found) > 10
 
@@ -78,6 +85,28 @@ def test_matches_are_counted_as_by_hand() -> None:
     assert {name: scored[name] for name in ("n_common", "n_correct", "n_wrong", "n_missed")} == {
         "n_common": 3, "n_correct": 2, "n_wrong": 2, "n_missed": 1,
     }  # fmt: skip
+
+
+def _moved(look: CraterLook, x_m: float, centres_px: list[tuple[float, float]]) -> CraterLook:
+    """The same look from a camera moved along its own x axis, with craters elsewhere."""
+    rims = Ellipses(np.array(centres_px), np.full((len(centres_px), 2), 5.0), np.zeros(len(centres_px)))
+    pose = Pose(np.eye(3), np.array([-x_m, 0.0, 1e3]))
+    found = LabelledDetections(rims, look.detections.crater)
+    return replace(look, detections=found, frame=replace(look.frame, prior_T_cam_body=pose))
+
+
+def test_the_crater_farthest_from_its_epipolar_line_counts(tmp_path) -> None:
+    """A camera that moves along x has rows for epipolar lines; a crater that is in one image alone does not count."""
+    pair = _pair([7, 3, 5], [3, 7, 8])
+    first = _moved(pair.first, 0.0, [(20.0, 30.0), (60.0, 70.0), (5.0, 5.0)])
+    second = _moved(pair.second, 50.0, [(10.0, 74.0), (90.0, 28.5), (5.0, 95.0)])
+    images = [
+        CraterImage(k, look.frame, look.view.camera, CraterDetections(look.detections.ellipses, np.ones(3)))
+        for k, look in enumerate((first, second))
+    ]
+    assert largest_epipolar_offset(*images, replace(pair, first=first, second=second)) == pytest.approx(4.0)
+    alone = _pair([1, 2, 3], [4, 5, NO_CRATER])
+    assert largest_epipolar_offset(*images, alone) is None
 
 
 @pytest.mark.parametrize(("matches", "said"), [
@@ -107,6 +136,8 @@ def test_a_run_is_stored_and_reported_with_shares_of_its_counts(campaign_file, t
     near = [r for r in records if r.estimator == "vote" and r.stage == "matching, views 0 to 20 deg, Suns 0 to 30 deg"]
     recall, wrong = (next(r for r in near if r.measure == name) for name in (RECALL, WRONG))
     assert recall.value == pytest.approx(100.0 * table["n_correct"].sum() / table["n_common"].sum())
+    offset = next(r for r in records if r.estimator == "vote" and r.measure == "epipolar_offset_px")
+    assert offset.value == pytest.approx(table["epipolar_offset_px"].median())
     assert wrong.n == int(table["n_correct"].sum() + table["n_wrong"].sum())
     assert recall.low <= recall.value <= recall.high
     assert len(matching_grids(records, run)) == 1

@@ -58,9 +58,8 @@ def runs(cache, tmp_path_factory):
     folder = tmp_path_factory.mktemp("cheng")
     for kind, (scene, text) in RUNS.items():
         name = f"cheng2003-{kind}"
-        report = f"report: {name}\n" if kind != "matching" else ""
-        head = f"name: {name}\ntitle: T\nscenarios: [scene]\nseed: 4\n"
-        file = write_campaign(folder / "files" / kind, head + text + report, scene)
+        head = f"name: {name}\ntitle: T\nscenarios: [scene]\nseed: 4\nreport: {name}\n"
+        file = write_campaign(folder / "files" / kind, head + text, scene)
         compute(file, folder / "runs" / name, int(re.search(r"trials: (\d+)", text)[1]))
     return folder / "runs"
 
@@ -112,4 +111,7 @@ def test_the_chain_is_told_beside_the_paper(page, runs):
 def test_matching_is_told_by_the_angles(page):
     text = (page / "table.md").read_text(encoding="utf-8")
     assert "cheng2003-matching: Matching, tiny-pairs" in text
+    table = pd.read_csv(page / "table.csv").set_index("campaign").loc["cheng2003-matching"]
+    assert table["quantity"] == "largest distance of a crater from its epipolar line, matching, hybrid"
+    assert (table["published"], table["n"]) == ("20 px", 4)
     assert "http" not in (page / "index.html").read_text(encoding="utf-8").replace("http://www.w3.org", "")

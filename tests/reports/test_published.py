@@ -119,7 +119,11 @@ def test_tolerances_follow_the_stated_rule(name, stage_rule):
 def test_names_are_listed_and_an_unknown_one_is_refused_with_them():
     kinds = ("centroid", "convergence", "database", "real", "real-context", "real-like", "simulated")
     slam = ("ba-landmarks", "ba-views", "comparison", "images")
-    papers = {"cheng2003": ("detection", "endtoend", "orbit", "survey"), "delpech2015": slam, "rowell2015": kinds}
+    papers = {
+        "cheng2003": ("detection", "endtoend", "matching", "orbit", "survey"),
+        "delpech2015": slam,
+        "rowell2015": kinds,
+    }
     assert published_names() == [f"{paper}-{kind}" for paper, names in papers.items() for kind in names]
     with pytest.raises(BoresightError, match=r"'rowell2016'.*rowell2015-simulated"):
         load_published("rowell2016")
