@@ -13,6 +13,8 @@ import cv2
 from threadpoolctl import threadpool_limits
 
 from renderers.mitsuba3 import limit_threads
+from renderers.mitsuba3.gpus import gpu_names
+from renderers.mitsuba3.variant import CUDA
 
 PACKAGES = (
     "boresight", "numpy", "scipy", "opencv-python-headless", "mitsuba", "drjit", "trimesh", "pandas", "pyarrow",
@@ -23,6 +25,13 @@ PACKAGES = (
 def cores() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def workers(asked: int | None, variant: str) -> int:
+    """Return how many worker processes there are to be: as many as asked for, or one for each GPU or else each core."""
+    if asked is not None:
+        return asked
+    return max(1, len(gpu_names())) if variant == CUDA else cores()
 
 
 def memory_gib() -> float:

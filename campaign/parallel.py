@@ -15,6 +15,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import cache
+from itertools import count as naturals
 from pathlib import Path
 from typing import TypeVar, cast
 
@@ -22,6 +23,7 @@ from joblib.externals.loky import ProcessPoolExecutor
 
 from campaign.guard import guarding
 from campaign.image_store import store_is_on, store_switched
+from renderers.mitsuba3.gpus import gpu_of_worker
 from scenarios.errors import BoresightError
 
 T = TypeVar("T")
@@ -135,9 +137,16 @@ def _made_good(hand: _Hand, after_death: AfterDeath) -> list[tuple[int, Call]]:
 
 
 class _Hand:
-    """One worker process: started when there is work, replaced when it has ended."""
+    """One worker process: started when there is work, replaced when it has ended.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    place
+        Its number among those that are kept, from 0, by which it gets its GPU.
+    """
+
+    def __init__(self, place: int) -> None:
+        self.place = place
         descriptor, name = tempfile.mkstemp(prefix="boresight-worker-")
         os.close(descriptor)
         self.note = Path(name)
@@ -172,8 +181,9 @@ class _Hand:
     def _started(self) -> ProcessPoolExecutor:
         if self._executor is None:
             self._executor = ProcessPoolExecutor(
-                max_workers=1, timeout=_IDLE_S, initializer=_follow_parent, initargs=(os.getpid(),)
-            )
+                max_workers=1, timeout=_IDLE_S, initializer=_follow_parent, initargs=(os.getpid(),),
+                env=gpu_of_worker(self.place),
+            )  # fmt: skip
         return self._executor
 
     def answers(self) -> Iterator[tuple[int, object]]:
@@ -217,11 +227,12 @@ class _Rested:
     def taken(self, count: int) -> list[_Hand]:
         """Take so many."""
         kept, self._hands = self._hands[:count], self._hands[count:]
-        return [*kept, *(_Hand() for _ in range(count - len(kept)))]
+        places = (place for place in naturals() if place not in {hand.place for hand in kept})
+        return [*kept, *(_Hand(next(places)) for _ in range(count - len(kept)))]
 
     def put_back(self, hands: Sequence[_Hand]) -> None:
         """Keep some for later."""
-        self._hands += hands
+        self._hands = sorted([*self._hands, *hands], key=lambda hand: hand.place)
 
     def _forget(self) -> None:
         for hand in self._hands:

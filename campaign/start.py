@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from campaign.machine import cores
+from campaign.machine import workers
 from campaign.request import Cluster, RunRequest
 from campaign.resolve import ResolvedCampaign, resolve
 from campaign.runner import Listener, run_campaign
@@ -79,15 +79,15 @@ def start(
     chosen = choose_variant(variant)
     campaign = resolve(name, overrides, seed, chosen.name)
     wanted = campaign.spec.trials if trials is None else trials
-    workers = cores() if jobs is None else jobs
-    _check(campaign, wanted, workers)
+    processes = workers(jobs, chosen.name)
+    _check(campaign, wanted, processes)
     if trial_limit_s is not None and not 0.0 < trial_limit_s < math.inf:
         raise BoresightError(f"--trial-limit {trial_limit_s:g}: give a number of seconds above 0")
     condition = None if until is None else _condition(until, campaign)
     folder = out or RUNS / f"{campaign.spec.name}-{campaign.digest[:8]}"
     if cluster is not None and keep_images:
         raise BoresightError("--keep-images: workers of a cluster cannot write to the run folder: leave it out")
-    request = RunRequest(folder, wanted, workers, keep_images, command, cluster, trial_limit_s)
+    request = RunRequest(folder, wanted, processes, keep_images, command, cluster, trial_limit_s)
     return Start(campaign, request, condition, chosen.advice)
 
 

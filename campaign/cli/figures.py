@@ -10,7 +10,7 @@ from campaign.cli.progress import ProgressListener
 from campaign.cli.runs import positive
 from campaign.cli.terminal import console
 from campaign.draft import LEAST_TRIALS, as_draft, kept
-from campaign.machine import cores
+from campaign.machine import workers
 from campaign.paper import PAPERS
 from campaign.request import RunRequest
 from campaign.resolve import resolve
@@ -43,8 +43,8 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
         " images, 120 at least, and arcs of this share of theirs, 24 at least",
     )  # fmt: skip
     figures.add_argument(
-        "--jobs", type=positive, default=cores(),
-        help="worker processes of what is run or built again for a figure (default: the cores)",
+        "--jobs", type=positive,
+        help="worker processes of what is run or built again for a figure (default: one for each core, or GPU)",
     )  # fmt: skip
     figures.set_defaults(handler=_figures)
 
@@ -82,7 +82,7 @@ def _of_paper(name: str, folder: Path, arguments: argparse.Namespace) -> int:
         found, _ = gather(paper, arguments.runs, scale)
         for missing in (campaign for campaign in paper_campaigns(paper) if campaign not in found):
             run_or_finish(missing, arguments)
-    page = paper_page(paper, arguments.runs, arguments.jobs, scale)
+    page = paper_page(paper, arguments.runs, workers(arguments.jobs, choose_variant().name), scale)
     try:
         written = write_paper(page, folder)
     except OSError as error:
@@ -100,12 +100,14 @@ def run_or_finish(name: str, arguments: argparse.Namespace) -> None:
     """Run a campaign, or go on with it; one that cannot be run, for want of its data, is told and left out."""
     out = console()
     try:
-        campaign = as_draft(resolve(name, variant=choose_variant().name), arguments.trials_scale)
+        variant = choose_variant().name
+        campaign = as_draft(resolve(name, variant=variant), arguments.trials_scale)
         trials = _trials(campaign.spec.trials, arguments)
         folder = arguments.runs / f"{campaign.spec.name}-{campaign.digest[:8]}"
         out.print(f"{name}: {trials} trials into {folder}")
+        request = RunRequest(folder, trials, workers(arguments.jobs, variant), command=arguments.command)
         with ProgressListener(out) as listener:
-            run_campaign(campaign, RunRequest(folder, trials, arguments.jobs, command=arguments.command), listener)
+            run_campaign(campaign, request, listener)
     except BoresightError as error:
         out.print(f"{name}: {error}")
 

@@ -10,7 +10,6 @@ from campaign.cli.catalog import add_overrides
 from campaign.cli.progress import ProgressListener
 from campaign.cli.terminal import console
 from campaign.image_store import store_is_on, store_switched
-from campaign.machine import cores
 from campaign.newest import newest_first
 from campaign.request import Cluster
 from campaign.start import RUNS, start
@@ -31,7 +30,7 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
         help='stop when every 95 %% interval is narrow enough, for example "ci(position_error_m, median) < 0.5" or'
         ' "... < 5 %%"; --trials stays the most',
     )  # fmt: skip
-    run.add_argument("--jobs", type=positive, default=cores(), help="worker processes (default: the cores)")
+    run.add_argument("--jobs", type=positive, help="worker processes (default: one for each core, or GPU)")
     run.add_argument("--seed", type=not_negative, help="seed (default: what the campaign says)")
     run.add_argument("--out", type=Path, help="run folder (default: runs/NAME-DIGEST)")
     run.add_argument("--variant", help="Mitsuba variant (default: the fastest that works; see boresight doctor)")

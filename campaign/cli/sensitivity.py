@@ -10,7 +10,7 @@ from campaign.cli.catalog import add_overrides
 from campaign.cli.progress import ProgressListener
 from campaign.cli.runs import positive
 from campaign.cli.terminal import console
-from campaign.machine import cores
+from campaign.machine import workers
 from campaign.request import RunRequest
 from campaign.resolve import resolve
 from campaign.runner import run_campaign
@@ -42,7 +42,7 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     own.add_argument("--trials", type=positive, default=_TRIALS, help=f"of each sample (default: {_TRIALS})")
     own.add_argument("--metric", default=None, help="as of compare (default: the position error)")
     own.add_argument("--statistic", default="median", help="over the trials: median, mean, rms, p75, p95 or p99")
-    own.add_argument("--jobs", type=positive, default=cores(), help="worker processes (default: the cores)")
+    own.add_argument("--jobs", type=positive, help="worker processes (default: one for each core, or GPU)")
     own.add_argument("--seed", type=int, help="seed (default: what the campaign says)")
     own.add_argument("--out", type=Path, help="run folder (default: runs/NAME-sensitivity-DIGEST)")
     add_overrides(own)
@@ -62,13 +62,15 @@ def _sensitivity(arguments: argparse.Namespace) -> int:
     varied = [parse_over(text) for text in arguments.over]
     if arguments.statistic not in STATISTICS:
         raise BoresightError(f"--statistic {arguments.statistic}: choose one of {', '.join(STATISTICS)}")
-    campaign = resolve(arguments.name, arguments.overrides, arguments.seed, choose_variant().name)
+    variant = choose_variant().name
+    campaign = resolve(arguments.name, arguments.overrides, arguments.seed, variant)
     known = names_before_a_run(campaign.spec.experiment)
     if arguments.metric is not None and arguments.metric not in known:
         raise BoresightError(f"--metric {arguments.metric}: choose one of {', '.join(known)}")
     design = make_design(arguments.name, campaign, arguments.scenario, varied, arguments.samples, arguments.method)
     name = f"{campaign.spec.name}-sensitivity-{design.campaign.digest[:8]}"
-    request = RunRequest(arguments.out or RUNS / name, arguments.trials, arguments.jobs, command=arguments.command)
+    jobs = workers(arguments.jobs, variant)
+    request = RunRequest(arguments.out or RUNS / name, arguments.trials, jobs, command=arguments.command)
     out = console()
     cells = len(design.campaign.scenarios)
     out.print(f"{campaign.spec.name}: {cells} scenarios of {request.trials} trials into {request.out}")

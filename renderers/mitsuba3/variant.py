@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import sys
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+from renderers.mitsuba3.gpus import nvidia_gpus
 from renderers.mitsuba3.llvm import HIDE_VARIABLE, MINIMUM_MAJOR, WHEEL, find_llvm, use_llvm
 from renderers.mitsuba3.probe import variant_fault
 from scenarios.errors import BoresightError
@@ -137,7 +137,7 @@ def _llvm_status() -> tuple[bool, str]:
 @cache
 def _cuda_status() -> tuple[bool, str]:
     """Tell whether an NVIDIA GPU with OptiX is there and traces rays: the driver is asked, and then rays are traced."""
-    gpus, fault = _nvidia_gpus()
+    gpus, fault = nvidia_gpus()
     if not gpus:
         return False, fault
     drjit = _load_drjit()
@@ -149,16 +149,3 @@ def _cuda_status() -> tuple[bool, str]:
             return False, f"the NVIDIA driver finds {gpus} GPU, but Mitsuba traces no rays on it: {fault}"
         os.environ[CUDA_PROBED] = "1"  # worker processes need not ask again
     return True, f"{gpus} NVIDIA GPU with OptiX"
-
-
-def _nvidia_gpus() -> tuple[int, str]:
-    """Count NVIDIA's GPUs by asking the driver; with 0, why there is none."""
-    count = ctypes.c_int(0)
-    try:
-        driver = ctypes.CDLL("libcuda.so.1")
-        ctypes.CDLL("libnvoptix.so.1")
-    except OSError as error:
-        return 0, f"no NVIDIA driver with OptiX ({error})"
-    if driver.cuInit(0) != 0 or driver.cuDeviceGetCount(ctypes.byref(count)) != 0 or count.value == 0:
-        return 0, "the NVIDIA driver finds no GPU"
-    return count.value, ""

@@ -194,7 +194,7 @@ def a_driver_that_finds_a_gpu(monkeypatch):
     import drjit
 
     choose_variant()
-    monkeypatch.setattr(variant, "_nvidia_gpus", lambda: (1, ""))
+    monkeypatch.setattr(variant, "nvidia_gpus", lambda: (1, ""))
     monkeypatch.setattr(drjit, "has_backend", lambda _: True)
     monkeypatch.delenv(variant.CUDA_PROBED, raising=False)
     variant._cuda_status.cache_clear()
