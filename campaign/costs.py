@@ -35,9 +35,12 @@ def remember(name: str, trials: int, seconds: float, jobs: int) -> None:
 
 
 def rate_of(name: str) -> Rate | None:
-    """Return the rate of a campaign; None where it has not been run here."""
+    """Return the rate of a campaign; None where it has not been run here, or nobody can read how long it took."""
     kept = default_cache().find(_KIND, name) if _NAME.fullmatch(name) else None
-    return None if kept is None else Rate(float(json.loads((kept / _FILE).read_text(encoding="utf-8"))["core_s"]))
+    try:
+        return None if kept is None else Rate(float(json.loads((kept / _FILE).read_text(encoding="utf-8"))["core_s"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def _write(folder: Path, told: str) -> None:

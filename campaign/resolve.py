@@ -239,14 +239,15 @@ def _read_again(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
             )
             for name, scenario in _in_order(manifest)
         )
+        machine, seed = manifest["machine"], int(manifest["seed"])
+        variant = str(machine["variant"])
     except (KeyError, IndexError, TypeError, AttributeError, ValueError):
         return None
-    machine = manifest["machine"]
     return ResolvedCampaign(
         spec,
         scenarios,
-        int(manifest["seed"]),
-        machine["variant"],
+        seed,
+        variant,
         machine.get("kernels", ""),
         draft=float(manifest.get("draft", 1.0)),
     )

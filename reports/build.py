@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,7 +50,7 @@ class ReportFiles:
     content: Content
 
 
-def write_report(run: Path, out: Path | None = None, extra: Sequence[NamedFigure] = ()) -> ReportFiles:
+def write_report(run: Path, out: Path | None = None, extra: Iterable[NamedFigure] = ()) -> ReportFiles:
     """Write the report of a run folder.
 
     Parameters
@@ -60,14 +60,15 @@ def write_report(run: Path, out: Path | None = None, extra: Sequence[NamedFigure
     out
         Folder of the report, ``run/report`` by default. Other files in it are left alone.
     extra
-        Further figures, shown after those of the tables (such as `reports.figures.draw_fit_panels`).
+        Further figures, shown after those of the tables (such as `reports.figures.draw_fit_panels`); drawn when it is
+        known that the run can be read.
 
     Raises
     ------
     BoresightError
         If the run cannot be read or the report cannot be written; files of an earlier report then stay as they were.
     """
-    content = read_content(run)
+    content, further = read_content(run), list(extra)
     folder = out or run / "report"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -77,7 +78,7 @@ def write_report(run: Path, out: Path | None = None, extra: Sequence[NamedFigure
             f"{folder}: the report cannot be written: {error.strerror}; choose another --out"
         ) from error
     try:
-        names = _write_all(content, work, extra)
+        names = _write_all(content, work, further)
         for name in names:
             (folder / name).parent.mkdir(exist_ok=True)
             (work / name).replace(folder / name)

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from scenarios.checksums import refuse_damaged
+from scenarios.checksums import refuse_damaged, unreadable
 from scenarios.errors import BoresightError
 
 POSE_COLUMNS = (
@@ -299,11 +300,12 @@ def _read_manifest(path: Path) -> Manifest:
     except FileNotFoundError:
         raise BoresightError(f"{path}: not found; is {path.parent} the folder of a run?") from None
     except OSError as error:
-        raise BoresightError(f"{path}: cannot be read: {error.strerror}") from error
+        raise unreadable(path, "a manifest", error) from error
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise BoresightError(f"{path}: {place}: {first['msg']}; the run was not written by boresight") from error
+        fault = ValueError(f"{place}: {first['msg']}" if place else first["msg"])
+        raise unreadable(path, "a manifest", fault) from error
 
 
 def _read_table(folder: Path, columns: tuple[str, ...], manifest: Manifest) -> pd.DataFrame:
@@ -312,8 +314,8 @@ def _read_table(folder: Path, columns: tuple[str, ...], manifest: Manifest) -> p
         return pd.DataFrame(columns=list(columns))
     try:
         table = pd.read_parquet(folder)
-    except (OSError, ValueError) as error:
-        raise BoresightError(f"{folder}: cannot be read as Parquet: {error}") from error
+    except (OSError, pa.ArrowException) as error:
+        raise unreadable(folder, "a stored table", error) from error
     missing = [name for name in columns if name not in table.columns]
     if missing:
         made = manifest.commit or f"version {manifest.versions.get('boresight', 'unknown')}"

@@ -32,6 +32,9 @@ from scenarios.load import (
 if TYPE_CHECKING:
     from argparse import _SubParsersAction
 
+_WIDE = 1000
+"""Characters of a line that no campaign fills."""
+
 
 def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the commands to the parser."""
@@ -63,7 +66,8 @@ def _list(_: argparse.Namespace) -> int:
     table = Table("campaign", "trials", "time here", "what it is", "data", box=None, pad_edge=False)
     for name in campaign_names():
         table.add_row(*_campaign_cells(load_campaign(name, CATALOG)))
-    out.print(table)
+    # One line each where nothing is known of a width: what a program reads, or a pager that moves to the right.
+    console(_WIDE).print(table)
     out.print(
         f"trials: of each scenario, x scenarios. time here: on {cores()} core(s), data bases aside, by the rate of the"
         " last run on this machine; - where there was none. data: what is read from the data folder"

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 
 from campaign.cli.runs import find_run
 from campaign.cli.terminal import console
-from campaign.store import RunFolder
-from campaign.store.columns import FORMAT_VERSION
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -49,8 +47,6 @@ def _compare(arguments: argparse.Namespace) -> int:
     paths = list(dict.fromkeys(folder.path.resolve() for folder in folders))
     if len(paths) < len(folders):
         raise BoresightError(f"{', '.join(arguments.runs)}: a run is named twice")
-    for folder in folders:
-        _check_format(folder)
     found = compare_runs([folder.path for folder in folders], arguments.metric, factors, arguments.unpaired)
     out = arguments.out or COMPARISONS / "-".join(folder.path.name for folder in folders)
     files = write_comparison(found, out, arguments.command)
@@ -59,13 +55,3 @@ def _compare(arguments: argparse.Namespace) -> int:
         printer.print(rich_table(grid.keep(*(head for head in grid.columns if not head.startswith(_LEFT_OUT)))))
     printer.print(f"comparison: {files.markdown}")
     return 0
-
-
-def _check_format(folder: RunFolder) -> None:
-    """Refuse a run that another version of boresight stored in another way."""
-    stored = (folder.read_manifest() or {}).get("format")
-    if stored != FORMAT_VERSION:
-        raise BoresightError(
-            f"{folder.path}: stored in format {stored}, and this version of boresight reads {FORMAT_VERSION}: run the"
-            " campaign again"
-        )

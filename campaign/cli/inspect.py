@@ -90,11 +90,13 @@ def _cases(arguments: argparse.Namespace) -> int:
     folder, printer = find_run(arguments.run), console()
     run, choice = read_run(folder.path), Choice(arguments.scenario, arguments.estimator)
     if arguments.trial is not None:
-        cases = named_cases(chosen_rows(run.rows, choice, str(folder.path)), arguments.trial, str(folder.path))
+        rows = chosen_rows(run.rows, choice, str(folder.path))
+        cases, ranked_by = named_cases(rows, arguments.trial, str(folder.path)), None
     else:
-        cases, name = worst_cases(run, arguments.worst or _WORST, choice, arguments.metric)
-        printer.print(f"worst first: {ORDER} {name}")
+        cases, ranked_by = worst_cases(run, arguments.worst or _WORST, choice, arguments.metric)
     campaign = reopened(folder)
+    if ranked_by is not None:
+        printer.print(f"worst first: {ORDER} {ranked_by}")
     out = arguments.out or folder.path / "inspect"
     same = True
     # Images are rendered anew: one that is kept would prove nothing.

@@ -25,7 +25,7 @@ def print_report(folder: RunFolder, worst: int) -> None:
     out.print(f"report: {files.html}")
 
 
-def _trial_figures(folder: RunFolder, worst: int) -> list[NamedFigure]:
+def _trial_figures(folder: RunFolder, worst: int) -> Iterator[NamedFigure]:
     """Draw typical trials and the worst, unless code, data or machine can no longer make them again."""
     manifest = folder.read_manifest() or {}
     why = (
@@ -35,11 +35,11 @@ def _trial_figures(folder: RunFolder, worst: int) -> list[NamedFigure]:
     try:
         campaign = reload(manifest)
         if campaign is not None:
-            return [*_typical(campaign, folder), *worst_figures(campaign, folder, worst)]
+            yield from [*_typical(campaign, folder), *worst_figures(campaign, folder, worst)]
+            return
     except BoresightError as error:
         why = str(error)
     console().print(f"no figure of single trials: {why}")
-    return []
 
 
 def _typical(campaign: ResolvedCampaign, folder: RunFolder) -> Iterator[NamedFigure]:

@@ -168,12 +168,14 @@ def find_run(name: str) -> RunFolder:
     Raises
     ------
     BoresightError
-        If there is none.
+        If there is none, or it has no manifest that this version of boresight reads.
     """
     prefix = f"{name}-"
     named = [path for path in RUNS.iterdir() if path.name.startswith(prefix)] if RUNS.is_dir() else []
     candidates = [Path(name), *newest_first(named)]
     for candidate in candidates:
         if (candidate / "manifest.json").exists():
-            return RunFolder(candidate)
+            folder = RunFolder(candidate)
+            folder.read_manifest()
+            return folder
     raise BoresightError(f"{name}: no run there, nor in {RUNS}/ as {prefix}...: give a run folder, or run it first")

@@ -15,15 +15,17 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from campaign.store.columns import TABLES, schema
+from campaign.store.columns import FORMAT_VERSION, TABLES, schema
 from scenarios import checksums
 from scenarios.atomic import write_atomically, write_text
-from scenarios.checksums import refuse_damaged
+from scenarios.checksums import refuse_damaged, unreadable
 from scenarios.errors import BoresightError
 
 Records = Sequence[Mapping[str, object]]
 
 _ROUND_BLOCKS = 50
+_MANIFEST = {"digest": str, "name": str, "seed": int, "trials": int, "scenarios": dict}
+"""What all who read a manifest rely on, whatever version wrote it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,16 +98,28 @@ class RunFolder:
         Raises
         ------
         BoresightError
-            If the file is there but cannot be read as a manifest.
+            If the file is there but cannot be read as a manifest, or is that of a run that another version of
+            boresight stored in another way.
         """
         if not self.manifest_path.exists():
             return None
         try:
-            manifest = json.loads(self.manifest_path.read_text(encoding="utf-8"))
+            found = json.loads(self.manifest_path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise BoresightError(f"{self.manifest_path}: not readable as a manifest ({error})") from error
-        if not isinstance(manifest, dict) or "digest" not in manifest:
-            raise BoresightError(f"{self.manifest_path}: not a manifest of boresight: choose another folder with --out")
+            raise unreadable(self.manifest_path, "a manifest", error) from error
+        manifest: dict[str, Any] = found if isinstance(found, dict) else {}
+        for key, kind in _MANIFEST.items():
+            if not isinstance(manifest.get(key), kind):
+                raise BoresightError(
+                    f"{self.manifest_path}: not a manifest of boresight, which has a {key}: choose another folder with"
+                    " --out"
+                )
+        if manifest.get("format") != FORMAT_VERSION:
+            stored = manifest.get("format", "unknown")
+            raise BoresightError(
+                f"{self.path}: stored in format {stored}, and this version of boresight reads {FORMAT_VERSION}: run the"
+                " campaign again, into another folder (--out)"
+            )
         return manifest
 
     def write_manifest(self, manifest: Mapping[str, object]) -> None:
@@ -162,14 +176,17 @@ class RunFolder:
         Raises
         ------
         BoresightError
-            If it is not what was stored.
+            If it is not what was stored, or cannot be read.
         """
         folder = self.path / name
         refuse_damaged(self.path, name)
         if not any(folder.glob("*.parquet")):
             empty: pd.DataFrame = schema(name).empty_table().to_pandas()
             return empty
-        stored: pd.DataFrame = pd.read_parquet(folder)
+        try:
+            stored: pd.DataFrame = pd.read_parquet(folder)
+        except (OSError, pa.ArrowException) as error:
+            raise unreadable(folder, "a stored table", error) from error
         return stored
 
     def of_trial(self, name: str, scenario: str, estimator: str, trial: int) -> pa.Table:
@@ -187,9 +204,7 @@ class RunFolder:
         try:
             found = pq.read_table(folder, filters=wanted)
         except (OSError, pa.ArrowException) as error:
-            raise BoresightError(
-                f"{folder}: not readable as a stored table ({error}): run the campaign again"
-            ) from error
+            raise unreadable(folder, "a stored table", error) from error
         if "estimator" in found.column_names:
             found = found.filter(pc.equal(found["estimator"], estimator))
         return found

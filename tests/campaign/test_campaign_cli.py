@@ -39,6 +39,9 @@ def test_list_names_everything(capsys):
         assert name in text
     quickstart = next(line for line in text.splitlines() if line.startswith("quickstart"))
     assert str(load_campaign("quickstart", CATALOG).spec.trials) in quickstart.split()
+    for name in campaign_names():
+        line = next(line for line in text.splitlines() if line.split(" ", 1)[0] == name)
+        assert load_campaign(name, CATALOG).spec.title in line, "each has one line"
     textures = next(line for line in text.splitlines() if line.startswith("delpech2015-images-textures"))
     assert "6 x 10" in textures
 

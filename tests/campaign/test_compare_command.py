@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import shutil
-
 import pandas as pd
 import pytest
 from tiny_campaign import run
@@ -51,44 +48,3 @@ def test_what_cannot_be_compared(tiny_run, here, capsys):
     assert "their seeds are 5 and 6: give --unpaired" in refused(capsys, tiny_run.folder, other)
     assert not (here / "comparisons").exists()
     assert main(["compare", str(tiny_run.folder), str(other), "--unpaired"]) == 0
-
-
-def half_manifest(folder):
-    text = (folder / "manifest.json").read_text()
-    (folder / "manifest.json").write_text(text[: len(text) // 2])
-
-
-def no_rows(folder):
-    shutil.rmtree(folder / "rows")
-
-
-def half_table(folder):
-    block = next((folder / "rows").glob("*.parquet"))
-    block.write_bytes(block.read_bytes()[:200])
-
-
-def older(folder):
-    manifest = json.loads((folder / "manifest.json").read_text())
-    (folder / "manifest.json").write_text(json.dumps(manifest | {"format": 1}))
-
-
-def older_columns(folder):
-    for block in (folder / "rows").glob("*.parquet"):
-        pd.read_parquet(block).drop(columns="prior_position_error_m").to_parquet(block)
-    shutil.rmtree(folder / "checksums")
-
-
-@pytest.mark.parametrize(
-    ("damage", "expected"),
-    [
-        (half_manifest, "manifest.json: not readable"),
-        (half_table, "damaged, or half of a start that was interrupted"),
-        (no_rows, "no finished trial is stored"),
-        (older, "stored in format 1, and this version of boresight reads 2"),
-        (older_columns, "columns prior_position_error_m are missing"),
-    ],
-)
-def test_a_run_that_is_not_whole(tiny_run, here, capsys, damage, expected):
-    shutil.copytree(tiny_run.folder, here / "run")
-    damage(here / "run")
-    assert expected in refused(capsys, here / "run")

@@ -160,7 +160,7 @@ def test_a_half_written_table_is_told(copied, capsys):
     assert f"{copied / 'stages'}" in (said := refused(capsys, copied, "--worst", 1))
     assert "damaged" in said
     shutil.rmtree(copied / "checksums")
-    assert f"{copied / 'stages'}: cannot be read as Parquet" in refused(capsys, copied, "--worst", 1)
+    assert f"{copied / 'stages'}: not readable as a stored table" in refused(capsys, copied, "--worst", 1)
 
 
 def test_every_kind_of_experiment_can_be_watched():

@@ -142,7 +142,7 @@ def _split_reversed(part):
         (lambda run: (run / "rows" / "block-0.parquet").unlink(), "no finished trial"),
         (
             lambda run: (run / "rows" / "block-0.parquet").write_bytes(b"rubbish"),
-            "rows: cannot be read as Parquet",
+            "rows: not readable as a stored table",
         ),
     ],
 )
