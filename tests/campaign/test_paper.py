@@ -21,6 +21,7 @@ from campaign.paper.page import drawn, gather, paper_called, paper_campaigns
 from campaign.paper.shapes import broadside_view, built_again, cluster_view, surface_view
 from campaign.resolve import resolve
 from campaign.store import RunFolder
+from campaign.store.columns import FORMAT_VERSION
 from campaign.world import open_world
 from estimators.landmark.build import DatabaseOptions
 from renderers.mitsuba3 import choose_variant
@@ -185,7 +186,7 @@ def test_the_newest_finished_run_is_taken_and_unfinished_ones_are_not(tmp_path):
         folder = tmp_path / name
         (folder / "rows").mkdir(parents=True)
         manifest = {"name": "c", "digest": "d", "finished": finished, "trials": trials, "scenarios": {"s": {}}}
-        manifest |= {"overrides": overrides}
+        manifest |= {"overrides": overrides, "seed": 1, "format": FORMAT_VERSION}
         (folder / "manifest.json").write_text(json.dumps(manifest))
         pd.DataFrame({"scenario": ["s"] * rows, "trial": range(rows)}).to_parquet(folder / "rows" / "s-0.parquet")
 
