@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from campaign.machine import package_versions, processor
@@ -27,6 +26,7 @@ from scenarios.craters import shape_digest
 from scenarios.draw import Stream
 from scenarios.geometry import View
 from scenarios.load import LoadedScenario, canonical_json
+from scenarios.parquet import PARQUET_FAULTS
 from scenarios.spec.base import SpecModel
 
 KIND = "images"
@@ -159,5 +159,5 @@ def read_chunk(path: Path) -> dict[int, KeptImage]:
     """Read a chunk; nothing where it is damaged, or where another process has thrown it out this moment."""
     try:
         return read_images(path)
-    except (OSError, ValueError, KeyError, TypeError, OverflowError, MemoryError, AttributeError, pa.ArrowException):
+    except PARQUET_FAULTS:
         return {}

@@ -47,7 +47,7 @@ def make_manifest(
         "scenarios": {s.spec.name: json.loads(canonical_json(s.spec)) for s in campaign.scenarios},
         "credits": sorted({s.spec.images.credit for s in campaign.scenarios if s.spec.images and s.spec.images.credit}),
         "grid": _grid(campaign),
-        "created": earlier.get("created", now()),
+        "created": earlier.get("created") or now(),
         KEY: next_start(request.out),
         "command": request.command,
         "trial_limit_s": request.limit_s,
@@ -67,7 +67,7 @@ def updated(manifest: Mapping[str, object], **changes: object) -> dict[str, obje
 
 def now(manifest: Mapping[str, object] | None = None) -> str:
     """Return the time in UTC, to the second; not before what a manifest tells of, should a clock be set back."""
-    before = [str((manifest or {}).get(key, "")) for key in ("created", "finished", "updated")]
+    before = [str((manifest or {}).get(key) or "") for key in ("created", "finished", "updated")]
     return max(datetime.now(UTC).isoformat(timespec="seconds"), *before)
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
+
+from scenarios.reading import plain_json
 
 KEY = "start"
 
@@ -17,9 +18,9 @@ def next_start(folder: Path) -> int:
 def start_of(folder: Path) -> int:
     """Return the number of a run's last start; 0 where its manifest has none, as in earlier versions."""
     try:
-        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+        manifest = plain_json(folder / "manifest.json")
         return int(manifest.get(KEY, 0))
-    except (OSError, ValueError, TypeError, AttributeError):
+    except (OSError, ValueError, TypeError, AttributeError, OverflowError):
         return 0
 
 

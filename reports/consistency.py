@@ -83,8 +83,9 @@ def _judged_records(subject: _Subject, name: str, found: Judged) -> Iterator[Rec
 def _ratio_records(subject: _Subject) -> Iterator[Record]:
     for what, error in ERRORS.items():
         for name, column in (FORETOLD | BOUNDED).items():
-            if name.startswith(what):
-                pair = subject.rows[[error, f"{column}_{_UNITS[what]}"]].to_numpy(dtype=np.float64)
+            foretold = f"{column}_{_UNITS[what]}"
+            if name.startswith(what) and foretold in subject.rows:
+                pair = subject.rows[[error, foretold]].to_numpy(dtype=np.float64)
                 # A prior without error foretells none: there is nothing to hold against it.
                 known = np.isfinite(pair).all(axis=1) & (pair[:, 1] > 0.0)
                 if known.any():

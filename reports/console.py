@@ -17,6 +17,7 @@ from reports.grid import Grid
 from reports.records import CONTROL
 from reports.sequences import sequence_grid
 from reports.tables import pose_grids
+from scenarios.errors import printable
 
 
 def console_table(run: Path | Content) -> Group:
@@ -47,5 +48,5 @@ def rich_table(grid: Grid) -> Table:
         is_text = i in grid.text
         table.add_column(column, justify="left" if is_text else "right", no_wrap=not is_text, overflow="fold")
     for row in grid.rows:
-        table.add_row(*(Text(cell) for cell in row))
+        table.add_row(*(Text(printable(cell)) for cell in row))
     return table

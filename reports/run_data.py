@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-import pyarrow as pa
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from scenarios.checksums import refuse_damaged, unreadable
 from scenarios.errors import BoresightError
+from scenarios.parquet import Layout, read_frame
+from scenarios.reading import held_to, plain_json
 
 POSE_COLUMNS = (
     "position_error_m",
@@ -23,6 +24,7 @@ POSE_COLUMNS = (
     "position_error_z_m",
 )
 _KEY = ("scenario", "estimator", "trial")
+_TEXTS = frozenset({"scenario", "estimator", "status", "reason", "stage", "reference", "name", "kind"})
 _ELLIPSE = ("u_px", "v_px", "major_px", "minor_px", "angle_deg")
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "rows": (*_KEY, "status", "reason", *(f"prior_{name}" for name in POSE_COLUMNS), *POSE_COLUMNS),
@@ -178,10 +180,10 @@ class Manifest(BaseModel):
     title: str = ""
     description: str = ""
     seed: int
-    trials: int
+    trials: int = Field(ge=0)
     created: str = ""
     commit: str = ""
-    scenarios: Mapping[str, Any]
+    scenarios: Mapping[str, Mapping[str, Any]]
     estimators: tuple[Any, ...]
     versions: Mapping[str, Any]
     machine: Mapping[str, Any]
@@ -191,6 +193,15 @@ class Manifest(BaseModel):
     notes: tuple[str, ...] = ()
     products: tuple[Product, ...] = ()
     grid: Design | None = None
+
+    @field_validator("scenarios")
+    @classmethod
+    def _have_sections(cls, scenarios: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Mapping[str, Any]]:
+        for name, spec in scenarios.items():
+            for key in ("images", "sequence"):
+                if not isinstance(spec.get(key) or {}, Mapping):
+                    raise ValueError(f"{name}.{key} is no section")  # noqa: TRY004  pydantic wants a ValueError
+        return scenarios
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -288,6 +299,9 @@ def read_run(folder: str | PathLike[str]) -> RunData:
     rows = tables.pop("rows")
     if rows.empty:
         raise BoresightError(f"{folder}/rows: no finished trial is stored; continue the run first")
+    unknown = sorted(set(rows["scenario"]) - manifest.scenarios.keys())
+    if unknown:
+        raise BoresightError(f"{folder}/rows: are of the scenario {unknown[0]}, which the manifest does not name")
     image = rows["image"].fillna("").astype(str) if "image" in rows else ""
     n_landmarks = rows["n_landmarks"].astype(float) if "n_landmarks" in rows else float("nan")
     rows = rows.assign(image=image, n_landmarks=n_landmarks, reason=rows["reason"].fillna(""))
@@ -296,26 +310,19 @@ def read_run(folder: str | PathLike[str]) -> RunData:
 
 def _read_manifest(path: Path) -> Manifest:
     try:
-        return Manifest.model_validate_json(path.read_bytes())
+        return held_to(Manifest, plain_json(path))
     except FileNotFoundError:
         raise BoresightError(f"{path}: not found; is {path.parent} the folder of a run?") from None
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise unreadable(path, "a manifest", error) from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        fault = ValueError(f"{place}: {first['msg']}" if place else first["msg"])
-        raise unreadable(path, "a manifest", fault) from error
 
 
 def _read_table(folder: Path, columns: tuple[str, ...], manifest: Manifest) -> pd.DataFrame:
     """Read a Parquet folder, in an order that does not depend on how its parts were written."""
     if not folder.is_dir() or not any(folder.glob("*.parquet")):
         return pd.DataFrame(columns=list(columns))
-    try:
-        table = pd.read_parquet(folder)
-    except (OSError, pa.ArrowException) as error:
-        raise unreadable(folder, "a stored table", error) from error
+    keys = tuple(name for name in ("trial", "scenario", "estimator") if name in columns)
+    table = read_frame(folder, Layout(keys, _is_text))
     missing = [name for name in columns if name not in table.columns]
     if missing:
         made = manifest.commit or f"version {manifest.versions.get('boresight', 'unknown')}"
@@ -323,5 +330,9 @@ def _read_table(folder: Path, columns: tuple[str, ...], manifest: Manifest) -> p
             f"{folder}: columns {', '.join(missing)} are missing; the run was stored by boresight {made}:"
             f" read it with that, or run it again: boresight run {manifest.name}"
         )
-    keys = [name for name in ("trial", "scenario", "estimator") if name in columns]
-    return table.sort_values(keys, kind="stable").reset_index(drop=True)
+    return table.sort_values(list(keys), kind="stable").reset_index(drop=True)
+
+
+def _is_text(column: str) -> bool | None:
+    """Tell whether a column holds texts; ``image`` is a name in rows, a number elsewhere."""
+    return None if column == "image" else column in _TEXTS

@@ -84,6 +84,8 @@ def _text(path: Path) -> str:
 
 
 def _sha256(path: Path) -> str:
+    if not path.is_file():  # a pipe or a device has no end
+        return ""
     try:
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()

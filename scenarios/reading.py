@@ -7,13 +7,16 @@ import tokenize
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ValidationError
 
 from scenarios.errors import BoresightError, one_line
 from scenarios.limits import may_unfold
+
+Model = TypeVar("Model", bound=BaseModel)
 
 # np.load documents ValueError and OSError alone; the others are what damaged headers and members were seen to raise.
 _ARCHIVE_FAULTS = (
@@ -43,11 +46,43 @@ def read_json(path: Path, what: str) -> Any:
         If it cannot be read or is no JSON.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return plain_json(path)
     except FileNotFoundError:
         raise
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, ValueError) as error:
         raise BoresightError(f"{path}: cannot be read as {what}: {one_line(error)}") from error
+
+
+def plain_json(path: Path) -> Any:
+    """Read a JSON file whose faults the caller explains.
+
+    Raises
+    ------
+    OSError, ValueError
+        If it cannot be read or is no JSON.
+    """
+    if path.exists() and not path.is_file():
+        raise ValueError("it is a folder, a device or a pipe")
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except RecursionError as error:
+        raise ValueError("it is nested too deep") from error
+
+
+def held_to(model: type[Model], plain: object) -> Model:
+    """Make what was read of a file a model.
+
+    Raises
+    ------
+    ValueError
+        If it is none: the first fault in a line.
+    """
+    try:
+        return model.model_validate(plain)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise ValueError(f"{place}: {first['msg']}" if place else first["msg"]) from error
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:

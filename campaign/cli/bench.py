@@ -6,7 +6,6 @@ import argparse
 import json
 import tempfile
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,7 +98,7 @@ def _bench(arguments: argparse.Namespace) -> int:
 def _bench_slam(arguments: argparse.Namespace) -> int:
     out = console()
     with one_core(), threadpool_limits(limits=1):
-        tell = partial(out.print, markup=False)
+        tell = out.print
         windows = list(window_ratios(arguments.blocks, tell))
         cycles = list(cycle_ratios(_CYCLE_FRAMES, tell))
     table = Table("adjustment beside", "landmarks", "views", "ours ms", "x whole", "x its solver", "cost gap", box=None)

@@ -109,7 +109,7 @@ def _show(arguments: argparse.Namespace) -> int:
     yaml.default_flow_style = None
     text = StringIO()
     yaml.dump(shown, text)
-    console().print(text.getvalue(), end="", markup=False, highlight=False)
+    console().print(text.getvalue(), end="", highlight=False)
     return 0
 
 
@@ -133,5 +133,5 @@ def _is_campaign(name: str) -> bool:
 
 
 def _schema(arguments: argparse.Namespace) -> int:
-    console().print(json.dumps(json_schema(arguments.kind), indent=1), markup=False, highlight=False)
+    console().print(json.dumps(json_schema(arguments.kind), indent=1), highlight=False)
     return 0

@@ -140,7 +140,7 @@ def _status(arguments: argparse.Namespace) -> int:
     finished = manifest.get("finished") if done >= total else None
     out.print(f"{folder.path}: {manifest['name']}, {done} of {total} trials stored, seed {manifest['seed']}")
     out.print(
-        f"started {manifest.get('created', 'some time')}, " + (f"finished {finished}" if finished else "not finished")
+        f"started {manifest.get('created') or 'some time'}, " + (f"finished {finished}" if finished else "not finished")
     )
     if not finished:
         out.print(f"to continue: {manifest.get('command') or 'run the campaign again into the same folder'}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping
-from functools import partial
 
 from rich.table import Table
 
@@ -25,7 +24,7 @@ def bench_speed(arguments: argparse.Namespace) -> int:
     if arguments.blocks < 1:
         raise BoresightError(f"--blocks: works are done in turn at least 1 time, not {arguments.blocks}")
     out, history = console(), read_history(arguments.history)
-    tell = partial(out.print, markup=False)
+    tell = out.print
     settings = Settings(rounds=arguments.blocks, blender=arguments.blender)
     found = speed_table(names_of(arguments.name), settings, lambda name: tell(f"timing: {name}"))
     out.print(_table(found, history))
@@ -47,10 +46,10 @@ def _checked(found: SpeedTable, history: Mapping[str, Kept]) -> int:
     """Say what fell and what cannot be checked; 1 where something fell."""
     out = console()
     for key in unrecorded(found, history):
-        out.print(f"not checked, as it has no record: {key}", markup=False)
+        out.print(f"not checked, as it has no record: {key}")
     fallen = regressions(found, history)
     for regression in fallen:
-        out.print(f"slower: {regression}", markup=False)
+        out.print(f"slower: {regression}")
     return EXIT_REGRESSION if fallen else 0
 
 

@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rich.console import Console
+
+from scenarios.errors import printable
 
 _WIDTH = 160
 
 
+class _Plain(Console):
+    """Prints texts as they are: what stands in a file neither styles the line nor steers the terminal."""
+
+    def print(self, *objects: Any, **how: Any) -> None:
+        super().print(*(_shown(one) if isinstance(one, str) else one for one in objects), **how)
+
+
 def console(width: int = _WIDTH) -> Console:
     """Return a console on standard output that wraps no text when it is not a terminal; tables are so wide then."""
-    plain = Console()
-    return plain if plain.is_terminal else Console(width=width, soft_wrap=True, highlight=False)
+    plain = _Plain(markup=False, emoji=False)
+    if plain.is_terminal:
+        return plain
+    return _Plain(width=width, soft_wrap=True, highlight=False, markup=False, emoji=False)
+
+
+def _shown(text: str) -> str:
+    return "\n".join(map(printable, text.split("\n")))

@@ -84,17 +84,24 @@ def _why(manifest: Mapping[str, Any]) -> str:
 
 def _remake(manifest: Mapping[str, Any]) -> str:
     """Write the command that runs the campaign of a manifest again, into the folder of its new digest."""
-    began = shlex.split(str(manifest.get("command") or ""))
-    given = began[:2] == ["boresight", "run"] and not began[2].startswith("-")
+    began = _words(manifest.get("command") or "")
+    given = began[:2] == ["boresight", "run"] and len(began) > 2 and not began[2].startswith("-")
     name = began[2] if given else str(manifest.get("name", "NAME"))
     words = ["boresight", "run", name, "--trials", str(manifest.get("trials")), "--seed", str(manifest.get("seed"))]
     return shlex.join([*words, *(part for change in manifest.get("overrides", ()) for part in ("--set", change))])
 
 
+def _words(command: str) -> list[str]:
+    try:
+        return shlex.split(command)
+    except ValueError:  # a quotation that has no end
+        return []
+
+
 def _stopped_before(folder: RunFolder, case: Case) -> dict[Call, Loss]:
     """Tell that a method was stopped in a case: it would take as long again, or this process with it."""
     rows = folder.of_trial("rows", case.scenario, case.estimator, case.trial).to_pylist()
-    reasons = [row["reason"].partition(STOPPED)[2] for row in rows if row["status"] == "error"]
+    reasons = [str(row.get("reason")).partition(STOPPED)[2] for row in rows if row["status"] == "error"]
     traces = folder.of_trial("tracebacks", case.scenario, case.estimator, case.trial).to_pylist()
     return {
         Call(case.scenario, case.trial, case.estimator): Loss(reason, "\n".join(trace["traceback"] for trace in traces))

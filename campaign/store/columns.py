@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import pyarrow as pa
 
+from scenarios.parquet import Layout
+
 FORMAT_VERSION = 2
 
 # Stages of ``timings`` that tell how a trial came by its image: rendered or read in this run, or kept from another.
@@ -300,3 +302,10 @@ def schema(table: str) -> pa.Schema:
     """Return the Arrow schema of a table, with the meanings as field metadata."""
     fields = [pa.field(c.name, c.type, metadata={"meaning": c.meaning}) for c in TABLES[table]]
     return pa.schema(fields, metadata={"boresight_table": table, "boresight_format": str(FORMAT_VERSION)})
+
+
+def layout(table: str) -> Layout:
+    """Return what a reader of a table holds it to; columns that an earlier version had may be anything."""
+    texts = {c.name: c.type == pa.string() for c in TABLES[table]}
+    keys = {c.name for c in _key()} | ({"status"} if table == "rows" else set())
+    return Layout(tuple(name for name in texts if name in keys), texts.get)

@@ -12,20 +12,19 @@ from typing import Any
 
 import pandas as pd
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from campaign.store.columns import FORMAT_VERSION, TABLES, schema
+from campaign.store.columns import TABLES, layout, schema
+from campaign.store.manifest_keys import read_manifest
 from scenarios import checksums
 from scenarios.atomic import write_atomically, write_text
-from scenarios.checksums import refuse_damaged, unreadable
+from scenarios.checksums import refuse_damaged
 from scenarios.errors import BoresightError
+from scenarios.parquet import read_column, read_frame, read_where
 
 Records = Sequence[Mapping[str, object]]
 
 _ROUND_BLOCKS = 50
-_MANIFEST = {"digest": str, "name": str, "seed": int, "trials": int, "scenarios": dict}
-"""What all who read a manifest rely on, whatever version wrote it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,24 +102,7 @@ class RunFolder:
         """
         if not self.manifest_path.exists():
             return None
-        try:
-            found = json.loads(self.manifest_path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise unreadable(self.manifest_path, "a manifest", error) from error
-        manifest: dict[str, Any] = found if isinstance(found, dict) else {}
-        for key, kind in _MANIFEST.items():
-            if not isinstance(manifest.get(key), kind):
-                raise BoresightError(
-                    f"{self.manifest_path}: not a manifest of boresight, which has a {key}: choose another folder with"
-                    " --out"
-                )
-        if manifest.get("format") != FORMAT_VERSION:
-            stored = manifest.get("format", "unknown")
-            raise BoresightError(
-                f"{self.path}: stored in format {stored}, and this version of boresight reads {FORMAT_VERSION}: run the"
-                " campaign again, into another folder (--out)"
-            )
-        return manifest
+        return read_manifest(self.manifest_path)
 
     def write_manifest(self, manifest: Mapping[str, object]) -> None:
         """Write the manifest atomically."""
@@ -159,8 +141,8 @@ class RunFolder:
         if any(self._damaged(block)):
             return BlockState.DAMAGED
         try:
-            trials = pq.read_table(self.path / "rows" / block.file_name, columns=["trial"]).column("trial").to_pylist()
-        except (OSError, pa.ArrowException):
+            trials = read_column(self.path / "rows" / block.file_name, "trial")
+        except BoresightError:
             return BlockState.DAMAGED
         wanted = [trial for trial in range(block.first, block.last) for _ in range(estimators)]
         return BlockState.WHOLE if trials[: len(wanted)] == wanted else BlockState.SHORT
@@ -176,18 +158,14 @@ class RunFolder:
         Raises
         ------
         BoresightError
-            If it is not what was stored, or cannot be read.
+            If it is not what was stored, or cannot be read as such a table.
         """
         folder = self.path / name
         refuse_damaged(self.path, name)
         if not any(folder.glob("*.parquet")):
             empty: pd.DataFrame = schema(name).empty_table().to_pandas()
             return empty
-        try:
-            stored: pd.DataFrame = pd.read_parquet(folder)
-        except (OSError, pa.ArrowException) as error:
-            raise unreadable(folder, "a stored table", error) from error
-        return stored
+        return read_frame(folder, layout(name))
 
     def of_trial(self, name: str, scenario: str, estimator: str, trial: int) -> pa.Table:
         """Read what one stored table holds of a trial, in the order in which it was stored.
@@ -200,14 +178,7 @@ class RunFolder:
         folder = self.path / name
         if not any(folder.glob("*.parquet")):
             return schema(name).empty_table()
-        wanted = [("scenario", "=", scenario), ("trial", "=", trial)]
-        try:
-            found = pq.read_table(folder, filters=wanted)
-        except (OSError, pa.ArrowException) as error:
-            raise unreadable(folder, "a stored table", error) from error
-        if "estimator" in found.column_names:
-            found = found.filter(pc.equal(found["estimator"], estimator))
-        return found
+        return read_where(folder, layout(name), {"scenario": scenario, "trial": trial, "estimator": estimator})
 
     @staticmethod
     def table_names() -> tuple[str, ...]:

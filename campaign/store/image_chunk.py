@@ -32,6 +32,9 @@ _SCHEMA = pa.schema(
     }
 )
 
+_MOST_BYTES = 5 * MOST_PIXELS
+"""Values of 4 bytes and a bit in the map for each pixel, and some room for indices and fingerprints."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeptImage:
@@ -70,14 +73,30 @@ def read_images(path: Path) -> dict[int, KeptImage]:
         If the file is damaged.
     """
     images: dict[int, KeptImage] = {}
-    for batch in pq.ParquetFile(path).read().to_batches():
+    for batch in _stored(path).to_batches():
         for row in range(batch.num_rows):
             index, view, height, width, lit = (batch.column(name)[row].as_py() for name in _SCHEMA.names[:-1])
-            if not 0 < height * width <= MOST_PIXELS:
-                raise ValueError(f"{path}: {height} x {width} pixels are no image")
             image = np.zeros((height, width), dtype=np.float32)
             mask = np.unpackbits(np.frombuffer(lit, np.uint8), count=height * width).reshape(height, width)
             image[mask.view(np.bool_)] = batch.column("values")[row].values.to_numpy()
             image.setflags(write=False)
             images[index] = KeptImage(image, view)
     return images
+
+
+def _stored(path: Path) -> pa.Table:
+    """Read the rows of a file, before any image is unfolded: all of them are no larger than the largest is."""
+    with pq.ParquetFile(path) as file:
+        about = file.metadata
+        unfolded = sum(about.row_group(number).total_byte_size for number in range(about.num_row_groups))
+        if not file.schema_arrow.equals(_SCHEMA) or max(unfolded, 8 * about.num_rows) > _MOST_BYTES:
+            raise ValueError(f"{path}: no images, or more than a file holds")
+        rows = file.read()
+    sizes = rows.select(["height_px", "width_px"]).to_pylist()
+    if min((min(size.values()) for size in sizes), default=1) < 1 or sum(map(_pixels, sizes)) > MOST_PIXELS:
+        raise ValueError(f"{path}: no images, or more pixels than a file holds")
+    return rows
+
+
+def _pixels(size: Mapping[str, int]) -> int:
+    return size["height_px"] * size["width_px"]

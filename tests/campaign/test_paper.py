@@ -188,7 +188,8 @@ def test_the_newest_finished_run_is_taken_and_unfinished_ones_are_not(tmp_path):
         manifest = {"name": "c", "digest": "d", "finished": finished, "trials": trials, "scenarios": {"s": {}}}
         manifest |= {"overrides": overrides, "seed": 1, "format": FORMAT_VERSION}
         (folder / "manifest.json").write_text(json.dumps(manifest))
-        pd.DataFrame({"scenario": ["s"] * rows, "trial": range(rows)}).to_parquet(folder / "rows" / "s-0.parquet")
+        stored = pd.DataFrame({"scenario": "s", "estimator": "e", "status": "ok", "trial": range(rows)})
+        stored.to_parquet(folder / "rows" / "s-0.parquet")
 
     store("old", "2024-01-01T00:00:00+00:00", 3, 3)
     store("new", "2024-02-01T00:00:00+00:00", 3, 3)

@@ -43,6 +43,11 @@ ZNAME2  = 'BYTEPIX '
 ZVAL2   =                    2
 data
 0000000400000000ffffffff"""
+_MANIFEST = (
+    b'{"format": 2, "digest": "a", "name": "%s", "seed": 1, "trials": 2, "scenarios": {"orbit": %s},'
+    b' "command": "%s", "estimators": [], "versions": {}, "machine": {}, "credits": []}'
+)
+_KEYS = b"trial int64 0\nscenario string %s\nestimator string e\nstatus string ok\n"
 _MAPLETS = b"head |u1 2 {}\ncentres_m <f8 %s 1.0"
 
 FOUND: dict[str, tuple[bytes, ...]] = {
@@ -94,6 +99,29 @@ FOUND: dict[str, tuple[bytes, ...]] = {
     "crater-detections": (b"# boresight crater detections 1\nimage %s 0 -\n" % (b"9" * 5000),),
     # UnicodeDecodeError, _csv.Error.
     "gazetteer": (b"\xff", b'name,lat_deg,lon_east_deg,diam_km\n"a', b"name,lat_deg,lon_east_deg,diam_km\na,nan,1,1\n"),
+    # Entries that are missing; words that style a line, steer a terminal or end no quotation; a section that is none.
+    "manifest": (
+        b'{"digest": "a"}',
+        b"[" * 3000,
+        _MANIFEST % (b"[/x]", b"{}", b""),
+        _MANIFEST % (b"\\u001b[31m", b"{}", b"boresight run"),
+        _MANIFEST % (b"a", b"{}", b"boresight 'run"),
+        _MANIFEST % (b"a", b'{"images": 1, "sequence": [1]}', b""),
+    ),
+    # Texts where numbers belong; columns that are missing; a scenario that the manifest does not name; gaps in keys.
+    "rows": (
+        _KEYS % b"orbit" + b"n_landmarks string many",
+        b"scenario string s",
+        _KEYS % b"moon",
+        _KEYS % b"null",
+        _KEYS % b"orbit" + b"reason list<float> 1|2",
+    ),
+    "rows-bytes": (b"", b"PAR1"),
+    # A shape that needs 256 MiB for each of many images.
+    "image-chunk": (
+        b"index int64 0 1\nview binary a a\nheight_px int32 8192 8192\nwidth_px int32 8192 8192\nlit binary a a\n"
+        b"values list<float> 1 1",
+    ),
     # The last: a name that no file system takes.
     "ledger": (b'{"a": 1}', b"[1]", b'{"' + 300 * b"a" + b'": {}}'),
     # RecursionError.

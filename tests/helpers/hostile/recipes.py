@@ -1,7 +1,7 @@
 """Containers with checksums, written from texts: an edit of the text is a file that the container's reader accepts.
 
-A line of a recipe of arrays is ``name dtype shape values...``. One that says nothing of that kind is left out, so that
-any edit leaves something.
+A line of a recipe of arrays is ``name dtype shape values...``, of a table ``name type values...``. One that says
+nothing of that kind is left out, so that any edit leaves something.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ import zipfile
 import zlib
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
-_MOST_VALUES = 4096
+_MOST_VALUES, _MOST_COLUMNS = 4096, 100
 
 
 def npz(recipe: bytes) -> bytes:
@@ -22,10 +24,15 @@ def npz(recipe: bytes) -> bytes:
     with zipfile.ZipFile(packed, "w") as archive:
         for line in dict.fromkeys(recipe.split(b"\n")):
             words = line.split(b" ", 3)
-            if len(words) == 4 and f"{words[0].decode('latin-1')[:80]}.npy" not in archive.namelist():
-                name, dtype, shape, values = (word.decode("latin-1") for word in words)
-                archive.writestr(f"{name[:80]}.npy", _npy(dtype, shape, values))
+            if len(words) == 4 and f"{_member(words[0])}.npy" not in archive.namelist():
+                dtype, shape, values = (word.decode("latin-1") for word in words[1:])
+                archive.writestr(f"{_member(words[0])}.npy", _npy(dtype, shape, values))
     return packed.getvalue()
+
+
+def _member(name: bytes) -> str:
+    """Cut a name to what the writer of archives takes: it ends names at a zero, and lets none be empty."""
+    return name.decode("latin-1").partition("\0")[0][:80] or "_"
 
 
 def _npy(dtype: str, shape: str, values: str) -> bytes:
@@ -52,6 +59,49 @@ def array_line(name: str, array: np.ndarray) -> bytes:
     if array.dtype == np.uint8 and array.tobytes()[:1] == b"{":
         values = array.tobytes().decode()
     return f"{name} {array.dtype.str} {shape} {values}".encode()
+
+
+def parquet(recipe: bytes) -> bytes:
+    """Write a table; columns of unlike lengths are filled up with nothing. Values of a list stand between bars."""
+    columns: dict[str, pa.Array] = {}
+    for line in recipe.split(b"\n")[:_MOST_COLUMNS]:
+        words = line.decode("utf-8", errors="replace").split(" ", 2)
+        if len(words) == 3:
+            columns.setdefault(words[0][:80], _column(words[1], words[2].split(" ")[:_MOST_VALUES]))
+    longest = max((len(column) for column in columns.values()), default=0)
+    filled = {n: pa.concat_arrays([c, pa.nulls(longest - len(c), c.type)]) for n, c in columns.items()}
+    written = io.BytesIO()
+    pq.write_table(pa.table(filled), written)
+    return written.getvalue()
+
+
+def _column(kind: str, words: list[str]) -> pa.Array:
+    """Write values as a type says, as texts where they are none of it."""
+    given = [None if word == "null" else word for word in words]
+    try:
+        if kind.startswith("list<"):
+            values = pa.array([None if word is None else word.split("|") for word in given], pa.list_(pa.string()))
+            return values.cast(pa.list_(pa.type_for_alias(kind[5:-1])))
+        return pa.array(given, pa.string()).cast(kind)
+    except (ValueError, TypeError, pa.ArrowException):
+        return pa.array(words, pa.string())
+
+
+def table_recipe(table: pa.Table) -> bytes:
+    """Write a table as a recipe."""
+    lines = []
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        kind = f"list<{column.type.value_type}>" if pa.types.is_list(column.type) else column.type
+        lines.append(f"{name} {kind} {' '.join(map(_word, column.to_pylist()))}")
+    return "\n".join(lines).encode()
+
+
+def _word(value: object) -> str:
+    if isinstance(value, list):
+        return "|".join(map(_word, value)) or "null"
+    if isinstance(value, bytes):
+        return value.decode("latin-1")
+    return "null" if value is None else str(value).lower().replace(" ", "_") or "_"
 
 
 def fits_file(recipe: bytes) -> bytes:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import tempfile
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 
 from campaign.cli.bench import read_ratios
 from campaign.fetch import state
 from campaign.image_store import read_chunk
 from campaign.store.image_chunk import KeptImage, write_images
+from hostile import recipes
 from hostile.target import Target
 from renderers.spice.instruments import INSTRUMENTS
 from renderers.spice.kernels import loaded
@@ -20,7 +23,8 @@ from scenarios.data.datasets import DataSetSpec
 def targets() -> dict[str, Target]:
     """The cache, ledgers and kernels."""
     return {
-        "image-chunk": Target(_chunk, lambda: (_chunk_recipe(),), cost=3),
+        "image-chunk": Target(_columns, lambda: (_chunk_recipe(),), _KINDS),
+        "image-chunk-bytes": Target(_chunk, lambda: (_written_chunk(),)),
         "ledger": Target(_ledger, lambda: (b'{"b.bin": {"sha256": "%s", "bytes": 3}}' % (b"0" * 64),), _JSON),
         "bench": Target(_bench, lambda: (_BENCH,), _JSON),
         "kernel": Target(_kernel, lambda: (_KERNEL,), _SPICE, cost=2),
@@ -28,6 +32,10 @@ def targets() -> dict[str, Target]:
 
 
 _JSON = (b"{}", b"[]", b"null", b"NaN", b"Infinity", b"-Infinity", b'"\\ud800"', b'{"a": 1}', b"[[1]]", b'"x"', b"1.5")
+_KINDS = (
+    b"int64", b"int32", b"binary", b"list<float>", b"list<double>", b"string", b"float", b"null", b"8192", b"67108864",
+    b"index", b"view", b"height_px", b"width_px", b"lit", b"values", b"0.5|0.25|nan", b"1|", b"|",
+)  # fmt: skip
 _SPICE = (
     b"\\begindata", b"\\begintext", b"KPL/LSK", b"DAF/SPK ", b"DAF/CK  ", b"DAS/DSK ", b"+=", b"( 1, 2 )", b"'x'",
     b"@2005",
@@ -52,12 +60,20 @@ def _laid(content: bytes, path: Path) -> Path:
     return path
 
 
-def _chunk_recipe() -> bytes:
+def _written_chunk() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "images.parquet"
         image = np.array([[0.0, 0.5], [0.25, 0.0]], dtype=np.float32)
         write_images(path, {0: KeptImage(image, b"view"), 1: KeptImage(image.T, b"view")})
         return path.read_bytes()
+
+
+def _chunk_recipe() -> bytes:
+    return recipes.table_recipe(pq.read_table(io.BytesIO(_written_chunk())))
+
+
+def _columns(content: bytes, folder: Path) -> object:
+    return _chunk(recipes.parquet(content), folder)
 
 
 def _chunk(content: bytes, folder: Path) -> object:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hostile import asked, databases, images, runs, shapes
+from hostile import asked, databases, images, run_folders, runs, shapes
 from hostile.target import Target
 
 TARGETS: dict[str, Target] = {
@@ -11,4 +11,5 @@ TARGETS: dict[str, Target] = {
     **images.targets(),
     **databases.targets(),
     **runs.targets(),
+    **run_folders.targets(),
 }

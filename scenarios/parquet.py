@@ -1,0 +1,152 @@
+"""Parquet files of others' making: plain columns alone, no more memory than their size warrants, faults as one line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from scenarios.checksums import unreadable
+from scenarios.errors import BoresightError
+from scenarios.limits import may_unfold
+
+PARQUET_FAULTS = (
+    pa.ArrowException, AttributeError, LookupError, MemoryError, OSError, OverflowError, RecursionError, TypeError,
+    ValueError,
+)  # fmt: skip
+"""What pyarrow and pandas raise for damaged files: a wrong byte may be in a name, a type, a length or a page."""
+
+
+class Layout(NamedTuple):
+    """What is known of a table before it is read.
+
+    Parameters
+    ----------
+    keys
+        Columns that it has, without gaps; those of numbers are whole.
+    is_text
+        Tells of the name of a column whether it holds texts or numbers; None: either.
+    """
+
+    keys: tuple[str, ...]
+    is_text: Callable[[str], bool | None]
+
+
+def read_frame(folder: Path, layout: Layout) -> pd.DataFrame:
+    """Read the files ``*.parquet`` of a folder, which has some, as one table, in the order of their names.
+
+    Nothing that pandas may have noted in them is heeded: an index is no column of a table.
+
+    Raises
+    ------
+    BoresightError
+        If one is damaged, has not the layout, or would unfold to far more than its size.
+    """
+    with _explained(folder):
+        frame: pd.DataFrame = _table(folder, layout).to_pandas(ignore_metadata=True)
+        return frame
+
+
+def read_where(folder: Path, layout: Layout, values: Mapping[str, object]) -> pa.Table:
+    """Read the rows of a folder of files whose keys have some values.
+
+    Raises
+    ------
+    BoresightError
+        As `read_frame`.
+    """
+    with _explained(folder):
+        return _table(folder, layout, [(name, "==", value) for name, value in values.items() if name in layout.keys])
+
+
+def read_column(path: Path, name: str) -> list[Any]:
+    """Read one column of a file.
+
+    Raises
+    ------
+    BoresightError
+        As `read_frame`.
+    """
+    with _explained(path):
+        _check([path])
+        values: list[Any] = pq.read_table(path, columns=[name], partitioning=None).column(name).to_pylist()
+        return values
+
+
+@contextmanager
+def _explained(place: Path) -> Iterator[None]:
+    try:
+        yield
+    except PARQUET_FAULTS as error:
+        raise unreadable(place, "a stored table", error) from error
+
+
+def _table(folder: Path, layout: Layout, wanted: Sequence[tuple[str, str, object]] | None = None) -> pa.Table:
+    files = sorted(folder.glob("*.parquet"))
+    _check(files)
+    table = pq.read_table([str(path) for path in files], filters=wanted, partitioning=None)
+    missing = [name for name in layout.keys if name not in table.column_names]
+    if missing:
+        raise BoresightError(f"{folder}: columns {', '.join(missing)} are missing: no such table of boresight")
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        _check_column(f"{folder}: column {name}", column, layout.is_text(name), name in layout.keys)
+    return table
+
+
+def _check_column(what: str, column: pa.ChunkedArray, is_text: bool | None, is_key: bool) -> None:
+    """Refuse texts where numbers belong, numbers where texts do, and keys with gaps: no report can be made of them."""
+    if is_text is not None and is_text != _is_text(column.type) and not pa.types.is_null(column.type):
+        raise BoresightError(f"{what} does not hold {'texts' if is_text else 'numbers'}: no table of boresight")
+    if is_key and (column.null_count or not (is_text or pa.types.is_integer(column.type))):
+        raise BoresightError(f"{what} does not tell of every row which it is: no table of boresight")
+
+
+def _check(files: Sequence[Path]) -> None:
+    """Refuse files that hold what no table of boresight does, or far more than they seem to: repetition is packed."""
+    size = unfolded = 0
+    for path in files:
+        if not path.is_file():
+            raise BoresightError(f"{path}: is no file: run the campaign again")
+        with pq.ParquetFile(path) as file:
+            schema = file.schema_arrow
+            if len(set(schema.names)) < len(schema.names) or not all(_is_plain(kind) for kind in schema.types):
+                raise BoresightError(f"{path}: a column is there twice, or holds neither numbers nor texts")
+            size += path.stat().st_size
+            unfolded += _unfolded_bytes(file, path)
+        if not may_unfold(size, unfolded):
+            raise BoresightError(f"{path}: {size} bytes that would unfold to {unfolded}: no table of boresight does")
+
+
+def _is_plain(kind: pa.DataType) -> bool:
+    is_number = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
+    return is_number or _is_text(kind) or pa.types.is_null(kind)
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+
+
+def _unfolded_bytes(file: pq.ParquetFile, path: Path) -> int:
+    """Add up what the columns take in memory, texts that are kept once in the file at each place where they stand."""
+    about = file.metadata
+    groups = [about.row_group(number) for number in range(about.num_row_groups)]
+    size, rows = path.stat().st_size, max(about.num_rows, sum(group.num_rows for group in groups))
+    total = rows * 8 * about.num_columns
+    for number, field in enumerate(file.schema_arrow):
+        stored = sum(group.column(number).total_uncompressed_size for group in groups)
+        total += stored
+        if _is_text(field.type) and may_unfold(size, total) and not may_unfold(size, total + stored * rows):
+            total += _text_bytes(path, field.name)
+    return int(total)
+
+
+def _text_bytes(path: Path, name: str) -> int:
+    """Add up the lengths of a column of texts without unfolding it."""
+    column = pq.read_table(path, columns=[name], read_dictionary=[name], partitioning=None).column(0)
+    return sum(int(pc.sum(pc.take(pc.binary_length(c.dictionary), c.indices)).as_py() or 0) for c in column.chunks)

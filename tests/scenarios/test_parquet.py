@@ -1,0 +1,89 @@
+"""Tables that others may have written: what they hold is refused before it is unfolded."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from scenarios.checksums import refuse_damaged
+from scenarios.errors import BoresightError
+from scenarios.parquet import Layout, read_column, read_frame, read_where
+from scenarios.reading import read_json
+
+LAYOUT = Layout(("trial", "name"), {"trial": False, "name": True, "value": False}.get)
+MANY = 40_000_000
+
+
+def store(folder, columns, file="a.parquet"):
+    pq.write_table(pa.table(columns), folder / file)
+
+
+def sound(trials):
+    return {"trial": list(trials), "name": ["a"] * len(trials), "value": [0.5] * len(trials)}
+
+
+def test_the_frame_is_that_of_pandas(tmp_path):
+    store(tmp_path, sound(range(3)))
+    store(tmp_path, sound(range(3, 5)), "b.parquet")
+    pd.testing.assert_frame_equal(read_frame(tmp_path, LAYOUT), pd.read_parquet(tmp_path))
+    assert read_where(tmp_path, LAYOUT, {"trial": 4, "name": "a", "other": 1}).num_rows == 1
+    assert read_column(tmp_path / "b.parquet", "trial") == [3, 4]
+
+
+def test_an_index_of_pandas_is_not_heeded(tmp_path):
+    pd.DataFrame(sound([5, 2, 3])).set_index("trial").to_parquet(tmp_path / "a.parquet")
+    assert read_frame(tmp_path, LAYOUT)["trial"].tolist() == [5, 2, 3]
+
+
+BOMBS = {
+    "numbers": lambda: {"trial": pa.array(np.zeros(MANY, np.int64))},
+    "texts": lambda: {"name": pa.DictionaryArray.from_arrays(np.zeros(4000, np.int32), ["x" * 100_000]).cast("string")},
+    "nothing": lambda: {"none": pa.nulls(MANY)},
+}
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+def test_a_small_file_does_not_fill_the_memory(tmp_path, bomb):
+    store(tmp_path, BOMBS[bomb]())
+    size = (tmp_path / "a.parquet").stat().st_size
+    assert size < 2**20
+    before = pa.total_allocated_bytes()
+    with pytest.raises(BoresightError, match=f"{size} bytes that would unfold to [0-9]+"):
+        read_frame(tmp_path, LAYOUT)
+    assert pa.total_allocated_bytes() - before < 2**20
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"name": ["a"]}, "columns trial are missing"),
+        (sound([0]) | {"value": ["many"]}, "column value does not hold numbers"),
+        (sound([0]) | {"name": [1]}, "column name does not hold texts"),
+        (sound([0]) | {"trial": pa.array([None], pa.int64())}, "column trial does not tell of every row"),
+        (sound([0]) | {"trial": [0.5]}, "column trial does not tell of every row"),
+        (sound([0]) | {"value": [[1.0]]}, "holds neither numbers nor texts"),
+    ],
+)
+def test_what_is_no_such_table_is_refused(tmp_path, columns, said):
+    store(tmp_path, columns)
+    with pytest.raises(BoresightError, match=said):
+        read_frame(tmp_path, LAYOUT)
+
+
+def test_what_has_no_end_is_not_read(tmp_path):
+    """A pipe that nobody writes to would be waited for: each of these must return."""
+    (tmp_path / "rows").mkdir()
+    os.mkfifo(tmp_path / "rows" / "a.parquet")
+    (tmp_path / "checksums").mkdir()
+    (tmp_path / "checksums" / "a.sha256").write_text(f"{'0' * 64}  rows/a.parquet\n")
+    with pytest.raises(BoresightError, match="damaged"):
+        refuse_damaged(tmp_path)
+    with pytest.raises(BoresightError, match="is no file"):
+        read_frame(tmp_path / "rows", LAYOUT)
+    with pytest.raises(BoresightError, match="it is a folder, a device or a pipe"):
+        read_json(tmp_path / "rows" / "a.parquet", "a manifest")
