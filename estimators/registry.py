@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
-from typing import cast
 
 from estimators.contract import Estimator
-from estimators.third_party import load_by_name, names_with
+from estimators.third_party import Registry
 
-ENTRY_POINT_GROUP = "boresight.estimators"
-_PARTS = ("name", "version", "from_options", "estimate")
-
-_OWN: Mapping[str, str] = MappingProxyType(
-    {
+_ESTIMATORS: Registry[Estimator] = Registry(
+    own={
         "centroid": "estimators.landmark.centroiding:CentroidAligner",
         "landmark-harris": "estimators.landmark.recognizer:LandmarkRecognizer",
         "landmark-altimeter": "estimators.altimeter:AltimeterEstimator",
@@ -25,13 +20,11 @@ _OWN: Mapping[str, str] = MappingProxyType(
         "lmaps": "estimators.maplets.recognizer:MapletNavigator",
         "crater-pose": "estimators.craters.pose.estimator:CraterPose",
         "prior": "estimators.prior:PriorEstimator",
-    }
+    },
+    group="boresight.estimators",
+    parts=("name", "version", "from_options", "estimate"),
 )
-
-
-def estimator_names() -> tuple[str, ...]:
-    """All names, sorted; third-party ones included."""
-    return names_with(_OWN, ENTRY_POINT_GROUP)
+estimator_names, estimator_class = _ESTIMATORS.names, _ESTIMATORS.find
 
 
 def needed_sensors(name: str) -> frozenset[str]:
@@ -43,14 +36,3 @@ def base_of(name: str, options: Mapping[str, object]) -> str | None:
     """Return the estimator that another builds on, by its option ``base`` or its class's default; mostly none."""
     base = getattr(estimator_class(name), "base", None) if name in estimator_names() else None
     return None if base is None else str(options.get("base", base))
-
-
-def estimator_class(name: str) -> type[Estimator]:
-    """Look up an estimator; our own names cannot be taken over by a third party.
-
-    Raises
-    ------
-    BoresightError
-        If there is none of that name, or a third party's cannot be imported or does not follow the contract.
-    """
-    return cast("type[Estimator]", load_by_name(name, _OWN, ENTRY_POINT_GROUP, _PARTS))

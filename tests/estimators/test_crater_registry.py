@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from estimators.craters.detection.classic import CraterClassic
-from estimators.craters.registry import ENTRY_POINT_GROUP, crater_detector_class, crater_detector_names
+from estimators.craters.registry import crater_detector_class, crater_detector_names
 from scenarios.errors import BoresightError
 
 MODULE = """
@@ -36,7 +36,7 @@ def install(folder, monkeypatch, module, line):
     info = folder / "my_craters-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my_craters\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[{ENTRY_POINT_GROUP}]\n{line}\n")
+    (info / "entry_points.txt").write_text(f"[boresight.crater_detectors]\n{line}\n")
     monkeypatch.syspath_prepend(str(folder))
     monkeypatch.delitem(sys.modules, "my_craters", raising=False)
 
