@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from reports.figures.style import BLUE, GREEN, VERMILION
 from scenarios.atomic import write_text
@@ -16,11 +18,17 @@ from scenarios.atomic import write_text
 FloatArray = NDArray[np.float64]
 
 _BODY = "#9aa0a6"
+_SHADES = ((0.0, "#5f6369"), (1.0, "#eceef0"))
 _PERCENT = 95
 _SCENE = 0.78
 """Share of the page's width that is the drawing's; legend and colour bar stand beside it, over nothing."""
-_EYE = {"x": 1.0, "y": 1.0, "z": 0.7}
-_LAMP, _LAMP_M = {"x": 1.0, "y": 0.4, "z": 1.0}, 1e5
+_WIDTH = 140
+"""Characters of a line below the title."""
+_TOP_PX, _LINE_PX = 115, 15
+_EYE = {"x": 1.25, "y": 1.25, "z": 0.85}
+_LAMP = np.array([1.0, 0.4, 1.0]) / np.linalg.norm([1.0, 0.4, 1.0])
+_LIFT = 0.02
+"""Radii of the body by which landmarks are drawn above it: half of a mark on the surface would lie in it."""
 _AXIS = {
     "showspikes": False,
     "showbackground": False,
@@ -102,10 +110,13 @@ def write_look(look: Look, path: Path) -> None:
     BoresightError
         If it cannot be written.
     """
-    figure = go.Figure([_body(look), *(_marks(marks, k == 0) for k, marks in enumerate(look.marks))])
+    lifted = [lifted_from(look, marks.points_m) for marks in look.marks]
+    traces = [_marks(marks, points, k == 0) for k, (marks, points) in enumerate(zip(look.marks, lifted, strict=True))]
+    figure = go.Figure([_body(look), *traces])
     figure.add_traces([_cameras(cameras) for cameras in look.cameras])
+    note = textwrap.wrap(look.note, _WIDTH) or [""]
     figure.update_layout(
-        title={"text": look.title, "subtitle": {"text": look.note}},
+        title={"text": look.title, "subtitle": {"text": "<br>".join(note)}, "y": 0.97, "yanchor": "top"},
         scene={
             "aspectmode": "data",
             "domain": {"x": [0.0, _SCENE], "y": [0.0, 1.0]},
@@ -113,7 +124,7 @@ def write_look(look: Look, path: Path) -> None:
             **{f"{axis}axis": {"title": {"text": f"{axis}, m"}, **_AXIS} for axis in "xyz"},
         },
         legend={"itemsizing": "constant", "x": _SCENE, "xanchor": "left", "y": 1.0, "yanchor": "top"},
-        margin={"l": 0, "r": 10, "b": 0, "t": 120},
+        margin={"l": 0, "r": 10, "b": 0, "t": _TOP_PX + _LINE_PX * len(note)},
         updatemenus=[_buttons(look)] if len(look.marks) > 1 else [],
     )
     page = figure.to_html(include_plotlyjs=True, full_html=True, config={"displaylogo": False, "responsive": True})
@@ -129,16 +140,37 @@ def _coordinates(points_m: FloatArray) -> dict[str, NDArray[np.float32]]:
     return {axis: points_m[:, k].astype(np.float32) for k, axis in enumerate("xyz")}
 
 
+def lifted_from(look: Look, points_m: FloatArray) -> FloatArray:
+    """Move points (n, 3) a little outward along the normals of the nearest facets of the body."""
+    if not len(points_m):
+        return points_m
+    corners = look.vertices_m[look.faces]
+    _, nearest = cKDTree(corners.mean(axis=1)).query(points_m)
+    radius_m = float(np.linalg.norm(look.vertices_m, axis=1).max())
+    return np.asarray(points_m + _LIFT * radius_m * _normals(corners)[nearest])
+
+
+def _normals(corners_m: FloatArray) -> FloatArray:
+    """Outward unit normals of (F, 3, 3) facets."""
+    across = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+    return np.asarray(across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), np.finfo(float).tiny))
+
+
 def _body(look: Look) -> go.Mesh3d:
+    """Draw the body in light that is worked out here: half of Lambert's, in which no side is black.
+
+    Plotly's lamps stand in the axes of the screen and leave bodies of some hundred metres dark.
+    """
     a, b, c = look.faces.T
+    light = 0.5 * (1.0 + _normals(look.vertices_m[look.faces]) @ _LAMP)
     return go.Mesh3d(
-        **_coordinates(look.vertices_m), i=a, j=b, k=c, color=_BODY, flatshading=True, name="body",
-        hoverinfo="skip", showlegend=True, lighting={"ambient": 0.45, "diffuse": 0.8, "specular": 0.05},
-        lightposition={axis: _LAMP_M * direction for axis, direction in _LAMP.items()},
+        **_coordinates(look.vertices_m), i=a, j=b, k=c, color=_BODY, name="body", hoverinfo="skip", showlegend=True,
+        intensity=light.astype(np.float32), intensitymode="cell", cmin=0.0, cmax=1.0, colorscale=_SHADES,
+        showscale=False, lighting={"ambient": 1.0, "diffuse": 0.0, "specular": 0.0, "fresnel": 0.0},
     )  # fmt: skip
 
 
-def _marks(marks: Marks, shown: bool) -> go.Scatter3d:
+def _marks(marks: Marks, points_m: FloatArray, shown: bool) -> go.Scatter3d:
     known = marks.values[np.isfinite(marks.values)]
     top = float(np.percentile(known, _PERCENT)) if len(known) else 1.0
     marker = {
@@ -159,7 +191,7 @@ def _marks(marks: Marks, shown: bool) -> go.Scatter3d:
         "line": {"width": 0.5, "color": "white"},
     }
     return go.Scatter3d(
-        **_coordinates(marks.points_m), mode="markers", marker=marker, name=marks.name, text=list(marks.texts),
+        **_coordinates(points_m), mode="markers", marker=marker, name=marks.name, text=list(marks.texts),
         hoverinfo="text", visible=True if shown else "legendonly",
     )  # fmt: skip
 

@@ -47,7 +47,7 @@ def worst_cases(run: RunData, count: int, choice: Choice, metric: str | None) ->
 
 def _badness(run: RunData, metric: str | None) -> tuple[pd.Series, str]:
     """Return the number of each row that trials are ranked by, in the order of rows, and its name."""
-    faults = _crater_faults(run)
+    faults = crater_faults(run)
     if faults is not None and metric in (None, MISSED_OR_WRONG):
         return faults, MISSED_OR_WRONG
     if metric is None and not metric_names(run):
@@ -56,7 +56,7 @@ def _badness(run: RunData, metric: str | None) -> tuple[pd.Series, str]:
     return metric_values(run, chosen), chosen.name
 
 
-def _crater_faults(run: RunData) -> pd.Series | None:
+def crater_faults(run: RunData) -> pd.Series | None:
     """Count missed and wrong craters of each row; None in a run that is not about craters in images."""
     if not run.crater_matches.empty:
         matched = run.crater_matches

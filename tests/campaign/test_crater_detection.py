@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -13,6 +14,9 @@ from tiny_campaign import Heard, run
 
 from campaign.cli import main
 from campaign.experiments import crater_detection
+from campaign.inspection.case import Choice
+from campaign.inspection.look import look_of
+from campaign.inspection.recompute import reopened
 from campaign.request import RunRequest
 from campaign.resolve import resolve
 from campaign.runner import run_campaign
@@ -180,6 +184,23 @@ def test_report_shows_images_curves_and_the_papers_claim(done: Path) -> None:
         assert words in text
     assert "nan" not in text.lower().replace("finance", "")
     assert read_content(done).comparison is not None
+
+
+def test_a_look_colours_craters_by_how_often_they_are_detected(done: Path) -> None:
+    folder = RunFolder(done)
+    look = look_of(reopened(folder), folder, read_run(done), Choice(estimator="blobs"))
+    craters, detections = folder.table("craters"), folder.table("detections")
+    own = detections[(detections["estimator"] == "blobs") & detections["kept"] & detections["detectable"]]
+    told = [
+        {int(re.search(r"crater (\d+)", text)[1]): int(re.search(rf"{word}: (\d+)", text)[1]) for text in marks.texts}
+        for marks in look.marks
+        for word in ("detectable", "detected")
+    ]
+    assert told[0] == craters.loc[craters["detectable"], "crater"].value_counts().to_dict()
+    assert {crater: hits for crater, hits in told[1].items() if hits} == own["crater"].value_counts().to_dict()
+    assert sum(told[1].values()) > 0
+    np.testing.assert_allclose(np.linalg.norm(look.marks[0].points_m, axis=1), 250.0, rtol=0.1)
+    assert sum(len(cameras.points_m) for cameras in look.cameras) == 4
 
 
 def test_same_seed_same_rows(folder: Path, done: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,11 +11,13 @@ from tiny_campaign import compute
 from tiny_pairs import PAIRS
 
 from campaign.cli import main
-from campaign.inspection.case import Case
+from campaign.inspection.case import Case, Choice
 from campaign.inspection.craters import draw_pair_case
+from campaign.inspection.look import look_of
 from campaign.inspection.recompute import recompute, reopened
 from campaign.inspection.sequence import followed_of, last_seen, lives_of
 from campaign.store import RunFolder
+from reports.run_data import read_run
 
 SEQUENCE = """\
 extends: apophis-sphere-sequence
@@ -29,6 +33,14 @@ scenarios: [orbit.yaml]
 estimators: [fixed-lag, dead-reckoning]
 trials: 2
 seed: 3
+"""
+ORBITS = """\
+title: Short arcs
+experiment: orbit-determination
+scenarios: [eros-like-orbit]
+estimators: [batch-filter]
+trials: 2
+seed: 20030300
 """
 MATCHING = """\
 title: Pairs
@@ -83,9 +95,14 @@ def test_components_and_sigmas_of_a_sequence_are_those_of_its_epochs(sequences):
     assert np.sqrt(squares.mean()) == pytest.approx(row["final_landmark_rmse_m"].item(), rel=1e-9)
 
 
-def test_a_matched_pair_is_drawn_with_the_counts_that_are_stored(cache, tmp_path, capsys):
-    run = made(tmp_path, MATCHING, PAIRS, "pairs", 3)
-    assert main(["inspect", str(run), "--worst", "3"]) == 0
+@pytest.fixture(scope="module")
+def pairs(cache, tmp_path_factory):
+    return made(tmp_path_factory.mktemp("pairs"), MATCHING, PAIRS, "pairs", 3)
+
+
+def test_a_matched_pair_is_drawn_with_the_counts_that_are_stored(pairs, tmp_path, capsys):
+    run = pairs
+    assert main(["inspect", str(run), "--worst", "3", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "n_missed_or_wrong" in said
     assert said.count("the same as stored, bit for bit") == 3
@@ -101,19 +118,40 @@ def test_a_matched_pair_is_drawn_with_the_counts_that_are_stored(cache, tmp_path
     assert title == wanted
 
 
-def test_an_orbit_is_drawn_with_its_residuals(cache, tmp_path, capsys):
-    from tiny_campaign import Heard
+def test_a_look_at_pairs_has_the_matches_that_are_stored(pairs):
+    folder = RunFolder(pairs)
+    look = look_of(reopened(folder), folder, read_run(pairs), Choice())
+    stored = pd.read_parquet(pairs / "crater_matches")
+    chances, hits = (
+        sum(int(re.search(rf"{words}: (\d+)", text)[1]) for text in look.marks[0].texts)
+        for words in ("in both looks", "matched rightly")
+    )
+    assert (chances, hits) == (stored["n_common"].sum(), stored["n_correct"].sum())
+    faults = stored["n_missed"] + stored["n_wrong"]
+    sets = {cameras.name: len(cameras.points_m) for cameras in look.cameras}
+    assert sets.get("bad trials", 0) == 2 * (faults > faults.median()).sum(), "two cameras for each trial"
+    assert sum(sets.values()) == 6
+    # From 4 km, the centres of the craters lie on the body.
+    assert np.linalg.norm(look.marks[0].points_m, axis=1).max() <= np.linalg.norm(look.vertices_m, axis=1).max()
 
-    from campaign.request import RunRequest
-    from campaign.resolve import resolve
-    from campaign.runner import run_campaign
 
-    campaign = resolve("orbit-smoke")
-    run_campaign(campaign, RunRequest(tmp_path / "run", 2, 1), Heard())
+def test_an_orbit_is_drawn_with_its_residuals_and_looked_at(cache, tmp_path, capsys):
+    orbit = "orbit: {arc: {days: 1, predicted_days: 0.5}, sightings: {images: 50, craters: 200}}"
+    campaign = ORBITS + f"set:\n  {orbit}\n"
+    (tmp_path / "campaign.yaml").write_text(campaign, encoding="utf-8")
+    compute(tmp_path / "campaign.yaml", tmp_path / "run", trials=2)
+    assert main(["inspect", str(tmp_path / "run"), "--trial", "1", "--look"]) == 2
     assert main(["inspect", str(tmp_path / "run"), "--trial", "1"]) == 0
     said = capsys.readouterr().out
-    assert "NOT" not in said
-    assert len(list((tmp_path / "run" / "inspect").glob("*/residuals.png"))) >= 1
+    assert "the same as stored, bit for bit" in said
+    assert len(list((tmp_path / "run" / "inspect").glob("*/residuals.png"))) == 1
+    folder = RunFolder(tmp_path / "run")
+    look = look_of(reopened(folder), folder, read_run(folder.path), Choice())
+    assert sum(len(cameras.points_m) for cameras in look.cameras) == 2 * 50
+    solved = {marks.name: marks for marks in look.marks}["landmark error, worst trial"]
+    rows = pd.read_parquet(folder.path / "rows")
+    worst = rows.loc[rows["position_error_m"].abs().idxmax()]
+    assert len(solved.values) == worst["n_landmarks"]
 
 
 def test_a_kind_with_numbers_alone_says_so(cache, tmp_path, capsys):

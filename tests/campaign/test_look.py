@@ -19,7 +19,9 @@ from tiny_campaign import compute
 from campaign.cli import main
 from campaign.inspection.case import Choice
 from campaign.inspection.coarse import coarsened
-from campaign.inspection.look import camera_sets, landmark_marks, look_of
+from campaign.inspection.look import look_of
+from campaign.inspection.looks.images import landmark_marks
+from campaign.inspection.looks.parts import camera_sets
 from campaign.inspection.recompute import reopened
 from campaign.store import RunFolder
 from reports.run_data import read_run
@@ -51,9 +53,14 @@ def test_landmarks_are_counted_and_cameras_divided():
             "position_error_m": [1.0, np.nan, 5.0, 2.0],
         }
     )
-    places = {trial: np.full(3, float(trial)) for trial in range(4)}
-    found = {cameras.name: cameras.points_m[:, 0].tolist() for cameras in camera_sets(rows, places)}
+    sets = camera_sets(
+        rows, rows["position_error_m"].to_numpy(), "error {:g} m".format, lambda trial: np.full(3, float(trial))
+    )
+    found = {cameras.name: cameras.points_m[:, 0].tolist() for cameras in sets}
     assert found == {"good trials": [0.0, 3.0], "bad trials": [2.0], "no estimate": [1.0]}
+    assert [cameras.texts[-1] for cameras in sets] == [
+        "trial 3<br>error 2 m", "trial 2<br>error 5 m", "trial 1<br>failed: dark",
+    ]  # fmt: skip
 
 
 def test_a_look_has_the_recognitions_of_the_run(tiny_run):

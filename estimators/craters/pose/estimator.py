@@ -43,7 +43,7 @@ class CraterPose:
     def __init__(
         self, database: CraterDatabase, shape: TriangleMesh, detector: CraterDetector, options: CraterPoseOptions
     ) -> None:
-        self._landmarks = database.landmarks
+        self.landmarks = database.landmarks
         self._ground = MeshGround(shape)
         self._detector = detector
         self._options = options
@@ -91,7 +91,7 @@ class CraterPose:
         area_px2 = float(camera.width_px * camera.height_px)
         for _ in range(_PASSES):
             pose = prior.perturbed(error[:3], error[3:])
-            _, expected = expected_craters(self._landmarks, self._ground, frame, camera, pose, self._options)
+            _, expected = expected_craters(self.landmarks, self._ground, frame, camera, pose, self._options)
             field = replace(expected, mean=-error)
             found = associate(field, rims, area_px2, self._options.association)
             if found.reason:
