@@ -75,7 +75,7 @@ class CraterMatching:
     witness: Witness | None = None
 
     kind: ClassVar[str] = "crater-matching"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     block_trials: ClassVar[int] = 5
     kernels: ClassVar[bool] = False
 
