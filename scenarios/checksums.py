@@ -84,9 +84,9 @@ def _text(path: Path) -> str:
 
 
 def _sha256(path: Path) -> str:
-    if not path.is_file():  # a pipe or a device has no end
-        return ""
     try:
+        if not path.is_file():  # a pipe or a device has no end
+            return ""
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError:

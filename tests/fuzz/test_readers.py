@@ -5,12 +5,15 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from hostile.found import FOUND
 from hostile.guard import LIMIT_BYTES, TooMuchError, TooSlowError, fed
-from hostile.mutations import mutated
+from hostile.mutations import drawn, mutated
 from hostile.target import Target
 from hostile.targets import TARGETS
 from hypothesis import HealthCheck, Phase, example, given, seed, settings
@@ -20,11 +23,12 @@ from scenarios.errors import BoresightError
 # Inputs are files: told of in full where they are the fault, however long.
 pytestmark = pytest.mark.filterwarnings("ignore:Generating overly large repr")
 
-FEW, MANY = 100, 10_000
+FEW, MANY = 200, 10_000
+_SHOWN = 2000
 
 
 def fuzz(name: str, inputs: int, folder: Path) -> None:
-    """Feed a reader what once broke it, then damaged files; the same ones each time."""
+    """Feed a reader what once broke it, then damaged files as hypothesis draws them; the same ones each time."""
 
     def feed(content: bytes) -> None:
         fed(TARGETS[name], content, folder)
@@ -54,13 +58,34 @@ def test_valid_files_are_read(tmp_path, name):
 
 @pytest.mark.parametrize("name", TARGETS)
 def test_damaged_files_give_a_value_or_lines(tmp_path, name):
-    fuzz(name, FEW // TARGETS[name].cost, tmp_path)
+    target = TARGETS[name]
+    for content in (*FOUND.get(name, ()), *drawn(target, FEW // target.cost, 2003)):
+        try:
+            fed(target, content, tmp_path)
+        except BaseException as error:
+            error.add_note(f"read: {content[:_SHOWN]!r}")
+            raise
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", TARGETS)
 def test_very_many_damaged_files_give_a_value_or_lines(tmp_path, name):
     fuzz(name, MANY, tmp_path)
+
+
+@pytest.mark.long
+def test_inputs_that_follow_the_code_give_a_value_or_lines(tmp_path):
+    """Atheris: edits that reach new lines of ours and of the parsers in Python are edited further."""
+    pytest.importorskip("atheris", reason="atheris is absent: pip install 'boresight[fuzz]'")
+    root = Path(__file__).parents[2]
+    places = os.pathsep.join([str(root), str(root / "tests" / "helpers"), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-m", "hostile.atheris_run", "--runs", str(MANY)],
+        capture_output=True, text=True, errors="replace", check=False, cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": places},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
+    assert [line.partition(":")[0] for line in done.stdout.splitlines()] == list(TARGETS)
 
 
 HARMFUL = {

@@ -21,13 +21,13 @@ from scenarios.load.yaml_text import parse_yaml
 def targets() -> dict[str, Target]:
     """YAML in each of its parts."""
     return {
-        "yaml": Target(_yaml, lambda: (_SCENARIO, _CAMPAIGN, _SEQUENCE, b"a: &x [1, 2]\nb: {c: *x}\n"), _YAML, cost=2),
-        "scenario": Target(_scenario, lambda: (_SCENARIO, _SEQUENCE, _ORBIT), (*_YAML, *_KEYS), cost=8),
-        "campaign": Target(_campaign, lambda: (_CAMPAIGN, _GRID), (*_YAML, *_KEYS), cost=4),
-        "data-set": Target(_data_set, lambda: (_DATA_SET, _LISTED), _YAML, cost=3),
-        "override": Target(_override, lambda: (b"camera.fov_deg=20", b"body.detail={facets: 100, seed: 2}"), _YAML, 3),
+        "yaml": Target(_yaml, lambda: (_SCENARIO, _CAMPAIGN, _SEQUENCE, b"a: &x [1, 2]\nb: {c: *x}\n"), _YAML),
+        "scenario": Target(_scenario, lambda: (_SCENARIO, _SEQUENCE, _ORBIT), (*_YAML, *_KEYS)),
+        "campaign": Target(_campaign, lambda: (_CAMPAIGN, _GRID), (*_YAML, *_KEYS)),
+        "data-set": Target(_data_set, lambda: (_DATA_SET, _LISTED), _YAML),
+        "override": Target(_override, lambda: (b"camera.fov_deg=20", b"body.detail={facets: 100, seed: 2}"), _YAML),
         "options": Target(_options, lambda: _OPTIONS, _YAML),
-        "published": Target(_published, _published_seeds, _YAML, cost=6),
+        "published": Target(_published, _published_seeds, _YAML),
     }
 
 

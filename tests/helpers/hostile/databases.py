@@ -38,9 +38,9 @@ def targets() -> dict[str, Target]:
     """Each file of each data base."""
     return {
         **{f"landmarks-{name}": _of_landmarks(name) for name in ("landmarks.csv", "facets.csv", "database.json")},
-        "maplets": Target(_archive(MAPLETS, MapletDatabase.load), _maplets, _ARRAYS, cost=3),
-        "maplets-bytes": Target(_laid(MAPLETS, _in_folder(MapletDatabase.load)), _packed(_maplets), cost=2),
-        "descriptors": Target(_archive(DESCRIPTORS, DescriptorDatabase.load), _descriptors, _ARRAYS, cost=3),
+        "maplets": Target(_archive(MAPLETS, MapletDatabase.load), _maplets, _ARRAYS),
+        "maplets-bytes": Target(_laid(MAPLETS, _in_folder(MapletDatabase.load)), _packed(_maplets)),
+        "descriptors": Target(_archive(DESCRIPTORS, DescriptorDatabase.load), _descriptors, _ARRAYS),
         "crater-pictures": Target(_laid("pictures.txt", read_pictures), _written(_pictures, "pictures.txt"), _RECORDS),
         "crater-landmarks": Target(
             _laid("landmarks.txt", read_landmarks), _written(_pictures, "landmarks.txt"), _RECORDS
@@ -49,7 +49,7 @@ def targets() -> dict[str, Target]:
         "crater-matches": Target(_laid("1.txt", read_matches), _written(_matches, "1.txt"), _RECORDS),
         "image-plan": Target(_laid("plan.txt", read_plan), _written(_plan, "plan.txt"), _RECORDS),
         "weights": Target(
-            _archive("weights.npz", lambda folder: read_network(folder / "weights.npz")), _weights, _ARRAYS, 20
+            _archive("weights.npz", lambda folder: read_network(folder / "weights.npz")), _weights, _ARRAYS
         ),
         "gazetteer": Target(_gazetteer, lambda: (_CRATERS,)),
     }
@@ -109,7 +109,7 @@ def _of_landmarks(name: str) -> Target:
             (folder / other).write_bytes(content if other == name else text)
         return LandmarkDatabase.load(folder).mesh().volume_m3
 
-    return Target(read, lambda: (_landmark_files()[name],), cost=3)
+    return Target(read, lambda: (_landmark_files()[name],))
 
 
 def _landmark_files() -> dict[str, bytes]:

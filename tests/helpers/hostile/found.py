@@ -117,6 +117,8 @@ FOUND: dict[str, tuple[bytes, ...]] = {
         _KEYS % b"orbit" + b"reason list<float> 1|2",
     ),
     "rows-bytes": (b"", b"PAR1"),
+    # A name that no file system takes.
+    "checksums": (b"%s  rows/%s\n" % (b"0" * 64, b"9" * 300),),
     # A shape that needs 256 MiB for each of many images.
     "image-chunk": (
         b"index int64 0 1\nview binary a a\nheight_px int32 8192 8192\nwidth_px int32 8192 8192\nlit binary a a\n"

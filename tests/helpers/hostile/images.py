@@ -25,10 +25,10 @@ def targets() -> dict[str, Target]:
     return {
         "png": Target(partial(_bitmap, "x.png", True), lambda: (_encoded(".png"), _encoded(".png", np.uint16)), _PNG),
         "tiff": Target(partial(_bitmap, "x.tif", False), lambda: (_encoded(".tif"), _encoded(".tif", np.uint16))),
-        "fits": Target(_fits, _fits_seeds, _CARDS, cost=4),
-        "fits-bytes": Target(_product("x.fit"), _fits_files, _CARDS, cost=4),
-        "pds-label": Target(_label, lambda: (LABEL,), _PDS, cost=6),
-        "pds-image": Target(_product("x.img"), lambda: (_ATTACHED + bytes(70),), _PDS, cost=6),
+        "fits": Target(_fits, _fits_seeds, _CARDS),
+        "fits-bytes": Target(_product("x.fit"), _fits_files, _CARDS),
+        "pds-label": Target(_label, lambda: (LABEL,), _PDS, cost=2),
+        "pds-image": Target(_product("x.img"), lambda: (_ATTACHED + bytes(70),), _PDS),
         "pose-table": Target(_table, lambda: (_POSES,), (b"a.png", b"C:\\x", b"..\\x", b"\r\n")),
     }
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import random
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from hypothesis import strategies as st
 
@@ -29,6 +30,7 @@ EDITS = (
     "number", "number", "word", "insert", "over", "flip", "cut", "drop line", "repeat line", "swap lines", "binary",
 )  # fmt: skip
 _LARGEST = 1 << 20
+_RUBBISH = 0.05
 
 Edit = tuple[str, int, int]
 
@@ -41,6 +43,18 @@ def mutated(target: Target) -> st.SearchStrategy[bytes]:
         lambda drawn: edited(seeds[drawn[0]], drawn[1], words)
     )
     return st.one_of(*[damaged] * 9, st.binary(max_size=300))
+
+
+def drawn(target: Target, inputs: int, seed: int) -> Iterator[bytes]:
+    """Draw such files without hypothesis, several times faster: the same ones for the same seed."""
+    rng = random.Random(seed)  # noqa: S311  nothing is secret here
+    seeds, words = target.seeds(), (*target.words, *WORDS)
+    for _ in range(inputs):
+        if rng.random() < _RUBBISH:
+            yield rng.randbytes(rng.randrange(300))
+        else:
+            edits = [(rng.choice(EDITS), rng.randrange(2**24), rng.randrange(2**16)) for _ in range(rng.randint(1, 5))]
+            yield edited(rng.choice(seeds), edits, words)
 
 
 def edited(content: bytes, edits: Sequence[Edit], words: Sequence[bytes]) -> bytes:

@@ -40,10 +40,10 @@ _CAMPAIGN = f"experiment: sequence\nscenarios: [orbit.yaml]\nestimators: [{_METH
 def targets() -> dict[str, Target]:
     """Each kind of file of a run folder, the others as they should be."""
     return {
-        "manifest": Target(_manifest, lambda: (_stored()["manifest.json"],), _JSON, cost=10),
-        "rows": Target(_recipe, lambda: (recipes.table_recipe(_rows()),), _COLUMNS, cost=10),
-        "rows-bytes": Target(_rows_bytes, lambda: (_stored()[_ROWS],), cost=10),
-        "checksums": Target(_checksums, lambda: (_stored()[_SUMS],), _SUM_WORDS, cost=2),
+        "manifest": Target(_manifest, lambda: (_stored()["manifest.json"],), _JSON, cost=2),
+        "rows": Target(_recipe, lambda: (recipes.table_recipe(_rows()),), _COLUMNS, cost=4),
+        "rows-bytes": Target(_rows_bytes, lambda: (_stored()[_ROWS],)),
+        "checksums": Target(_checksums, lambda: (_stored()[_SUMS],), _SUM_WORDS),
     }
 
 

@@ -27,7 +27,7 @@ def targets() -> dict[str, Target]:
         "image-chunk-bytes": Target(_chunk, lambda: (_written_chunk(),)),
         "ledger": Target(_ledger, lambda: (b'{"b.bin": {"sha256": "%s", "bytes": 3}}' % (b"0" * 64),), _JSON),
         "bench": Target(_bench, lambda: (_BENCH,), _JSON),
-        "kernel": Target(_kernel, lambda: (_KERNEL,), _SPICE, cost=2),
+        "kernel": Target(_kernel, lambda: (_KERNEL,), _SPICE),
     }
 
 

@@ -42,7 +42,7 @@ _PLY_WORDS = (
 
 
 def _target(name: str, file_format: str, seeds: object, words: tuple[bytes, ...] = ()) -> Target:
-    return Target(partial(_read, name, file_format), seeds, words, cost=2)  # type: ignore[arg-type]
+    return Target(partial(_read, name, file_format), seeds, words)  # type: ignore[arg-type]
 
 
 def _read(name: str, file_format: str, content: bytes, folder: Path) -> object:

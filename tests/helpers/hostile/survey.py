@@ -1,45 +1,33 @@
 """``python -m hostile.survey READER... [--inputs N] [--seed N] [--keep FOLDER]``: all that goes wrong, not one thing.
 
-Inputs are drawn without hypothesis's search and shrinking, which makes this several times faster than the tests. Each
-fault is told once, by its kind and the innermost line of boresight, with the shortest input that shows it.
+Inputs are drawn as those of the fast tests, without hypothesis's search and shrinking, which makes this several times
+faster than the long ones. Each fault is told once, by its kind and the innermost line of boresight, with the shortest
+input that shows it.
 """
 
 from __future__ import annotations
 
 import argparse
-import random
 import sys
 import tempfile
 import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 
 from hostile.guard import fed
-from hostile.mutations import EDITS, WORDS, edited
+from hostile.mutations import drawn
 from hostile.targets import TARGETS
 
 _OURS = ("/scenarios/", "/renderers/", "/estimators/", "/reports/", "/campaign/")
 
 
-def drawn(seeds: Sequence[bytes], words: Sequence[bytes], rng: random.Random) -> bytes:
-    """Draw one damaged file as the tests do."""
-    if rng.random() < 0.05:
-        return rng.randbytes(rng.randrange(300))
-    edits = [(rng.choice(EDITS), rng.randrange(2**24), rng.randrange(2**16)) for _ in range(rng.randint(1, 5))]
-    return edited(rng.choice(seeds), edits, words)
-
-
 def surveyed(name: str, inputs: int, seed: int, keep: Path | None) -> Counter[str]:
     """Feed a reader; return how often it went wrong in which way."""
     target, faults, shortest = TARGETS[name], Counter[str](), dict[str, bytes]()
-    rng = random.Random(seed)  # noqa: S311  nothing is secret here
-    seeds, words = target.seeds(), (*target.words, *WORDS)
     with tempfile.TemporaryDirectory() as folder:
-        for _ in range(inputs):
-            content = drawn(seeds, words, rng)
+        for content in drawn(target, inputs, seed):
             try:
                 fed(target, content, Path(folder))
             except BaseException as error:

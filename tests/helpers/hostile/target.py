@@ -21,7 +21,7 @@ class Target:
     words
         What is put in beside the common words of `mutations`.
     cost
-        How many inputs of the cheapest reader one input of this takes: the fast tests give it the fewer.
+        By how much fewer inputs the fast tests give it than others, as each takes long.
     """
 
     read: Callable[[bytes, Path], object]
