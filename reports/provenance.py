@@ -13,7 +13,8 @@ from reports.run_data import Manifest, RunData
 def made_by(manifest: Manifest) -> str:
     """Name a run: campaign, trials, seed and commit."""
     commit = f", commit {manifest.commit}" if manifest.commit else ""
-    return f"boresight {manifest.name}, {manifest.trials} trials, seed {manifest.seed}{commit}"
+    trials = "1 trial" if manifest.trials == 1 else f"{manifest.trials} trials"
+    return f"boresight {manifest.name}, {trials}, seed {manifest.seed}{commit}"
 
 
 def stamp(figure: Figure, runs: Sequence[RunData]) -> None:
