@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from reports.records import Record
@@ -47,23 +48,24 @@ class Grid:
         return "\n\n".join(part for part in (f"### {self.title}", self.note, table) if part) + "\n"
 
     def latex(self) -> str:
-        """Write as a LaTeX table in the style of the package booktabs, its note below it."""
+        """Write as a LaTeX table in the style of the package booktabs, no wider than the line, its note below it."""
         columns = "".join("l" if i in self.text else "r" for i in range(len(self.columns)))
-        rows = [" & ".join(_latex(cell) for cell in row) + r" \\" for row in (self.columns, *self.rows)]
-        note = [rf"\par\smallskip\footnotesize {_latex(self.note)}"] if self.note else []
+        rows = [_latex_row(row) for row in (self.columns, *self.rows)]
+        note = [rf"\par\smallskip\raggedright\footnotesize {_latex(self.note)}"] if self.note else []
         return "\n".join(
             [
-                "% needs \\usepackage{booktabs}",
+                r"% needs \usepackage{booktabs,graphicx}",
                 r"\begin{table}",
                 rf"\caption{{{_latex(self.title)}}}",
                 r"\centering",
+                r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
                 rf"\begin{{tabular}}{{{columns}}}",
                 r"\toprule",
                 rows[0],
                 r"\midrule",
                 *rows[1:],
                 r"\bottomrule",
-                r"\end{tabular}",
+                r"\end{tabular}}",
                 *note,
                 r"\end{table}",
                 "",
@@ -76,6 +78,12 @@ _SPECIAL = {
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}", "\n": " ",
     "≥": r"$\geq$", "≤": r"$\leq$", "±": r"$\pm$", "°": r"$^\circ$", "∞": r"$\infty$", "–": "--", "−": "$-$",
 }  # fmt: skip
+
+
+def _latex_row(cells: Sequence[str]) -> str:
+    """Write a row; an end of a row takes a star or a bracket that follows for its own."""
+    row = " & ".join(_latex(cell) for cell in cells)
+    return ("{}" if row.startswith(("[", "*")) else "") + row + r" \\"
 
 
 def _latex(cell: str) -> str:

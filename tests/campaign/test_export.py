@@ -17,7 +17,6 @@ from campaign.inspection.case import Case
 from campaign.inspection.recompute import recompute, reopened
 from campaign.store import TABLES, RunFolder
 from campaign.worker import experiment_of
-from reports.grid import Grid
 from scenarios.geometry import Pose, View
 
 SEQUENCE = """\
@@ -139,23 +138,6 @@ def test_tables_come_back_bit_for_bit(tiny_run, tmp_path, kind):
     meanings = pd.read_csv(tmp_path / "columns.csv")
     assert set(meanings["table"]) <= set(TABLES)
     assert (meanings["meaning"].str.len() > 3).all()
-
-
-def test_latex_tables_have_whole_rows_and_no_bare_commands(tiny_run, tmp_path):
-    export(tiny_run.folder, "latex", tmp_path)
-    files = sorted(tmp_path.glob("*.tex"))
-    assert files
-    for file in files:
-        text = file.read_text()
-        body = text[text.index(r"\toprule") : text.index(r"\bottomrule")]
-        columns = text.split(r"\begin{tabular}{")[1].split("}")[0]
-        rows = [line for line in body.splitlines() if line.endswith(r" \\")]
-        assert len(rows) > 1
-        assert all(row.replace(r"\&", "").count("&") == len(columns) - 1 for row in rows)
-    grid = Grid("A & B", ("50 %", "x_1"), ((r"a\b", "{1}"),))
-    assert r"50 \% & x\_1 \\" in grid.latex()
-    assert r"a\textbackslash{}b & \{1\} \\" in grid.latex()
-    assert r"\caption{A \& B}" in grid.latex()
 
 
 def test_what_cannot_be_exported(tiny_run, tmp_path, capsys):
