@@ -13,6 +13,7 @@ import spiceypy
 from numpy.typing import NDArray
 from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
+from renderers.spice.daf import check_binary
 from scenarios.errors import BoresightError
 from scenarios.limits import LARGEST_NUMBER
 
@@ -53,6 +54,10 @@ def _load(path: Path) -> None:
         raise BoresightError(
             f"{path}: name the kernels themselves instead of this meta-kernel, whose paths start where a program runs"
         )
+    try:
+        check_binary(path)
+    except (OSError, ValueError) as error:
+        raise BoresightError(f"{path}: not a kernel that SPICE reads: {error}") from error
     try:
         spiceypy.furnsh(str(path))
     except SpiceyError as error:
