@@ -4,9 +4,10 @@ Entries are folders ``ROOT/KIND/KEY`` with a manifest of their files' digests. A
 aside, then renamed) or not at all; one that is damaged is dropped and built again. Where nothing can be
 written the entry is built in a temporary folder of this process, and a warning is logged.
 
-Kinds in ``BULK`` are large for the time that they save: they make room for the others. Those in ``FOREIGN`` are
-written by other programs, which check them themselves: their folders ``ROOT/KIND/KEY`` have no manifest, but they are
-listed, counted and removed like the others.
+Room is made by what is largest and was not used for longest, size times time: a body that takes a minute to make is as
+large as a thousand images that take an hour. Entries of kinds in ``FOREIGN`` are written by other programs, which check
+them themselves: their folders ``ROOT/KIND/KEY`` have no manifest, but they are listed, counted and removed like the
+others.
 """
 
 from __future__ import annotations
@@ -33,7 +34,6 @@ from scenarios.errors import BoresightError
 
 _log = logging.getLogger(__name__)
 
-BULK = frozenset({"images"})
 FOREIGN = frozenset({"kernels"})
 
 _MANIFEST = "manifest.json"
@@ -63,8 +63,8 @@ class Cache:
     root
         The folder; made when first needed.
     limit_bytes
-        After a build the entries that were not used for longest are removed until the rest fits, those of bulky
-        kinds before all others.
+        After a build the entries whose size times the time since their last use is largest are removed until the
+        rest fits.
     """
 
     root: Path
@@ -209,9 +209,9 @@ class Cache:
         return folder
 
     def _evict(self, keep: Path) -> None:
-        entries = self.entries()
+        entries, now_s = self.entries(), time.time()
         total = sum(entry.size_bytes for entry in entries)
-        for entry in sorted(entries, key=lambda entry: entry.kind not in BULK):
+        for entry in sorted(entries, key=lambda entry: -entry.size_bytes * max(now_s - entry.used_s, 1.0)):
             if total <= self.limit_bytes:
                 return
             if entry.path != keep:

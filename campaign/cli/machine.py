@@ -11,13 +11,14 @@ from rich.table import Table
 from campaign.cli.terminal import console
 from campaign.machine import cores, describe, memory_gib, package_versions
 from renderers.mitsuba3 import choose_variant, find_llvm, gpu_status
-from scenarios.cache import BULK, default_cache
+from scenarios.cache import default_cache
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction
 
 _COMFORTABLE_GIB = 8.0
+_MOST_LISTED = 20  # entries of a kind
 _EVERYTHING = ""
 
 
@@ -81,6 +82,6 @@ def _cache(arguments: argparse.Namespace) -> int:
     for kind in kinds:
         mine = [entry for entry in cache.entries() if entry.kind == kind]
         out.print(f"{kind}: {len(mine)} entries, {sum(entry.size_bytes for entry in mine) / 2**20:.1f} MiB")
-        for entry in mine if kind not in BULK else ():
+        for entry in mine if len(mine) <= _MOST_LISTED else ():
             out.print(f"  {entry.key[:20]}  {entry.size_bytes / 2**20:.1f} MiB")
     return 0

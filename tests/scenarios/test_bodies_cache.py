@@ -174,12 +174,16 @@ def test_the_default_follows_the_environment(tmp_path, monkeypatch):
             default_cache()
 
 
-def test_bulky_kinds_make_room_for_the_others(tmp_path):
-    cache = Cache(tmp_path, limit_bytes=250)
-    for age, (kind, key) in enumerate([("images", "newest"), ("images", "newer"), ("bodies", "oldest")]):
-        manifest = cache.folder(kind, key, writer("x", 100)) / "manifest.json"
-        os.utime(manifest, (time.time() - 100.0 * (age + 1),) * 2)
-    assert {entry.key for entry in cache.entries()} == {"newest", "oldest"}
+def test_what_is_large_and_long_unused_makes_room(tmp_path):
+    """A body of yesterday goes before images of today, and a small data base of the day before stays longest."""
+    cache = Cache(tmp_path, limit_bytes=1000)
+    for key, size, hours in (("body", 500, 24), ("older", 150, 2), ("newer", 150, 1), ("landmarks", 2, 48)):
+        manifest = cache.folder("kind", key, writer("x", size)) / "manifest.json"
+        os.utime(manifest, (time.time() - 3600.0 * hours,) * 2)
+    cache.folder("kind", "first", writer("x", 300))
+    assert {entry.key for entry in cache.entries()} == {"older", "newer", "landmarks", "first"}
+    cache.folder("kind", "second", writer("x", 400))
+    assert {entry.key for entry in cache.entries()} == {"newer", "landmarks", "first", "second"}
 
 
 def test_put_replaces_and_find_builds_nothing(cache):
