@@ -64,5 +64,6 @@ def _facts(content: Content) -> list[tuple[str, str]]:
 
 
 def _listed(mapping: Mapping[str, object]) -> str:
-    """Write a mapping on one line."""
-    return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in mapping.items())
+    """Write what a mapping says on one line."""
+    said = {name: value for name, value in mapping.items() if value not in ("", None)}
+    return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in said.items())

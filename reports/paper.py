@@ -81,14 +81,16 @@ def paper_lines(
     # A run that was made before its campaign named published values is held against them all the same.
     made = content.compared, content.claims
     compared, stated = made if content.comparison else beside_published(content.run, content.records, comparison)
-    yield from (_value_line(campaign, item) for item in compared if item.estimator in labels)
+    told = [item for item in compared if item.estimator in labels]
+    several = len({item.estimator for item in told}) > 1
+    yield from (_value_line(campaign, item, name=several) for item in told)
     yield from (_claim_line(campaign, item) for item in stated)
 
 
-def _value_line(campaign: str, item: ComparedValue) -> PaperLine:
+def _value_line(campaign: str, item: ComparedValue, *, name: bool = False) -> PaperLine:
     published = item.published
     stage = stage_label(published.stage, timed=published.measure == "seconds")
-    whose = f", {item.estimator}" if published.estimator else ""
+    whose = f", {item.estimator}" if published.estimator or name else ""
     return PaperLine(
         campaign,
         item.scenario,

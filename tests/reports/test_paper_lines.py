@@ -1,0 +1,34 @@
+"""The lines of a paper's table: whose a number is."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import pytest
+
+from reports.comparison import compare
+from reports.content import Content
+from reports.paper import paper_lines
+from reports.published import load_published
+from reports.records import Record
+from reports.run_data import RunData
+
+
+def made_by(labels: list[str]) -> Content:
+    records = tuple(
+        Record("scene", label, "orbit", "", "arc_rms_m", "m", "median", 10.0 + k, None, None, 1, 1)
+        for k, label in enumerate(labels)
+    )
+    comparison = load_published("cheng2003-endtoend")
+    return Content(cast("RunData", None), records, comparison, compare(records, comparison), (), ())
+
+
+@pytest.mark.parametrize(
+    ("labels", "ends"), [(["vote"], ["orbit"]), (["hybrid", "vote"], ["orbit, hybrid", "orbit, vote"])]
+)
+def test_estimators_are_named_where_there_are_several(labels, ends):
+    content = made_by([*labels, "another's"])
+    assert content.comparison is not None
+    lines = [line for line in paper_lines("a run", content.comparison, content, labels) if line.ours != (None,)]
+    assert [line.quantity.removeprefix("RMS position error over the arc, ") for line in lines] == ends
+    assert [line.ours[0].value for line in lines if line.ours[0]] == [10.0 + k for k in range(len(labels))]
