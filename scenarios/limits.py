@@ -6,9 +6,10 @@ MOST_PIXELS = 1 << 26
 """Of an image: 8192 x 8192, the largest camera of a scenario."""
 
 _MOST_BYTES = 1 << 28
-_MOST_FOLD = 64
+MOST_FOLD = 64
+"""So many bytes come out of one of a packed file."""
 
 
 def may_unfold(stored_bytes: int, unfolded_bytes: int) -> bool:
     """Tell whether so many bytes may come out of a file of so many: a small one that gives very many is a bomb."""
-    return unfolded_bytes <= max(_MOST_BYTES, _MOST_FOLD * stored_bytes)
+    return unfolded_bytes <= max(_MOST_BYTES, MOST_FOLD * stored_bytes)

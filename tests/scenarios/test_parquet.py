@@ -75,6 +75,23 @@ def test_what_is_no_such_table_is_refused(tmp_path, columns, said):
         read_frame(tmp_path, LAYOUT)
 
 
+def test_no_bit_of_a_footer_ends_the_process(tmp_path):
+    """What a footer says of single columns did, when pyarrow was asked for it: some of these bits abort it then."""
+    store(tmp_path, {"trial": [0]})
+    file, layout = tmp_path / "a.parquet", Layout(("trial",), LAYOUT.is_text)
+    content = file.read_bytes()
+    footer = int.from_bytes(content[-8:-4], "little")
+    refused = 0
+    for place in range(len(content) - 8 - footer, len(content) - 8):
+        for bit in (0, 1, 4):
+            file.write_bytes(content[:place] + bytes([content[place] ^ 1 << bit]) + content[place + 1 :])
+            try:
+                read_frame(tmp_path, layout)
+            except BoresightError:
+                refused += 1
+    assert refused > footer
+
+
 def test_what_has_no_end_is_not_read(tmp_path):
     """A pipe that nobody writes to would be waited for: each of these must return."""
     (tmp_path / "rows").mkdir()
