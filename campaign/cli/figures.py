@@ -62,6 +62,10 @@ def _share(text: str) -> float:
 def _figures(arguments: argparse.Namespace) -> int:
     if arguments.trials is not None and not arguments.run:
         raise BoresightError("--trials says how much is to be run: give --run too")
+    if arguments.runs != RUNS and not arguments.runs.is_dir() and not arguments.run and arguments.trials_scale == 1.0:
+        raise BoresightError(
+            f"--runs {arguments.runs}: no such folder: give one that holds runs, or --run to make them"
+        )
     parent = Path("figures") if arguments.trials_scale == 1.0 else Path("figures") / f"draft-{arguments.trials_scale:g}"
     if arguments.paper != ALL:
         return _of_paper(arguments.paper, arguments.out or parent / arguments.paper, arguments)

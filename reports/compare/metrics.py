@@ -22,6 +22,14 @@ COMPONENTS: Mapping[str, tuple[str, ...]] = {
 }
 """Errors across and along the camera's boresight, by the columns whose root sum of squares they are."""
 
+ORBIT_COLUMNS = (
+    "arc_rms_m", "arc_median_m", "arc_p90_m", "predicted_error_m", "residual_rms_px", "wrong_left_share",
+    "right_edited_share",
+)  # fmt: skip
+"""Of orbit determination: columns of the table ``orbits``; the position error is that at the epoch."""
+MISSED, WRONG = "missed_share", "wrong_share"
+"""Of crater matching: craters in both images that were not matched, and matches that are wrong, of all of either."""
+
 _POSED = (*POSE_COLUMNS, *COMPONENTS)
 _AFTER = re.compile(r"error_after_([1-9]\d*)_m")
 _LABELS = {
@@ -39,8 +47,8 @@ class Metric:
     Parameters
     ----------
     name
-        A column of the rows, `LATERAL`, `BORESIGHT`, ``error_after_K_m`` (sequences, after K revolutions) or a number
-        that estimators report.
+        A column of the rows, `LATERAL`, `BORESIGHT`, ``error_after_K_m`` (sequences, after K revolutions), one of
+        `ORBIT_COLUMNS`, `MISSED`, `WRONG` or a number that estimators report.
     """
 
     name: str
@@ -67,6 +75,8 @@ class Metric:
 def choose_metric(name: str | None, runs: Sequence[RunData]) -> Metric:
     """Take the named metric; without a name the position error, of sequences after the last whole revolution.
 
+    Of runs without a position error, as those of crater matching, it is the first number that they have.
+
     Raises
     ------
     BoresightError
@@ -74,12 +84,12 @@ def choose_metric(name: str | None, runs: Sequence[RunData]) -> Metric:
     """
     for run in runs:
         known = metric_names(run)
+        if not known:
+            raise BoresightError(f"{run.folder}: its trials have no number to go by; see boresight report {run.folder}")
         if name is None:
             name = _default(known, run)
         if name not in known:
-            raise BoresightError(
-                f"--metric {name}: {run.folder} has no such number: choose one of {', '.join(known) or '(none)'}"
-            )
+            raise BoresightError(f"--metric {name}: {run.folder} has no such number: choose one of {', '.join(known)}")
     return Metric(name or POSE_COLUMNS[0])
 
 
@@ -92,6 +102,7 @@ def metric_names(run: RunData) -> list[str]:
     if not run.epochs.empty:
         turns = int((float(run.epochs["anomaly_deg"].max()) + _SAME_FRAME_DEG) // _TURN_DEG)
         names += [f"error_after_{k}_m" for k in range(1, turns + 1)]
+    names += list(_tables(run))
     reported = run.diagnostics["name"].astype(str).unique()
     return list(dict.fromkeys([*names, *sorted(reported)]))
 
@@ -104,7 +115,7 @@ def names_before_a_run(experiment: str) -> tuple[str, ...]:
 def _default(known: Sequence[str], run: RunData) -> str:
     after = [int(found[1]) for found in map(_AFTER.fullmatch, known) if found]
     if run.epochs.empty or not after:
-        return POSE_COLUMNS[0]
+        return POSE_COLUMNS[0] if POSE_COLUMNS[0] in known else known[0]
     return f"error_after_{max(after)}_m"
 
 
@@ -119,6 +130,9 @@ def metric_values(run: RunData, metric: Metric) -> pd.Series:
         return pd.Series(np.where(ok, _size(rows, "", name), np.nan), index=rows.index)
     if name in rows:
         return rows[name].astype(float)
+    tables = _tables(run)
+    if name in tables:
+        return _laid_on(rows, tables[name], name).where(rows["status"] == "ok").abs()
     turns = _AFTER.fullmatch(name)
     if turns and not run.epochs.empty:
         end = (run.epochs["anomaly_deg"] - int(turns[1]) * _TURN_DEG).abs() < _SAME_FRAME_DEG
@@ -131,6 +145,17 @@ def prior_values(run: RunData, metric: Metric) -> pd.Series | None:
     if metric.name not in _POSED or run.rows[f"prior_{POSE_COLUMNS[0]}"].isna().all():
         return None
     return pd.Series(_size(run.rows, "prior_", metric.name), index=run.rows.index)
+
+
+def _tables(run: RunData) -> Mapping[str, pd.DataFrame]:
+    """Return the tables with one line for each trial and estimator, by the numbers in them that trials go by."""
+    found = {name: run.orbits for name in ORBIT_COLUMNS if name in run.orbits and run.orbits[name].notna().any()}
+    matched = run.crater_matches
+    if matched.empty:
+        return found
+    made, common = matched["n_correct"] + matched["n_wrong"], matched["n_common"]
+    shares = {MISSED: matched["n_missed"] / common.where(common > 0), WRONG: matched["n_wrong"] / made.where(made > 0)}
+    return found | dict.fromkeys(shares, matched.assign(**shares))
 
 
 def _size(rows: pd.DataFrame, prefix: str, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

@@ -68,7 +68,9 @@ def _share_ordinate(row: Sequence[Axes], error: str) -> None:
     high = max(axes.dataLim.y1 for axes in row)
     for axes in row:
         axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
-        if error.endswith("%"):
+        if not np.isfinite([low, high]).all():
+            pass  # No panel of the row has a point: too few trials for one bin.
+        elif error.endswith("%"):
             axes.set_ylim(max(low - 0.06 * (high - low) - 0.5, -2.0), 102.0)
         elif low > 0.0:
             axes.set_yscale("log")

@@ -92,12 +92,14 @@ def _errors(axes: Axes, standings: Sequence[Standing], axis: str) -> None:
         if counted is not None and np.isfinite(counted) and counted != median.value:
             axes.plot(counted, row, "o", color=one.colour, markersize=7, markerfacecolor="none")
     _legend(axes)
+    axes.set_xlabel(axis)
+    if axes.dataLim.x0 <= 0.0:  # A share of nothing at all has no place on a logarithmic axis.
+        return
     axes.set_xscale("log")
     low, high = axes.get_xlim()
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_xlabel(axis)
 
 
 def _legend(axes: Axes) -> None:

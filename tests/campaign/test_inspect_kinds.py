@@ -135,6 +135,27 @@ def test_a_look_at_pairs_has_the_matches_that_are_stored(pairs):
     assert np.linalg.norm(look.marks[0].points_m, axis=1).max() <= np.linalg.norm(look.vertices_m, axis=1).max()
 
 
+def compared(run, out, metric):
+    """Compare a run with itself by its command; return the medians over the solved trials by estimator."""
+    chosen = () if metric is None else ("--metric", metric)
+    assert main(["compare", str(run), "--by", "estimator", "--out", str(out), *chosen]) == 0
+    found = pd.read_csv(out / "subjects.csv").query("trials == 'solved' and statistic == 'median'")
+    return found.set_index("estimator")["value"].to_dict()
+
+
+def test_matchers_are_compared_by_what_they_miss_and_mistake(pairs, tmp_path, capsys):
+    stored, rows = pd.read_parquet(pairs / "crater_matches"), pd.read_parquet(pairs / "rows")
+    solved = stored[(rows["status"] == "ok").to_numpy()]
+    wanted = {
+        None: solved["n_missed"] / solved["n_common"],
+        "wrong_share": solved["n_wrong"] / (solved["n_wrong"] + solved["n_correct"]),
+    }
+    for metric, values in wanted.items():
+        assert compared(pairs, tmp_path / str(metric), metric) == {"vote": pytest.approx(values.median())}
+    assert main(["compare", str(pairs), "--metric", "speed"]) == 2
+    assert "choose one of missed_share, wrong_share" in capsys.readouterr().err
+
+
 def test_an_orbit_is_drawn_with_its_residuals_and_looked_at(cache, tmp_path, capsys):
     orbit = "orbit: {arc: {days: 1, predicted_days: 0.5}, sightings: {images: 50, craters: 200}}"
     campaign = ORBITS + f"set:\n  {orbit}\n"
@@ -152,6 +173,9 @@ def test_an_orbit_is_drawn_with_its_residuals_and_looked_at(cache, tmp_path, cap
     rows = pd.read_parquet(folder.path / "rows")
     worst = rows.loc[rows["position_error_m"].abs().idxmax()]
     assert len(solved.values) == worst["n_landmarks"]
+    orbits = pd.read_parquet(folder.path / "orbits")
+    found = compared(folder.path, tmp_path / "compared", "arc_rms_m")
+    assert found == {"batch-filter": pytest.approx(orbits["arc_rms_m"].median())}
 
 
 def test_a_kind_with_numbers_alone_says_so(cache, tmp_path, capsys):
