@@ -78,7 +78,7 @@ class DescriptorNavigator:
     """Features matched with those of rendered views, RANSAC, maximum a posteriori; each frame on its own."""
 
     name: ClassVar[str]
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     kind: ClassVar[Kind]
 
     def __init__(self, database: DescriptorDatabase, options: DescriptorNavigatorOptions) -> None:
@@ -144,10 +144,9 @@ class DescriptorNavigator:
             half_px = options.patch_px / 2.0
             shared = shared_pixels(inliers.uv_px - half_px, inliers.uv_px + half_px)
             probability = chance(problem, pose, prior, shared)
-            posterior = solve_map(problem, prior, pose, shared)
-        if probability < options.prior_probability:
-            return f"the solution contradicts the prior: probability {probability:.1g}"
-        return pose, posterior
+            if not probability >= options.prior_probability:  # of a solution far beyond reason it is no number
+                return f"the solution contradicts the prior: probability {probability:.1g}"
+            return pose, solve_map(problem, prior, pose, shared)
 
     def _match(self, features: Features, frame: Frame, camera: Camera) -> Matched:
         """Match with the nearest views; of several matches of a feature the one of least distance counts."""

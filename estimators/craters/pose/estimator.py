@@ -38,7 +38,7 @@ class CraterPose:
     """
 
     name: ClassVar[str] = "crater-pose"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
     def __init__(
         self, database: CraterDatabase, shape: TriangleMesh, detector: CraterDetector, options: CraterPoseOptions

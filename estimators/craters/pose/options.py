@@ -32,4 +32,4 @@ class CraterPoseOptions(SpecModel):
     most_detections: int = Field(60, ge=1, description="Of the image, the most confident ones")
     emission_deg: float = Field(65.0, gt=0.0, lt=90.0, description="Of the landmarks that are looked for, at the most")
     incidence_deg: float = Field(80.0, gt=0.0, lt=90.0, description="The same of their incidence")
-    least: int = Field(2, ge=1, description="Landmarks that a pose needs")
+    least: int = Field(4, ge=1, description="Landmarks that a pose needs: fewer hardly contradict each other")
