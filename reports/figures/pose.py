@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from reports.figures.looks import looks
 from reports.figures.style import (
@@ -40,6 +40,7 @@ _CURVE_POINTS = 2000
 _LEGEND_INSIDE = 8
 _LINE_IN = 0.17
 _FAR_APART = 8.0
+_TICKS = 5  # of four decimals there is no room for more
 
 
 @styled
@@ -74,6 +75,7 @@ def draw_pose_errors(
         for name, value in medians.items():
             mark_on_axis(axes, value, _line(list(stages).index(name), len(stages))["color"])
         axes.set(xlabel=label + beyond, ylabel=frequency)
+        axes.xaxis.set_major_locator(MaxNLocator(_TICKS))
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
     return figure
@@ -177,6 +179,7 @@ def draw_cumulative_errors(
                 label=f"{name} ({len(sample)} of {n} ok)",
             )
         axes.set(xlabel=label, ylabel="share of all trials", xlim=(0, limit), ylim=(0, 1.02))
+        axes.xaxis.set_major_locator(MaxNLocator(_TICKS))
         _spread(axes, list(samples.values()), limit)
     if below:
         figure.legend(*places[-1].get_legend_handles_labels(), loc="outside lower center", ncols=2)
