@@ -98,9 +98,8 @@ def _bench(arguments: argparse.Namespace) -> int:
 def _bench_slam(arguments: argparse.Namespace) -> int:
     out = console()
     with one_core(), threadpool_limits(limits=1):
-        tell = out.print
-        windows = list(window_ratios(arguments.blocks, tell))
-        cycles = list(cycle_ratios(_CYCLE_FRAMES, tell))
+        windows = list(window_ratios(arguments.blocks, out.print))
+        cycles = list(cycle_ratios(_CYCLE_FRAMES, out.print))
     table = Table("adjustment beside", "landmarks", "views", "ours ms", "x whole", "x its solver", "cost gap", box=None)
     for row in windows:
         cells = f"{1e3 * row.ours_s:.3f}", f"{row.whole:.1f}", f"{row.solve_alone:.1f}", f"{row.cost_gap:.1e}"

@@ -24,21 +24,20 @@ def bench_speed(arguments: argparse.Namespace) -> int:
     if arguments.blocks < 1:
         raise BoresightError(f"--blocks: works are done in turn at least 1 time, not {arguments.blocks}")
     out, history = console(), read_history(arguments.history)
-    tell = out.print
     settings = Settings(rounds=arguments.blocks, blender=arguments.blender)
-    found = speed_table(names_of(arguments.name), settings, lambda name: tell(f"timing: {name}"))
+    found = speed_table(names_of(arguments.name), settings, lambda name: out.print(f"timing: {name}"))
     out.print(_table(found, history))
     for absent in found.absent:
-        tell(f"not compared: {absent.work}: {absent.why}")
+        out.print(f"not compared: {absent.work}: {absent.why}")
     machine = found.machine
-    tell(
+    out.print(
         f"{machine['processor']}, {machine['cores']} core(s), load {machine['load_before']} to {machine['load_after']}"
     )
-    tell(", ".join(f"{name} {version}" for name, version in found.versions.items()))
+    out.print(", ".join(f"{name} {version}" for name, version in found.versions.items()))
     if arguments.json is not None:
         write_text(arguments.json, json.dumps(found.plain(), indent=1) + "\n")
     if arguments.record:
-        tell(f"{record(found, arguments.history)} ratio(s) recorded in {arguments.history}")
+        out.print(f"{record(found, arguments.history)} ratio(s) recorded in {arguments.history}")
     return _checked(found, history) if arguments.check else 0
 
 
