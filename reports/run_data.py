@@ -11,10 +11,10 @@ from typing import Any
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from scenarios.checksums import refuse_damaged, unreadable
+from scenarios.checksums import refuse_damaged
 from scenarios.errors import BoresightError
 from scenarios.parquet import Layout, read_frame
-from scenarios.reading import held_to, plain_json
+from scenarios.reading import held_to, plain_json, unreadable
 
 POSE_COLUMNS = (
     "position_error_m",

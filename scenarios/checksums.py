@@ -39,16 +39,6 @@ def refuse_damaged(run: Path, table: str | None = None) -> None:
         )
 
 
-def unreadable(path: Path, what: str, error: Exception) -> BoresightError:
-    """Say that a manifest, or a table that has no checksums, cannot be read as what it is, with the error's gist."""
-    gist = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    gist = gist.splitlines()[0].partition(". ")[0].strip(" .:") if gist else type(error).__name__
-    return BoresightError(
-        f"{path}: not readable as {what} ({gist}): damaged, or not written by boresight; run the campaign again, into"
-        " another folder (--out)"
-    )
-
-
 def damaged(run: Path, table: str | None = None) -> Iterator[str]:
     """Yield the files of a run that are not what they were when they were stored; what is unfinished has none yet.
 

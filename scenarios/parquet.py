@@ -12,9 +12,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from scenarios.checksums import unreadable
 from scenarios.errors import BoresightError
 from scenarios.limits import MOST_FOLD, may_unfold
+from scenarios.reading import unreadable
 
 PARQUET_FAULTS = (
     pa.ArrowException, AttributeError, LookupError, MemoryError, OSError, OverflowError, RecursionError, TypeError,

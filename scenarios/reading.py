@@ -85,6 +85,16 @@ def held_to(model: type[Model], plain: object) -> Model:
         raise ValueError(f"{place}: {first['msg']}" if place else first["msg"]) from error
 
 
+def unreadable(path: Path, what: str, error: Exception) -> BoresightError:
+    """Say that a manifest, or a table that has no checksums, cannot be read as what it is, with the error's gist."""
+    gist = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    gist = gist.splitlines()[0].partition(". ")[0].strip(" .:") if gist else type(error).__name__
+    return BoresightError(
+        f"{path}: not readable as {what} ({gist}): damaged, or not written by boresight; run the campaign again, into"
+        " another folder (--out)"
+    )
+
+
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Read the arrays of a NumPy archive, none of them made of pickled objects.
 

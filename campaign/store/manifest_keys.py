@@ -9,9 +9,8 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from campaign.store.columns import FORMAT_VERSION
-from scenarios.checksums import unreadable
 from scenarios.errors import BoresightError
-from scenarios.reading import held_to, plain_json
+from scenarios.reading import held_to, plain_json, unreadable
 
 _Text = str | None
 _Count = Annotated[int, Field(ge=0, lt=2**63)]
