@@ -71,6 +71,8 @@ MEASURES = {
     "detection_share": "detectable craters found",
     "false_alarm_share": "false alarms among the detections",
     "best_false_alarm_share": "false alarms among the 12 most confident of an image",
+    "missed_share": "craters missed",
+    "wrong_share": "wrong matches",
     "epipolar_offset_px": "largest distance of a crater from its epipolar line",
     "best_centre_error_px": "centre error of these 12",
     "detections_per_image": "detections in an image",

@@ -57,6 +57,8 @@ UNITS = {
     "best_centre_error_px": "px",
     "centre_error_px": "px",
     "axes_error_px": "px",
+    "missed_share": "%",
+    "wrong_share": "%",
     "matching_recall_share": "%",
     "matching_wrong_share": "%",
     "epipolar_offset_px": "px",

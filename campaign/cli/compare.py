@@ -28,8 +28,10 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
         " camera.fov_deg (default: estimator,scenario); the rest is pooled",
     )  # fmt: skip
     compare.add_argument(
-        "--metric", help="what is compared (default: position_error_m, of sequences after the last whole revolution)"
-    )
+        "--metric",
+        help="what is compared (default: position_error_m, of sequences after the last whole revolution; of runs"
+        " without poses their first number, as missed_share of crater detection; a wrong one lists all that a run has)",
+    )  # fmt: skip
     compare.add_argument("--unpaired", action="store_true", help="compare runs of other seeds or views too")
     compare.add_argument("--out", type=Path, help=f"folder of the comparison (default: {COMPARISONS}/RUN-...)")
     compare.set_defaults(handler=_compare)

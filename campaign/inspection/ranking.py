@@ -6,14 +6,13 @@ import numpy as np
 import pandas as pd
 
 from campaign.inspection.case import CONTROLS, Case, Choice, cases_of, chosen_rows
+from reports.compare.craters import KEY, THERE, detection_counts
 from reports.compare.metrics import Metric, choose_metric, metric_names, metric_values
 from reports.run_data import RunData
 
 ORDER = "estimators that raised, then failures by their prior error, then solved trials by"
 MISSED_OR_WRONG = "n_missed_or_wrong"
 """Craters that a trial missed and those that it made up or mixed up: what detection and matching are ranked by."""
-
-_KEY = ["scenario", "estimator", "trial"]
 
 
 def worst_cases(run: RunData, count: int, choice: Choice, metric: str | None) -> tuple[list[Case], str]:
@@ -62,19 +61,9 @@ def crater_faults(run: RunData) -> pd.Series | None:
         matched = run.crater_matches
         counted = matched.assign(faults=matched["n_missed"] + matched["n_wrong"])
     elif not run.crater_images.empty:
-        counted = _detection_faults(run)
+        counts = detection_counts(run)
+        counted = counts.assign(faults=counts[THERE] - counts["n_hits"] + counts["n_false"])
     else:
         return None
-    by_key = counted.set_index(_KEY)["faults"].astype(float)
-    return pd.Series(by_key.reindex(pd.MultiIndex.from_frame(run.rows[_KEY])).to_numpy(), index=run.rows.index)
-
-
-def _detection_faults(run: RunData) -> pd.DataFrame:
-    """Count, for each row, detectable craters without a detection and detections without a crater."""
-    found = run.detections[run.detections["kept"].astype(bool)]
-    hits = found[found["detectable"].astype(bool)].groupby(_KEY).size()
-    false = found[found["crater"] < 0].groupby(_KEY).size()
-    rows = run.rows[_KEY].merge(run.crater_images[["scenario", "trial", "n_detectable"]], on=["scenario", "trial"])
-    at = pd.MultiIndex.from_frame(rows[_KEY])
-    missed = rows["n_detectable"].to_numpy() - hits.reindex(at).fillna(0).to_numpy()
-    return rows.assign(faults=missed + false.reindex(at).fillna(0).to_numpy())
+    by_key = counted.set_index(KEY)["faults"].astype(float)
+    return pd.Series(by_key.reindex(pd.MultiIndex.from_frame(run.rows[KEY])).to_numpy(), index=run.rows.index)

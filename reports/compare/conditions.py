@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from reports.compare.craters import DETECTION, MATCHING
 from reports.compare.metrics import BORESIGHT, LATERAL, Metric
 from reports.compare.trials import CONDITIONS
 from reports.figures.curves import Points
@@ -68,7 +69,9 @@ def split_of_trials(tables: Mapping[str, pd.DataFrame], metric: Metric) -> Split
     """Choose what the trials of single images tell."""
     components = (LATERAL, BORESIGHT, ATTITUDE)
     errors = components if metric.name in components else ("value", *components)
-    return _split(tables, errors, (*CONDITIONS, "prior"))
+    # How many craters a method finds or matches is no condition of its shares: they are made of it.
+    given = [name for name in CONDITIONS if name != OWN_BINS or metric.name not in (*DETECTION, *MATCHING)]
+    return _split(tables, errors, (*given, "prior"))
 
 
 def frames_of(epochs: pd.DataFrame) -> pd.DataFrame:

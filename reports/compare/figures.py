@@ -114,7 +114,7 @@ def standings_figure(found: RunComparison) -> NamedFigure:
             found.label(one.names),
             own[one.names],
             one.solved,
-            one.counted,
+            one.counted if found.metric.is_error else one.solved,
             None if one.estimator == CONTROL else one.success,
             bases[one.names][1] if one.names in bases else None,
         )

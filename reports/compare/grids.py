@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import pandas as pd
 
@@ -20,10 +20,10 @@ _WORDS = {SOLVED: "solved", FAILURES_AT_PRIOR: "failures at prior", FAILURES_WOR
 _HEADS = ("median", "RMS", "75th", "95th", "99th")
 
 
-def lines_of(subject: Subject) -> list[tuple[str, tuple[Measured, ...], int]]:
+def lines_of(found: RunComparison, subject: Subject) -> list[tuple[str, tuple[Measured, ...], int]]:
     """List the lines of a subject: how failures count, the statistics and the trials behind them."""
     lines = [(SOLVED, subject.solved, subject.n_ok)]
-    if subject.n_ok < subject.n:
+    if subject.n_ok < subject.n and found.metric.is_error:
         lines.append((FAILURES_AT_PRIOR if subject.at_prior else FAILURES_WORST, subject.counted, subject.n))
     return lines
 
@@ -34,7 +34,7 @@ def subject_grid(found: RunComparison) -> Grid:
     heads = (*found.varied, "trials", "ok", "success % [95 %]", *(f"{name}{unit} [95 %]" for name in _HEADS))
     rows = []
     for subject in found.subjects:
-        for how, values, n in lines_of(subject):
+        for how, values, n in lines_of(found, subject):
             success = interval(subject.success, 100.0) if how == SOLVED and not _is_control(subject) else NO_VALUE
             rows.append(
                 (*found.levels(subject.names), _WORDS[how], f"{n}/{subject.n}", success, *map(interval, values))
@@ -42,9 +42,13 @@ def subject_grid(found: RunComparison) -> Grid:
     note = (
         f"{found.metric.label.capitalize()}, with 95 % bootstrap intervals of whole trials (real images: of whole"
         " images). Success: an estimate, with a position error that is not above the prior's where there is a prior."
-        " Solved: the trials with an error. Failures at prior: every trial, one without an error with that of its"
-        " prior. Failures worst: every trial, one without an error worse than any (∞ where the quantile is such)."
+        " Solved: the trials with a number."
     )
+    if found.metric.is_error:
+        note += (
+            " Failures at prior: every trial, one without an error with that of its prior. Failures worst: every trial,"
+            " one without an error worse than any (∞ where the quantile is such)."
+        )
     text = frozenset(range(len(found.varied) + 1))
     title = f"{found.metric.label.capitalize()}{f', {found.shared}' if found.shared else ''}"
     return Grid(title, heads, tuple(rows), text, note)
@@ -64,18 +68,32 @@ def contrast_grid(found: RunComparison) -> Grid | None:
         "better %", "p", "p (Holm)", "failures % [95 %]", "better % of all", "p of all", "p of all (Holm)",
     )  # fmt: skip
     rows = tuple(_cells(found, one) for one in found.contrasts)
-    note = (
-        "Differences trial by trial of the same views, priors or tracks, over the trials that both solved: negative is"
-        " better. Better: share of the trials in which the subject is the better of the two, and p of the sign test."
-        " Failures: difference of the failure rates, negative where there are fewer. Of all: a failure loses against"
-        " what did not fail. Holm: p corrected for all tests of this table."
-    )
+    note = _note(found.metric.is_error)
     if any(not one.paired for one in found.contrasts):
         note += (
             " Lines marked 'unpaired' compare independent samples: differences of medians and means, the chance that a"
             " trial of the one is better than one of the other, and p of the test of Mann and Whitney."
         )
-    return Grid("Differences", heads, rows, frozenset(range(len(found.varied) + 1)), note)
+    whole = Grid("Differences", heads, rows, frozenset(range(len(found.varied) + 1)), note)
+    return whole if found.metric.is_error else _of_numbers(whole)
+
+
+def _note(is_error: bool) -> str:
+    """Say how differences are to be read."""
+    good = ("negative is better", "Better", "the better") if is_error else ("negative is less", "Less", "the smaller")
+    return (
+        f"Differences trial by trial of the same views, priors or tracks, over the trials that both solved: {good[0]}."
+        f" {good[1]}: share of the trials in which the subject is {good[2]} of the two, and p of the sign test."
+        " Failures: difference of the failure rates, negative where there are fewer."
+        + (" Of all: a failure loses against what did not fail." if is_error else "")
+        + " Holm: p corrected for all tests of this table."
+    )
+
+
+def _of_numbers(grid: Grid) -> Grid:
+    """Keep what can be said of numbers of which neither more nor less is better."""
+    kept = grid.keep(*(name for name in grid.columns if "of all" not in name))
+    return replace(kept, columns=tuple(name.replace("better", "less") for name in kept.columns))
 
 
 def changed(one: Contrast) -> str:
@@ -108,7 +126,7 @@ def subject_table(found: RunComparison) -> pd.DataFrame:
         key = dict(zip(found.factors, subject.names, strict=True)) | {"metric": found.metric.name}
         success = {"trials": "all", "statistic": "success rate", "unit": "", **asdict(subject.success)}
         rows.append(key | success | {"n_ok": subject.n_ok, "n": subject.n})
-        for how, values, n_ok in lines_of(subject):
+        for how, values, n_ok in lines_of(found, subject):
             for statistic, measured in zip(STATISTICS, values, strict=True):
                 about = {"trials": how, "statistic": statistic.name, "unit": found.metric.unit, **asdict(measured)}
                 rows.append(key | about | {"n_ok": n_ok, "n": subject.n})

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from reports.compare.craters import DETECTION, KEY, MATCHING, THERE, crater_numbers
 from reports.labels import measure_label
 from reports.measures import SEQUENCE_COLUMNS
 from reports.records import unit_of
@@ -22,19 +23,26 @@ COMPONENTS: Mapping[str, tuple[str, ...]] = {
 }
 """Errors across and along the camera's boresight, by the columns whose root sum of squares they are."""
 
-ORBIT_COLUMNS = (
-    "arc_rms_m", "arc_median_m", "arc_p90_m", "predicted_error_m", "residual_rms_px", "wrong_left_share",
-    "right_edited_share",
-)  # fmt: skip
+_OF_ARC = ("arc_rms_m", "arc_median_m", "arc_p90_m", "predicted_error_m", "residual_rms_px")
+ORBIT_COLUMNS = (*_OF_ARC, "wrong_left_share", "right_edited_share")
 """Of orbit determination: columns of the table ``orbits``; the position error is that at the epoch."""
-MISSED, WRONG = "missed_share", "wrong_share"
-"""Of crater matching: craters in both images that were not matched, and matches that are wrong, of all of either."""
-
 _POSED = (*POSE_COLUMNS, *COMPONENTS)
+_ERRORS = frozenset({*_POSED, *SEQUENCE_COLUMNS, *ORBIT_COLUMNS, *DETECTION, *MATCHING})
+_USUAL = (POSE_COLUMNS[0], "landmarks", "detections_an_image")
+"""What runs are compared by unless something is named: of poses, of data bases of landmarks, of surveys."""
 _AFTER = re.compile(r"error_after_([1-9]\d*)_m")
 _LABELS = {
     LATERAL: "position error across the boresight",
     BORESIGHT: "position error along the boresight",
+}
+_BEFORE: Mapping[str, tuple[str, ...]] = {
+    "sequence": ("position_error_m", *SEQUENCE_COLUMNS),
+    "crater-detection": DETECTION,
+    "crater-matching": MATCHING,
+    "orbit-determination": ("position_error_m", *_OF_ARC),
+    "crater-navigation": ("position_error_m", *_OF_ARC),
+    "landmark-database": ("landmarks", "facets", "candidates", "kept_clusters"),
+    "image-survey": ("detections_an_image", "few_craters_share", "similar_image_share", "hits_a_crater"),
 }
 _TURN_DEG = 360.0
 _SAME_FRAME_DEG = 1e-6
@@ -42,13 +50,13 @@ _SAME_FRAME_DEG = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """An error, smaller being better.
+    """A number of each trial: an error, or what a method reports beside its result.
 
     Parameters
     ----------
     name
         A column of the rows, `LATERAL`, `BORESIGHT`, ``error_after_K_m`` (sequences, after K revolutions), one of
-        `ORBIT_COLUMNS`, `MISSED`, `WRONG` or a number that estimators report.
+        `ORBIT_COLUMNS`, one of what `reports.compare.craters` has, or a number that estimators report.
     """
 
     name: str
@@ -71,11 +79,17 @@ class Metric:
         """In words, with the unit."""
         return f"{self.label}, {self.unit}" if self.unit else self.label
 
+    @property
+    def is_error(self) -> bool:
+        """Whether smaller is better; of what methods report, as a count of landmarks, nobody can say."""
+        return self.name in _ERRORS or _AFTER.fullmatch(self.name) is not None
+
 
 def choose_metric(name: str | None, runs: Sequence[RunData]) -> Metric:
     """Take the named metric; without a name the position error, of sequences after the last whole revolution.
 
-    Of runs without a position error, as those of crater matching, it is the first number that they have.
+    Of data bases it is the number of landmarks, of surveys that of detections in an image, and of other runs without a
+    position error, as those of crater matching, the first number that they have.
 
     Raises
     ------
@@ -109,13 +123,13 @@ def metric_names(run: RunData) -> list[str]:
 
 def names_before_a_run(experiment: str) -> tuple[str, ...]:
     """List the metrics that are sure to be told of an experiment of this kind before it has run."""
-    return ("position_error_m", *SEQUENCE_COLUMNS) if experiment == "sequence" else _POSED
+    return _BEFORE.get(experiment, _POSED)
 
 
 def _default(known: Sequence[str], run: RunData) -> str:
     after = [int(found[1]) for found in map(_AFTER.fullmatch, known) if found]
     if run.epochs.empty or not after:
-        return POSE_COLUMNS[0] if POSE_COLUMNS[0] in known else known[0]
+        return next((name for name in _USUAL if name in known), known[0])
     return f"error_after_{max(after)}_m"
 
 
@@ -147,15 +161,19 @@ def prior_values(run: RunData, metric: Metric) -> pd.Series | None:
     return pd.Series(_size(run.rows, "prior_", metric.name), index=run.rows.index)
 
 
+def nothing_to_find(run: RunData, metric: Metric) -> pd.Series:
+    """Tell of which rows of a run the metric says nothing, because there was no crater to find, and so none to miss."""
+    table = crater_numbers(run).get(metric.name)
+    if table is None:
+        return pd.Series(False, index=run.rows.index)
+    nothing = _laid_on(run.rows, table, THERE) == 0.0
+    return nothing & (run.rows["status"] != "error") & metric_values(run, metric).isna()
+
+
 def _tables(run: RunData) -> Mapping[str, pd.DataFrame]:
     """Return the tables with one line for each trial and estimator, by the numbers in them that trials go by."""
-    found = {name: run.orbits for name in ORBIT_COLUMNS if name in run.orbits and run.orbits[name].notna().any()}
-    matched = run.crater_matches
-    if matched.empty:
-        return found
-    made, common = matched["n_correct"] + matched["n_wrong"], matched["n_common"]
-    shares = {MISSED: matched["n_missed"] / common.where(common > 0), WRONG: matched["n_wrong"] / made.where(made > 0)}
-    return found | dict.fromkeys(shares, matched.assign(**shares))
+    orbits = {name: run.orbits for name in ORBIT_COLUMNS if name in run.orbits and run.orbits[name].notna().any()}
+    return orbits | {name: table for name, table in crater_numbers(run).items() if table[name].notna().any()}
 
 
 def _size(rows: pd.DataFrame, prefix: str, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -165,6 +183,5 @@ def _size(rows: pd.DataFrame, prefix: str, name: str) -> np.ndarray[tuple[int], 
 
 def _laid_on(rows: pd.DataFrame, table: pd.DataFrame, column: str) -> pd.Series:
     """Take a column of a detail table to the rows that it belongs to."""
-    key = ["scenario", "estimator", "trial"]
-    found = table.drop_duplicates(key).set_index(key)[column].astype(float)
-    return pd.Series(found.reindex(pd.MultiIndex.from_frame(rows[key])).to_numpy(), index=rows.index)
+    found = table.drop_duplicates(KEY).set_index(KEY)[column].astype(float)
+    return pd.Series(found.reindex(pd.MultiIndex.from_frame(rows[KEY])).to_numpy(), index=rows.index)

@@ -100,6 +100,11 @@ def contrast(names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, 
     )  # fmt: skip
 
 
+def without_failures(one: Contrast) -> Contrast:
+    """Leave out who wins where one failed: of numbers that are no errors a failure is neither more nor less."""
+    return replace(one, better_of_all=Measured(None), p_of_all=None)
+
+
 def _with_failures(difference: FloatArray, mine: NDArray[np.bool_], theirs: NDArray[np.bool_]) -> FloatArray:
     """Let a failure lose against what did not fail, and two failures decide nothing."""
     alone = mine.astype(float) - theirs.astype(float)

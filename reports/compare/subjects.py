@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from reports.compare.factors import ESTIMATOR, SCENARIO, check_factors
 from reports.compare.metrics import Metric, choose_metric
-from reports.compare.pairs import Contrast, contrast, corrected, independent_contrast
+from reports.compare.pairs import Contrast, contrast, corrected, independent_contrast, without_failures
 from reports.compare.trials import all_factors, check_pairs, tabulate_trials
 from reports.paired import share_of
 from reports.records import CONTROL
@@ -145,10 +145,10 @@ def compare_runs(
     subjects = tuple(_subject(_of(trials, own, one), one) for one in names)
     if all(subject.n_ok == 0 for subject in subjects):
         raise BoresightError(f"--metric {chosen.name}: no trial of {', '.join(map(str, folders))} has a value of it")
-    found = [_contrast(trials, own, pair, unpaired) for pair in _pairs(subjects)]
-    return RunComparison(
-        runs, chosen, own, trials, subjects, tuple(corrected([one for one in found if one is not None]))
-    )
+    pairs = [_contrast(trials, own, pair, unpaired) for pair in _pairs(subjects)]
+    known = [one for one in pairs if one is not None]
+    contrasts = known if chosen.is_error else [without_failures(one) for one in known]
+    return RunComparison(runs, chosen, own, trials, subjects, tuple(corrected(contrasts)))
 
 
 def _in_order(trials: pd.DataFrame, factors: Sequence[str], runs: Sequence[RunData]) -> list[tuple[str, ...]]:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from reports.clusters import clusters_of
 from reports.compare.factors import NAMED, RUN, difference, draws, level, remainder, short_levels
-from reports.compare.metrics import BORESIGHT, COMPONENTS, LATERAL, Metric, metric_values, prior_values
+from reports.compare.metrics import BORESIGHT, COMPONENTS, LATERAL, Metric, metric_values, nothing_to_find, prior_values
 from reports.paired import failures
 from reports.run_data import POSE_COLUMNS, RunData
 from scenarios.errors import BoresightError
@@ -27,9 +27,9 @@ def tabulate_trials(runs: Sequence[RunData], metric: Metric, factors: Sequence[s
     Returns
     -------
     trials
-        A row for each trial, scenario and estimator of a run: the ``factors``, `KEY`, ``value`` of the metric (NaN
-        without one), ``prior`` (the same of the prior, NaN where it has none), ``failed``, ``cluster`` (what is
-        independent), and what is known of the trial's conditions.
+        A row for each trial, scenario and estimator of a run, without those in which there was nothing to find: the
+        ``factors``, `KEY`, ``value`` of the metric (NaN without one), ``prior`` (the same of the prior, NaN where it
+        has none), ``failed``, ``cluster`` (what is independent), and what is known of the trial's conditions.
     """
     table = pd.concat([_of_run(run, metric, factors) for run in runs], ignore_index=True)
     for factor in (factor for factor in factors if factor not in NAMED):
@@ -67,7 +67,7 @@ def _of_run(run: RunData, metric: Metric, factors: Sequence[str]) -> pd.DataFram
     for name in (LATERAL, BORESIGHT, POSE_COLUMNS[1]):
         known = all(column in rows for column in COMPONENTS.get(name, (name,)))
         table[name] = metric_values(run, Metric(name)) if known else np.nan
-    return table
+    return table[~nothing_to_find(run, metric)]
 
 
 def all_factors(factors: Sequence[str], trials: pd.DataFrame) -> tuple[str, ...]:

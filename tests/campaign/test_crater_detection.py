@@ -203,6 +203,21 @@ def test_a_look_colours_craters_by_how_often_they_are_detected(done: Path) -> No
     assert sum(len(cameras.points_m) for cameras in look.cameras) == 4
 
 
+def test_detectors_are_compared_by_what_they_miss(done: Path, tmp_path: Path) -> None:
+    assert main(["compare", str(done), "--out", str(tmp_path)]) == 0
+    store = RunFolder(done)
+    images, every = store.table("crater_images").set_index("trial"), store.table("detections")
+    hits = every[every["kept"] & every["detectable"]].groupby("trial").size().reindex(images.index).fillna(0)
+    missed = 100.0 * (1.0 - hits / images["n_detectable"])
+    subjects = pd.read_csv(tmp_path / "subjects.csv").query("metric == 'missed_share' and statistic == 'median'")
+    value = subjects.set_index(["estimator", "trials"])["value"]
+    assert value["blobs", "solved"] == pytest.approx(missed.median())
+    for failing in ("blind", "broken"):
+        assert value[failing, "failures-worst"] == np.inf, "a detector that finds nothing is not the better one"
+    against = pd.read_csv(tmp_path / "differences.csv").set_index(["subject", "against"])
+    assert against.loc[("broken, scene", "blobs, scene"), "better_of_all"] == 0.0
+
+
 def test_same_seed_same_rows(folder: Path, done: Path) -> None:
     campaign = resolve(str(folder / "tiny.yaml"), variant=choose_variant().name)
     run_campaign(campaign, RunRequest(folder / "again", 4, 1), Heard())

@@ -147,8 +147,8 @@ def test_matchers_are_compared_by_what_they_miss_and_mistake(pairs, tmp_path, ca
     stored, rows = pd.read_parquet(pairs / "crater_matches"), pd.read_parquet(pairs / "rows")
     solved = stored[(rows["status"] == "ok").to_numpy()]
     wanted = {
-        None: solved["n_missed"] / solved["n_common"],
-        "wrong_share": solved["n_wrong"] / (solved["n_wrong"] + solved["n_correct"]),
+        None: 100.0 * solved["n_missed"] / solved["n_common"],
+        "wrong_share": 100.0 * solved["n_wrong"] / (solved["n_wrong"] + solved["n_correct"]),
     }
     for metric, values in wanted.items():
         assert compared(pairs, tmp_path / str(metric), metric) == {"vote": pytest.approx(values.median())}

@@ -1,0 +1,61 @@
+"""What each trial of crater detection and matching comes to: shares missed and wrong, and errors of centres."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pandas as pd
+
+from reports.run_data import RunData
+
+KEY = ["scenario", "estimator", "trial"]
+MISSED, FALSE_ALARMS, CENTRE_ERROR, WRONG = "missed_share", "false_alarm_share", "centre_error_px", "wrong_share"
+DETECTION = (MISSED, FALSE_ALARMS, CENTRE_ERROR)
+"""Of an image: detectable craters that were not found, detections that are no crater, %, and the median error, px, of
+the centres of the detectable craters that this method found."""
+MATCHING = (MISSED, WRONG)
+"""Of a pair of images: craters in both that were not matched, and matches that are wrong, %."""
+THERE = "n_there"
+"""Craters that there were to be found, or matched."""
+
+
+def crater_numbers(run: RunData) -> Mapping[str, pd.DataFrame]:
+    """Return the numbers of a run that is about craters in images, by their names; none of another run.
+
+    Each is a column of a table with a row for each trial and method (`KEY`), beside `THERE`. A share of nothing is NaN:
+    that of false alarms where nothing was detected, that of missed craters where there are none.
+    """
+    if not run.crater_matches.empty:
+        matched = run.crater_matches
+        made, common = matched["n_correct"] + matched["n_wrong"], matched["n_common"]
+        shares = {MISSED: _percent(matched["n_missed"], common), WRONG: _percent(matched["n_wrong"], made)}
+        return dict.fromkeys(MATCHING, matched.assign(**shares, **{THERE: common}))
+    if not run.crater_images.empty:
+        counts = detection_counts(run)
+        missed, false = counts[THERE] - counts["n_hits"], counts["n_false"]
+        shares = {MISSED: _percent(missed, counts[THERE]), FALSE_ALARMS: _percent(false, counts["n_kept"])}
+        return dict.fromkeys(DETECTION, counts.assign(**shares))
+    return {}
+
+
+def detection_counts(run: RunData) -> pd.DataFrame:
+    """Count the detections of each image that reach the detector's own threshold.
+
+    Returns
+    -------
+    counts
+        A row for each row of the run: `KEY`, `THERE` (detectable craters), ``n_kept`` (detections), ``n_hits``
+        (detectable craters found), ``n_false`` (detections that are no crater) and `CENTRE_ERROR` of the hits.
+    """
+    found = run.detections[run.detections["kept"].astype(bool)]
+    hits = found[found["detectable"].astype(bool)]
+    rows = run.rows[KEY].merge(run.crater_images[["scenario", "trial", "n_detectable"]], on=["scenario", "trial"])
+    at = pd.MultiIndex.from_frame(rows[KEY])
+    tables = {"n_kept": found, "n_hits": hits, "n_false": found[found["crater"] < 0]}
+    counted = {name: table.groupby(KEY).size().reindex(at).fillna(0).to_numpy() for name, table in tables.items()}
+    centre = hits.groupby(KEY)[CENTRE_ERROR].median().reindex(at).to_numpy()
+    return rows.rename(columns={"n_detectable": THERE}).assign(**counted, **{CENTRE_ERROR: centre})
+
+
+def _percent(part: pd.Series, whole: pd.Series) -> pd.Series:
+    return 100.0 * part / whole.where(whole > 0)
