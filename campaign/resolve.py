@@ -22,6 +22,7 @@ from scenarios.craters import shape_digest
 from scenarios.designs import Cell, Variation, cells
 from scenarios.errors import BoresightError
 from scenarios.load import (
+    Entry,
     LoadedCampaign,
     LoadedScenario,
     canonical_json,
@@ -157,7 +158,7 @@ def sources(campaign: CampaignSpec) -> list[Source]:
 
 
 def read_source(
-    loaded: LoadedCampaign, source: Source, overrides: Sequence[str]
+    loaded: LoadedCampaign, source: Source, overrides: Sequence[str | Entry]
 ) -> tuple[LoadedScenario, Variation | None]:
     """Read one scenario of a campaign."""
     cell = source.cell

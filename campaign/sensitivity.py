@@ -17,7 +17,7 @@ from reports.global_sensitivity import Sensitivity, Varied, outcome, problem, ra
 from reports.run_data import RunData
 from reports.statistics import Statistic
 from scenarios.errors import BoresightError
-from scenarios.load import LoadedScenario, load_campaign
+from scenarios.load import Entry, LoadedScenario, load_campaign, parse_override
 from scenarios.spec.scenario import ScenarioSpec
 
 FloatArray = NDArray[np.float64]
@@ -106,8 +106,8 @@ def make_design(
     source = sources(loaded.spec)[number]
 
     def scenario(cell: str, values: Mapping[str, float]) -> LoadedScenario:
-        texts = [_override(base.spec, one, values[one.key]) for one in varied if one.key in values]
-        found, _ = read_source(loaded, source, [*resolved.overrides, *texts])
+        changes = [_override(base.spec, one, values[one.key]) for one in varied if one.key in values]
+        found, _ = read_source(loaded, source, [*resolved.overrides, *changes])
         return replace(found, spec=found.spec.model_copy(update={"name": cell}))
 
     scenarios = [scenario(BASE, {})]
@@ -153,7 +153,12 @@ def _base_value(spec: ScenarioSpec, one: Varied) -> object:
     return None if isinstance(value, bool) else value
 
 
-def _override(spec: ScenarioSpec, one: Varied, value: float) -> str:
+def _override(spec: ScenarioSpec, one: Varied, value: float) -> Entry:
+    """Set a key to a value, under the name of what the user typed."""
+    return parse_override(_setting(spec, one, value), f"--over {one.key}={one.low:g}:{one.high:g}")
+
+
+def _setting(spec: ScenarioSpec, one: Varied, value: float) -> str:
     """Write a value as ``--set`` does; ``KEY.max`` and ``KEY.min`` are bounds of a uniform distribution.
 
     A distribution that is symmetric about zero stays so.

@@ -15,6 +15,7 @@ from scenarios.load.files import (
     validated,
 )
 from scenarios.load.find import names_in
+from scenarios.load.overrides import parse_override
 from scenarios.load.schema import json_schema
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "load_campaign",
     "load_scenario",
     "names_in",
+    "parse_override",
     "scenario_names",
     "validated",
 ]

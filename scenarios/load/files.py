@@ -59,7 +59,7 @@ def scenario_names() -> list[str]:
 
 def load_scenario(
     name_or_path: str,
-    overrides: Sequence[str] = (),
+    overrides: Sequence[str | Entry] = (),
     *,
     base: Entry | Mapping[str, object] | None = None,
     levels: Sequence[Mapping[str, object]] = (),
@@ -72,7 +72,7 @@ def load_scenario(
     name_or_path
         A name of the catalogue or the path of a YAML file.
     overrides
-        Texts ``key.key=value``, as on the command line.
+        Texts ``key.key=value``, as on the command line, or such as are parsed already.
     base
         Overrides that a campaign puts on its scenarios; keys may be dotted.
     levels
@@ -89,7 +89,7 @@ def load_scenario(
     file = _read_chain(path, CATALOG, ScenarioSpec)
     layers = [settings(base, (ScenarioSpec,))] if base is not None else []
     layers += [settings(entry_of(level, "grid"), (ScenarioSpec,)) for level in levels]
-    layers += [parse_override(text) for text in overrides]
+    layers += [one if isinstance(one, Entry) else parse_override(one) for one in overrides]
     root = apply(merge(defaults(ScenarioSpec), file.root, (ScenarioSpec,)), layers, (ScenarioSpec,))
     return LoadedScenario(validated(ScenarioSpec, _without_nulls(root)), path, file.folders)
 

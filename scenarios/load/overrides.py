@@ -10,15 +10,15 @@ from scenarios.load.merge import Models, merge
 from scenarios.load.yaml_text import parse_yaml
 
 
-def parse_override(text: str) -> Entry:
-    """Parse ``key.key=value``, whose value is YAML.
+def parse_override(text: str, place: str = "") -> Entry:
+    """Parse ``key.key=value``, whose value is YAML; ``place`` is what errors name, ``--set`` and the text unless given.
 
     Raises
     ------
     BoresightError
         If it is not of that form.
     """
-    place = f"--set {printable(text)}"
+    place = place or f"--set {printable(text)}"
     dotted, equals, value = text.partition("=")
     if not equals or not all(key.strip() for key in dotted.split(".")):
         raise BoresightError(f"{place}: write it as key=value, for example --set camera.fov_deg=20")

@@ -43,13 +43,13 @@ def test_a_key_that_changes_nothing_is_told(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("over", "further", "why"),
     [
-        (["camera.fov_dge=3:4"], (), "unknown key"),
+        (["camera.fov_dge=3:4"], (), "boresight: --over camera.fov_dge=3:4: camera.fov_dge: unknown key"),
         (["camera.fov_deg=3"], (), "KEY=LOW:HIGH"),
         (["camera.fov_deg=10:20", "camera.fov_deg=1:2"], (), "named twice"),
         (["camera.fov_deg=10:20"], ("--samples", "12"), "power of two"),
         (["camera.fov_deg=10:20"], ("--metric", "speed"), "--metric speed: choose one of position_error_m"),
         (["camera.fov_deg=10:20"], ("--statistic", "mode"), "--statistic mode: choose one of median"),
-        (["camera.fov_deg=10:2000"], ("--samples", "2"), "fov_deg"),
+        (["camera.fov_deg=10:2000"], ("--samples", "2"), "--over camera.fov_deg=10:2000: camera.fov_deg"),
     ],
 )
 def test_what_is_wrong_is_one_line(tmp_path, capsys, over, further, why):
