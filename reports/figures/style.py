@@ -154,7 +154,7 @@ def _grow(figure: Figure, strip_in: float) -> None:
     """Add an empty strip at the bottom and keep all else as it is laid out: legends outside the axes know no strip."""
     with matplotlib.style.context(["default", _PARAMETERS]):
         figure.draw_without_rendering()
-    figure.set_layout_engine("none")
+        figure.set_layout_engine(None)  # "none" would leave a place holder, for which each file is drawn twice
     before = figure.get_figheight()
     after = before + strip_in
     figure.set_figheight(after)
