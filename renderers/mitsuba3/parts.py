@@ -63,7 +63,7 @@ class Part:
 
 def tiles_seen(ground: CrateredSurface, view: View) -> IndexArray:
     """Tiles of which something may be in the frame and face the camera."""
-    to_camera = view.T_cam_body.camera_position_m - ground.corners_m[ground.tiling.mesh.faces].mean(axis=1)
+    to_camera = view.T_cam_body.camera_position_m - ground.middles_m
     distance_m = np.linalg.norm(to_camera, axis=1)
     span_rad = 2.0 * ground.tiling.reach_m / distance_m
     facing = may_face(ground.cones, to_camera / distance_m[:, None], span_rad)
@@ -78,11 +78,12 @@ def tiles_casting(ground: CrateredSurface, view: View) -> IndexArray:
 
 def _near_frame(ground: CrateredSurface, view: View, margin_px: float) -> BoolArray:
     """(T,): whether the box about a tile's corners in the image reaches into the frame with a margin about it."""
-    seen = view.camera.project(view.T_cam_body.transform(ground.corners_m))[ground.tiling.mesh.faces]
+    seen = view.camera.project(view.T_cam_body.transform(ground.corners_m))
+    a, b, c = (seen[corners] for corners in ground.tiling.mesh.faces.T)
     size = np.array([view.camera.width_px, view.camera.height_px])
     # Where a corner has no pixel the comparison is false: such a tile is beside the lens's field or behind the camera.
-    within = ((seen.max(axis=1) > -margin_px) & (seen.min(axis=1) < size + margin_px)).all(axis=1)
-    return np.asarray(within)
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    return np.asarray(((high > -margin_px) & (low < size + margin_px)).all(axis=1))
 
 
 def _rays(mi: Any, origins_m: FloatArray, directions: FloatArray) -> Any:

@@ -146,7 +146,7 @@ class TiledRenderer:
         return Part.of(self._mi, under.vertices_m.astype(np.float32)[under.faces])
 
     def _parts(self, tiles: IndexArray, fan: Fan, rays: FloatArray) -> list[Part]:
-        """Give the coarse body, and the fine facets of tiles that rays (N, 2) of a fan may meet, where there are."""
+        """Give the coarse body, and the fine facets of tiles that rays (N, 3) of a fan may meet, where there are."""
         corners_m = facets_met(self.ground, tiles, fan, rays)
         return [self._under, Part.of(self._mi, corners_m)] if len(corners_m) else [self._under]
 

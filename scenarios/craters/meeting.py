@@ -21,11 +21,15 @@ BoolArray = NDArray[np.bool_]
 _RAYS_A_CELL = 2
 # Single precision moves a ray by some 1e-7 of the body's radius: facets are tried that it passes by so much farther.
 _SLACK = 4e-6
+# Where a ray begins is known better, for it is the same place on a facet that counts: ten times the rounding.
+_DEPTH_SLACK = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fan:
     """A plane on which each ray of a bundle is one point, and each facet that it may meet lies about that point.
+
+    With the point goes how far along the third axis the ray begins: it meets nothing before that.
 
     Parameters
     ----------
@@ -52,24 +56,26 @@ class Fan:
         return cls(np.concatenate([*tangent_axes(direction[None], np.zeros(1)), direction[None]]), np.zeros(3), False)
 
     def of_directions(self, directions: FloatArray) -> FloatArray:
-        """Points (N, 2) of the rays of a pencil along (N, 3)."""
-        along = directions @ self.axes.T
-        return np.asarray(along[:, :2] / along[:, 2:], dtype=np.float64)
+        """Points and beginnings (N, 3) of the rays of a pencil along (N, 3): they begin where they meet."""
+        rays = np.asarray(directions @ self.axes.T, dtype=np.float64)
+        rays[:, :2] /= rays[:, 2:]
+        rays[:, 2] = 0.0
+        return rays
 
     def of_points(self, points_m: FloatArray) -> FloatArray:
-        """Points (N, 2) of parallel rays through (N, 3)."""
-        return np.asarray((points_m - self.origin_m) @ self.axes[:2].T, dtype=np.float64)
+        """Points and beginnings (N, 3) of parallel rays from (N, 3)."""
+        return np.asarray((points_m - self.origin_m) @ self.axes.T, dtype=np.float64)
 
 
 def facets_met(ground: CrateredSurface, tiles: IndexArray, fan: Fan, rays: FloatArray) -> SingleArray:
-    """Find the facets of some tiles that rays, points (N, 2) of a fan's plane, may meet: their corners (F, 3, 3).
+    """Find the facets of some tiles that rays (N, 3) of a fan may meet: their corners (F, 3, 3).
 
     None is left out that a tracer of single precision could find. A ray that is not a number meets nothing.
     """
     rays = rays[np.isfinite(rays).all(axis=1)]
     if not len(rays) or not len(tiles):
         return np.empty((0, 3, 3), dtype=np.float32)
-    low, high = rays.min(axis=0), rays.max(axis=0)
+    low, high = rays[:, :2].min(axis=0), rays[:, :2].max(axis=0)
     step = max(
         float(np.sqrt(np.prod(high - low) * _RAYS_A_CELL / len(rays))),
         float((high - low).max()) * _RAYS_A_CELL / len(rays),
@@ -78,7 +84,7 @@ def facets_met(ground: CrateredSurface, tiles: IndexArray, fan: Fan, rays: Float
     n_columns, n_rows = (int(n) for n in np.floor((high - low) / step) + 1)
     start, order = _sorted_into_cells(rays, low, step, n_columns, n_rows)
     found = np.empty((int((ground.tiling.tile_pieces[tiles] ** 2).sum()), 3), dtype=np.int64)
-    slack_m = _SLACK * float(np.linalg.norm(ground.corners_m, axis=1).max())
+    radius_m = float(np.linalg.norm(ground.corners_m, axis=1).max())
     count = _find_met(
         found,
         tiles,
@@ -86,7 +92,8 @@ def facets_met(ground: CrateredSurface, tiles: IndexArray, fan: Fan, rays: Float
         np.ascontiguousarray(fan.axes),
         fan.origin_m,
         fan.pencil,
-        slack_m,
+        _SLACK * radius_m,
+        _DEPTH_SLACK * radius_m,
         rays[order],
         low,
         step,
@@ -134,6 +141,7 @@ def _find_met(
     origin: FloatArray,
     pencil: bool,
     slack_m: float,
+    depth_slack_m: float,
     rays: FloatArray,
     low: FloatArray,
     step: float,
@@ -152,8 +160,10 @@ def _find_met(
     count = 0
     most = tile_pieces.max() + 1
     ids = np.empty((most, most), dtype=np.int64)
-    # On the plane, and how wide the slack is there; negative behind the camera.
-    u, v, slack = np.empty((most, most)), np.empty((most, most)), np.empty((most, most))
+    # On the plane, how far along its normal, and how wide the slack is there; negative behind the camera.
+    u, v, depth_m, slack = (
+        np.empty((most, most)), np.empty((most, most)), np.empty((most, most)), np.empty((most, most)),
+    )  # fmt: skip
     per_m = 1.0 / step
     right, bottom = low[0] + step * n_columns, low[1] + step * n_rows
     for f in tiles:
@@ -164,9 +174,8 @@ def _find_met(
             for j in range(n + 1 - i):
                 w = ids[i, j]
                 x, y, z = vertices[w, 0] - origin[0], vertices[w, 1] - origin[1], vertices[w, 2] - origin[2]
-                scale = 1.0
-                if pencil:
-                    scale = 1.0 / (axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z)
+                depth_m[i, j] = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+                scale = 1.0 / depth_m[i, j] if pencil else 1.0
                 u[i, j] = scale * (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z)
                 v[i, j] = scale * (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z)
                 slack[i, j] = scale * slack_m
@@ -174,6 +183,10 @@ def _find_met(
                 least_v, most_v = min(least_v, v[i, j]), max(most_v, v[i, j])
         wide = abs(slack[0, 0]) * 2.0
         if most_u + wide < low[0] or most_v + wide < low[1] or least_u - wide > right or least_v - wide > bottom:
+            continue
+        if not _any_near(
+            least_u - wide, least_v - wide, most_u + wide, most_v + wide, low, per_m, n_columns, n_rows, start
+        ):
             continue
         for i in range(n):
             for j in range(n - i):
@@ -187,7 +200,11 @@ def _find_met(
                         v[i + 1, b],
                         u[i, j + 1],
                         v[i, j + 1],
+                        depth_m[a, j],
+                        depth_m[i + 1, b],
+                        depth_m[i, j + 1],
                         1.5 * near,
+                        depth_slack_m,
                         rays,
                         low,
                         per_m,
@@ -201,6 +218,26 @@ def _find_met(
 
 
 @kernel
+def _any_near(
+    left: float,
+    top: float,
+    right: float,
+    bottom: float,
+    low: FloatArray,
+    per_m: float,
+    n_columns: int,
+    n_rows: int,
+    start: IndexArray,
+) -> bool:
+    """Whether the cells that a box touches hold a ray."""
+    first, last = _cell(left, low[0], per_m, n_columns), _cell(right, low[0], per_m, n_columns)
+    for row in range(_cell(top, low[1], per_m, n_rows), _cell(bottom, low[1], per_m, n_rows) + 1):
+        if start[row * n_columns + first] < start[row * n_columns + last + 1]:
+            return True
+    return False
+
+
+@kernel
 def _is_met(
     pu: float,
     pv: float,
@@ -208,7 +245,11 @@ def _is_met(
     qv: float,
     ru: float,
     rv: float,
+    p_m: float,
+    q_m: float,
+    r_m: float,
     slack: float,
+    depth_slack_m: float,
     rays: FloatArray,
     low: FloatArray,
     per_m: float,
@@ -216,21 +257,28 @@ def _is_met(
     n_rows: int,
     start: IndexArray,
 ) -> bool:
-    """Whether a ray's point lies in the triangle p q r, or outside by less than the slack."""
+    """Whether a ray's point lies in the triangle p q r, or outside by less than the slack, and it begins before it."""
     left, right = min(pu, qu, ru) - slack, max(pu, qu, ru) + slack
     top, bottom = min(pv, qv, rv) - slack, max(pv, qv, rv) + slack
     first, last = _cell(left, low[0], per_m, n_columns), _cell(right, low[0], per_m, n_columns)
     if (qu - pu) * (rv - pv) < (qv - pv) * (ru - pu):
-        qu, qv, ru, rv = ru, rv, qu, qv
+        qu, qv, q_m, ru, rv, r_m = ru, rv, r_m, qu, qv, q_m
+    nearest_m, farthest_m = min(p_m, q_m, r_m), max(p_m, q_m, r_m) + depth_slack_m
     for row in range(_cell(top, low[1], per_m, n_rows), _cell(bottom, low[1], per_m, n_rows) + 1):
         for k in range(start[row * n_columns + first], start[row * n_columns + last + 1]):
             x, y = rays[k, 0], rays[k, 1]
-            if x < left or x > right or y < top or y > bottom:
+            if x < left or x > right or y < top or y > bottom or rays[k, 2] > farthest_m:
                 continue
             if (
                 _left_of(pu, pv, qu, qv, x, y, slack)
                 and _left_of(qu, qv, ru, rv, x, y, slack)
                 and _left_of(ru, rv, pu, pv, x, y, slack)
+                and (
+                    rays[k, 2] < nearest_m
+                    or not _behind(
+                        rays[k], pu, pv, p_m, qu - pu, qv - pv, q_m - p_m, ru - pu, rv - pv, r_m - p_m, depth_slack_m
+                    )
+                )
             ):
                 return True
     return False
@@ -242,3 +290,26 @@ def _left_of(au: float, av: float, bu: float, bv: float, x: float, y: float, sla
     along, across = bu - au, bv - av
     distance = along * (y - av) - across * (x - au)
     return distance >= 0.0 or distance * distance <= slack * slack * (along * along + across * across)
+
+
+@kernel
+def _behind(
+    ray: FloatArray,
+    pu: float,
+    pv: float,
+    p_m: float,
+    qu: float,
+    qv: float,
+    q_m: float,
+    ru: float,
+    rv: float,
+    r_m: float,
+    slack_m: float,
+) -> bool:
+    """Whether a ray begins beyond the plane through p, and q and r as seen from there; never where that is edge-on."""
+    area = qu * rv - qv * ru
+    if area <= 0.0:
+        return False
+    by_u, by_v = (q_m * rv - r_m * qv) / area, (r_m * qu - q_m * ru) / area
+    plane_m = p_m + by_u * (ray[0] - pu) + by_v * (ray[1] - pv)
+    return bool(plane_m + slack_m * (1.0 + abs(by_u) + abs(by_v)) < ray[2])

@@ -76,6 +76,11 @@ class CrateredSurface:
         """(V, 3) corners of the tiles with the relief."""
         return np.asarray(self.vertices_m[: len(self.under_m)], dtype=np.float64)
 
+    @cached_property
+    def middles_m(self) -> FloatArray:
+        """(T, 3) means of the corners of each tile."""
+        return np.asarray(self.corners_m[self.tiling.mesh.faces].mean(axis=1))
+
 
 def cratered_surface(
     body: BodySpec, craters: CratersSpec, search_dirs: Sequence[Path] = (), cache: Cache | None = None

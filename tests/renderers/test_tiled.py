@@ -67,6 +67,21 @@ def test_sun_rays_are_blocked_by_the_facets_found_as_by_all(renderer: TiledRende
     assert np.mean(~hits.lit[towards_sun]) > 0.02
 
 
+def test_of_facets_that_rays_leave_behind_none_is_tried(renderer: TiledRenderer, whole: MitsubaRenderer) -> None:
+    view, ground = small_view(20.0, 80.0), renderer.ground
+    hits = whole.surface(view, np.random.default_rng(4).uniform([0, 0], [160, 120], (3000, 2)))
+    towards_sun = hits.normals_body @ view.sun_dir_body > 0.05
+    start = hits.points_body_m[towards_sun] + 0.01 * hits.normals_body[towards_sun]
+    fan, tiles = Fan.of_parallel(view.sun_dir_body), tiles_casting(ground, view)
+    rays = fan.of_points(start)
+    found = facets_met(ground, tiles, fan, rays)
+    from_below = facets_met(ground, tiles, fan, rays - [0.0, 0.0, 1e4])
+    # Each ray leaves a facet, which is among those that it would meet if it came from below the body.
+    assert 0 < len(found) < 0.5 * len(from_below)
+    have = {row.tobytes() for row in from_below.reshape(-1, 9)}
+    assert all(row.tobytes() in have for row in found.reshape(-1, 9))
+
+
 def test_tiles_that_face_away_wholly_are_left_out_and_no_others(renderer: TiledRenderer) -> None:
     view, ground = small_view(40.0, 60.0, fov_deg=18.0), renderer.ground
     tiling = ground.tiling
