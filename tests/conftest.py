@@ -1,4 +1,4 @@
-"""Kernels are compiled once for all tests: those with caches of their own would compile them again, for a minute each."""
+"""Kernels are compiled once for all tests: each cache of its own would compile them again, which takes a minute."""
 
 from __future__ import annotations
 
