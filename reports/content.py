@@ -120,7 +120,17 @@ def read_content(folder: Path) -> Content:
     BoresightError
         If the folder is not a run, holds no finished trial, or names unknown published values.
     """
-    run = read_run(folder)
+    return content_of(read_run(folder))
+
+
+def content_of(run: RunData) -> Content:
+    """Work out what is to be said of a run that is read.
+
+    Raises
+    ------
+    BoresightError
+        If it names unknown published values.
+    """
     comparison = load_published(run.manifest.report) if run.manifest.report else None
     derived = derived_records(run, comparison.radius_m) if comparison and comparison.radius_m else ()
     reductions = tuple(reduction_records(run, comparison)) if comparison else ()

@@ -200,6 +200,8 @@ class PaperPage:
         What each number comes from: campaign, and how its run was made.
     missing
         What is not there, and how to make it.
+    refused
+        Stored runs that cannot be read, and why.
     credits
         Credit lines of real images.
     """
@@ -211,6 +213,7 @@ class PaperPage:
     figures: tuple[NamedFigure, ...]
     runs: tuple[tuple[str, str], ...]
     missing: tuple[str, ...]
+    refused: tuple[str, ...]
     credits: tuple[str, ...]
 
 
@@ -234,7 +237,10 @@ def write_paper(page: PaperPage, folder: Path) -> Path:
 
 def _markdown(page: PaperPage) -> str:
     parts = [f"# {page.title}", page.source, "\n".join(f"- {name}: {how}" for name, how in page.runs)]
-    parts += ["\n".join(f"- {line}" for line in page.missing), f"Verdicts: {verdict_tally(page.lines)}."]
+    parts += [
+        "\n".join(f"- {line}" for line in (*page.refused, *page.missing)),
+        f"Verdicts: {verdict_tally(page.lines)}.",
+    ]
     parts += [grid.markdown() for grid in (paper_grid(page.lines), *page.grids)]
     parts += [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in page.figures]
     return "\n\n".join(part for part in (*parts, *page.credits) if part) + "\n"

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 
 ALL = "all"
+_IN_PART = 3
+"""Exit code: done, without the runs that could not be read."""
 
 
 def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -69,12 +71,11 @@ def _figures(arguments: argparse.Namespace) -> int:
     parent = Path("figures") if arguments.trials_scale == 1.0 else Path("figures") / f"draft-{arguments.trials_scale:g}"
     if arguments.paper != ALL:
         return _of_paper(arguments.paper, arguments.out or parent / arguments.paper, arguments)
-    for name in PAPERS:
-        _of_paper(name, (arguments.out or parent) / name, arguments)
-    return 0
+    return max(_of_paper(name, (arguments.out or parent) / name, arguments) for name in PAPERS)
 
 
 def _of_paper(name: str, folder: Path, arguments: argparse.Namespace) -> int:
+    """Write the page of a paper; return the exit code."""
     # Imported here: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
     from campaign.paper.page import gather, paper_called, paper_campaigns, paper_page
     from reports.console import rich_table
@@ -83,21 +84,21 @@ def _of_paper(name: str, folder: Path, arguments: argparse.Namespace) -> int:
     out, scale = console(), arguments.trials_scale
     paper = paper_called(name)
     if arguments.run or scale < 1.0:
-        found, _ = gather(paper, arguments.runs, scale)
+        found = gather(paper, arguments.runs, scale).found
         for missing in (campaign for campaign in paper_campaigns(paper) if campaign not in found):
             run_or_finish(missing, arguments)
-    page = paper_page(paper, arguments.runs, workers(arguments.jobs, choose_variant().name), scale)
+    page = paper_page(paper, arguments.runs, arguments.jobs, scale)
     try:
         written = write_paper(page, folder)
     except OSError as error:
         raise BoresightError(explain(error.filename or folder, error)) from error
     shown = ("campaign", "scenario", "quantity", "statistic", "paper", "ours [95 %]", "ok", "verdict")
     out.print(rich_table(paper_grid(page.lines).keep(*shown)))
-    for line in page.missing:
+    for line in (*page.refused, *page.missing):
         out.print(line)
     out.print(f"{len(page.figures)} figures; verdicts: {verdict_tally(page.lines)}")
     out.print(f"figures and table: {written}")
-    return 0
+    return _IN_PART if page.refused else 0
 
 
 def run_or_finish(name: str, arguments: argparse.Namespace) -> None:

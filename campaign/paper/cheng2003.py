@@ -23,7 +23,7 @@ _TABLES = ("Detection of craters", "Matching", "Diagnostics", "From images to th
 _TABLES_OF = {"cheng2003-detection": 2}
 
 
-def _figure_2(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_2(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     del jobs
     run = runs["cheng2003-detection"]
     campaign, label = run.campaign(), run.labels(_DETECTOR)[0]
@@ -31,7 +31,7 @@ def _figure_2(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
     yield from stages_of(campaign, run.folder.path, run.content.run, scenario, label)
 
 
-def _figure_3(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_3(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     del jobs
     run = runs["cheng2003-detection"]
     campaign, data = run.campaign(), run.content.run
@@ -41,7 +41,7 @@ def _figure_3(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
         yield replace(drawn, stem=f"_{number + 1}")
 
 
-def _figure_6(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_6(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     del jobs
     for run in runs.values():
         yield from _matched(run)
@@ -60,7 +60,7 @@ def _matched(run: FinishedRun) -> Iterator[NamedFigure]:
 def _survey(wanted: int) -> Draw:
     """Draw one of the histograms of an arc of planned images."""
 
-    def draw(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+    def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
         del jobs
         run = runs["cheng2003-survey"].content
         yield list(survey_figures(run.run, run.comparison))[wanted]
@@ -68,7 +68,7 @@ def _survey(wanted: int) -> Draw:
     return draw
 
 
-def _figure_9(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_9(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     for name, run in runs.items():
         if name == "cheng2003-survey":
             yield from _survey(2)(runs, jobs)
@@ -77,7 +77,7 @@ def _figure_9(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
             yield counts_figure(run.content.run, scenario, run.labels(_CHAIN)[0])
 
 
-def _figure_10(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_10(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     del jobs
     solved = [
         (data, scenario, label)

@@ -33,7 +33,7 @@ _SENSITIVITY = "delpech2015-sensitivity"
 def _trace(method: str, panel: str) -> Draw:
     """Draw one panel of the errors of a method along the frames."""
 
-    def draw(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+    def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
         del jobs
         for run in runs.values():
             data, labels = run.content.run, run.labels(method)
@@ -46,7 +46,7 @@ def _trace(method: str, panel: str) -> Draw:
 def _series(abscissa: str) -> Draw:
     """Draw the errors after one and two revolutions over a series."""
 
-    def draw(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+    def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
         del jobs
         for run in runs.values():
             data = run.content.run
@@ -61,7 +61,7 @@ def _series(abscissa: str) -> Draw:
 def _starts(method: str) -> Draw:
     """Draw the errors of a method from every start on the images."""
 
-    def draw(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+    def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
         del jobs
         for run in runs.values():
             data, label = run.content.run, run.labels(method)[0]
@@ -74,7 +74,7 @@ def _starts(method: str) -> Draw:
 def _image(features: int) -> Draw:
     """Draw the first image, with its strongest features or without."""
 
-    def draw(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+    def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
         del jobs
         for run in runs.values():
             campaign = run.campaign()

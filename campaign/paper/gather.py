@@ -1,4 +1,4 @@
-"""The newest finished run of each campaign."""
+"""The newest finished run of each campaign, and what cannot be read of those that are stored."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from campaign.newest import start_of
-from campaign.resolve import ResolvedCampaign, reload
+from campaign.resolve import ResolvedCampaign, campaign_names, reload
 from campaign.store import RunFolder
-from reports.content import Content, read_content
-from scenarios.errors import BoresightError
+from reports.content import Content, content_of
+from reports.run_data import RunData, read_run
+from scenarios.errors import BoresightError, one_line
+from scenarios.reading import plain_json
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +33,14 @@ class FinishedRun:
     manifest: dict[str, Any]
 
     @cached_property
+    def data(self) -> RunData:
+        """Its tables; raises BoresightError if they are damaged, or those of another version."""
+        return read_run(self.folder.path)
+
+    @cached_property
     def content(self) -> Content:
         """What its report says."""
-        return read_content(self.folder.path)
+        return content_of(self.data)
 
     def labels(self, method: str) -> list[str]:
         """List the labels under which an estimator ran, by its name."""
@@ -57,25 +64,101 @@ class FinishedRun:
         return campaign
 
 
+@dataclass(frozen=True, slots=True)
+class Gathered:
+    """What there is of some campaigns.
+
+    Parameters
+    ----------
+    found
+        The newest finished run of each campaign that has one which can be read.
+    refused
+        A line for each run that was passed over because it is damaged or of another format.
+    """
+
+    found: dict[str, FinishedRun]
+    refused: tuple[str, ...]
+
+
+def gather_runs(runs: Sequence[Path], names: Sequence[str], draft: float = 1.0) -> Gathered:
+    """Find the newest finished run of each campaign among some folders; one that cannot be read gives way to an older.
+
+    With a scale of ``draft`` below 1 a draft of that scale serves where there is no run that is meant.
+    """
+    found: dict[str, FinishedRun] = {}
+    refused: list[str] = []
+    for name in names:
+        for scale in dict.fromkeys((1.0, draft)):
+            finished, unread = finished_runs(runs, name, scale)
+            run, damaged = _first_sound(finished)
+            refused += [*unread, *damaged]
+            if run is not None:
+                found[name] = run
+                break
+    return Gathered(found, tuple(dict.fromkeys(refused)))
+
+
 def newest_finished(runs: Sequence[Path], name: str, draft: float = 1.0) -> FinishedRun | None:
-    """Return the finished run of a campaign that was started last among some folders; None without any.
+    """Return the finished run of a campaign that was started last among some folders; None without any."""
+    return next(iter(finished_runs(runs, name, draft)[0]), None)
+
+
+def finished_runs(runs: Sequence[Path], name: str, draft: float = 1.0) -> tuple[list[FinishedRun], list[str]]:
+    """List the finished runs of a campaign among some folders, the last that was started first.
 
     Drafts are runs of fewer trials and smaller data bases: those of a scale are asked for by it.
 
     Runs with ``--set`` are of another world than the paper's, whatever campaign they began from.
+
+    Returns
+    -------
+    finished, refused
+        The runs, and a line for each that may be one of them and whose manifest or rows cannot be read.
     """
-    finished = []
+    finished, refused = [], []
     for path in runs:
         folder = RunFolder(path)
         try:
             manifest = folder.read_manifest()
-        except BoresightError:
-            continue
-        if manifest is None or manifest.get("name") != name or manifest.get("overrides"):
-            continue
-        if float(manifest.get("draft", 1.0)) == draft and _is_whole(folder, manifest):
-            finished.append(FinishedRun(folder, manifest))
-    return max(finished, key=lambda run: (start_of(run.folder.path), str(run.manifest["finished"])), default=None)
+            if manifest is None or manifest.get("name") != name or manifest.get("overrides"):
+                continue
+            if float(manifest.get("draft", 1.0)) == draft and _is_whole(folder, manifest):
+                finished.append(FinishedRun(folder, manifest))
+        except BoresightError as error:
+            if _may_be_of(path, name):
+                refused.append(_left_out(error))
+    newest = sorted(finished, key=lambda run: (start_of(run.folder.path), str(run.manifest["finished"])), reverse=True)
+    return newest, refused
+
+
+def _first_sound(runs: Sequence[FinishedRun]) -> tuple[FinishedRun | None, list[str]]:
+    """Return the first run all of whose tables can be read, and a line for each before it."""
+    refused = []
+    for run in runs:
+        try:
+            run.data  # noqa: B018  reads the tables, which it keeps
+        except BoresightError as error:
+            refused.append(_left_out(error))
+        else:
+            return run, refused
+    return None, refused
+
+
+def _left_out(error: BoresightError) -> str:
+    return f"left out: {one_line(error)}"
+
+
+def _may_be_of(path: Path, name: str) -> bool:
+    """Whether a run that cannot be read may be of a campaign: by its manifest, or else by the name of its folder."""
+    try:
+        told = plain_json(path / "manifest.json")
+    except (OSError, ValueError):
+        told = None
+    own = told.get("name") if isinstance(told, dict) else None
+    if isinstance(own, str):
+        return own == name
+    known = [one for one in campaign_names() if path.name.startswith(f"{one}-")]
+    return name in known or not known
 
 
 def _is_whole(folder: RunFolder, manifest: dict[str, Any]) -> bool:

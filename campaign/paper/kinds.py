@@ -10,7 +10,8 @@ from reports.grid import Grid
 from reports.named_figure import NamedFigure
 
 Runs = Mapping[str, FinishedRun]
-Draw = Callable[[Runs, int], Iterator[NamedFigure]]
+Draw = Callable[[Runs, int | None], Iterator[NamedFigure]]
+"""Draws runs; what it builds again takes so many workers, None for one for each core, or GPU."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
-from campaign.paper.gather import FinishedRun, newest_finished, run_folders
+from campaign.paper.gather import FinishedRun, Gathered, gather_runs, run_folders
 from campaign.paper.kinds import Paper, PaperFigure
 from campaign.resolve import CATALOG, campaign_names
 from reports.named_figure import NamedFigure
@@ -29,27 +29,23 @@ def paper_campaigns(paper: Paper) -> list[str]:
     return [name for name in paper.campaigns if name in known]
 
 
-def gather(paper: Paper, runs: Path, draft: float = 1.0) -> tuple[dict[str, FinishedRun], list[str]]:
-    """Find the newest finished run of each campaign of the paper, and say of each that is missing how to run it.
+def gather(paper: Paper, runs: Path, draft: float = 1.0) -> Gathered:
+    """Find the newest finished run of each campaign of the paper, drafts of a scale where nothing else is there."""
+    return gather_runs(run_folders(runs), paper_campaigns(paper), draft)
 
-    With a scale of ``draft`` below 1 a draft of that scale serves where there is no run that is meant.
+
+def paper_page(paper: Paper, runs: Path, jobs: int | None = None, draft: float = 1.0) -> PaperPage:
+    """Draw all figures and set all numbers of the paper beside ours, as far as they have been run.
+
+    What is built again for a figure takes ``jobs`` workers; None for one for each core, or GPU.
     """
-    folders = run_folders(runs)
-    found, missing = {}, []
-    for name in paper_campaigns(paper):
-        run = newest_finished(folders, name)
-        if run is None and draft < 1.0:
-            run = newest_finished(folders, name, draft)
-        if run is None:
-            missing.append(f"{name}: no finished run without --set under {runs}/; to run it: boresight run {name}")
-        else:
-            found[name] = run
-    return found, missing
-
-
-def paper_page(paper: Paper, runs: Path, jobs: int, draft: float = 1.0) -> PaperPage:
-    """Draw all figures and set all numbers of the paper beside ours, as far as they have been run."""
-    found, missing = gather(paper, runs, draft)
+    gathered = gather(paper, runs, draft)
+    found = gathered.found
+    missing = [
+        f"{name}: no finished run without --set under {runs}/; to run it: boresight run {name}"
+        for name in paper_campaigns(paper)
+        if name not in found
+    ]
     figures: list[NamedFigure] = []
     for figure in paper.figures:
         try:
@@ -67,11 +63,12 @@ def paper_page(paper: Paper, runs: Path, jobs: int, draft: float = 1.0) -> Paper
         figures=tuple(figures),
         runs=tuple((name, _how(run)) for name, run in found.items()),
         missing=tuple(missing),
+        refused=gathered.refused,
         credits=tuple(sorted({line for run in found.values() for line in run.manifest["credits"]})),
     )
 
 
-def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int) -> list[NamedFigure]:
+def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | None) -> list[NamedFigure]:
     """Draw one figure of the paper; the first of its campaigns gives it its number, further ones stand beside it.
 
     A drawing whose stem begins with an underscore says itself what is put behind the number.

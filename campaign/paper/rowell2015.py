@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from campaign.fit_figures import SecondLook, alignment_of, credit_lines, fit_of, median_trial, second_look, single_image
+from campaign.machine import workers
 from campaign.paper.gather import FinishedRun
 from campaign.paper.kinds import Paper, PaperFigure, Runs
 from campaign.paper.shapes import broadside_view, built_again, cluster_view, surface_view
@@ -66,18 +67,18 @@ class _Rebuilt:
 
 
 @lru_cache(maxsize=1)
-def _rebuilt(run: FinishedRun, jobs: int) -> _Rebuilt:
+def _rebuilt(run: FinishedRun, jobs: int | None) -> _Rebuilt:
     """Make the data base of a run's first trial again; figures 1 and 2 show the same."""
     campaign = run.campaign()
     scenario, entry = campaign.scenarios[0], campaign.spec.estimators[0]
     options = DatabaseOptions.model_validate(dict(entry.options))
     options = options.model_copy(update={"seed": options.seed + campaign.seed})
     world = open_world(scenario, campaign.variant)
-    built = built_again(world, options, jobs, campaign.variant)
+    built = built_again(world, options, workers(jobs, campaign.variant), campaign.variant)
     return _Rebuilt(world, built, broadside_view(world, typical_range_m(scenario)), scenario.spec.name)
 
 
-def _figure_1(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_1(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     made = _rebuilt(runs["rowell2015-database"], jobs)
     title = f"Landmarks out of a cloud of {len(made.built.points_m)} candidates, {made.name}"
     yield NamedFigure(
@@ -90,7 +91,7 @@ def _figure_1(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
     )
 
 
-def _figure_2(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_2(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     made = _rebuilt(runs["rowell2015-database"], jobs)
     title = f"Surface through {len(made.built.database)} landmarks, {made.name}"
     yield NamedFigure(
@@ -102,7 +103,7 @@ def _figure_2(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
     )
 
 
-def _figure_3(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_3(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     del jobs
     run = runs["rowell2015-simulated"]
     label = run.labels(RECOGNISER)[0]
@@ -123,7 +124,7 @@ def _figure_3(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
     )
 
 
-def _figure_4(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_4(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     del jobs
     run = runs["rowell2015-centroid"]
     found = centroid_offsets(run.content.run, run.labels("centroid")[0])
@@ -139,7 +140,7 @@ def _figure_4(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
     )
 
 
-def _figure_5(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_5(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     del jobs
     run = runs["rowell2015-convergence"].content.run
     scenario = run.pairs()[0][0]
@@ -162,12 +163,12 @@ def _figure_5(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
     )
 
 
-def _figure_6(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_6(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     del jobs
     yield _pose(runs["rowell2015-simulated"])
 
 
-def _figure_7(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_7(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     del jobs
     run = runs["rowell2015-simulated"]
     content, label = run.content, run.labels(RECOGNISER)[0]
@@ -178,7 +179,7 @@ def _figure_7(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
     )
 
 
-def _figure_8(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_8(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     del jobs
     for run in runs.values():
         label = run.labels(RECOGNISER)[0]
@@ -196,12 +197,12 @@ def _figure_8(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
         )
 
 
-def _figure_9(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_9(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     del jobs
     yield from (_pose(run) for run in runs.values())
 
 
-def _figure_10(runs: Runs, jobs: int) -> Iterator[NamedFigure]:
+def _figure_10(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
     del jobs
     counts, published, credits_ = dict[str, NDArray[np.float64]](), dict[str, float](), list[str]()
     for name, run in runs.items():

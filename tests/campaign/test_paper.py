@@ -205,7 +205,7 @@ def test_the_newest_finished_run_is_taken_and_unfinished_ones_are_not(tmp_path):
 
 
 def test_a_run_of_another_version_keeps_its_numbers_and_loses_its_pictures(runs):
-    found, _ = gather(PAPER, runs)
+    found = gather(PAPER, runs).found
     run = found["rowell2015-database"]
     stale = replace(run, manifest={**run.manifest, "digest": "another"})
     with pytest.raises(BoresightError, match="another version"):
@@ -214,7 +214,7 @@ def test_a_run_of_another_version_keeps_its_numbers_and_loses_its_pictures(runs)
 
 
 def test_a_further_campaign_stands_beside_the_first(runs):
-    found, _ = gather(PAPER, runs)
+    found = gather(PAPER, runs).found
     twice = {"rowell2015-real": found["rowell2015-simulated"], "navcam67p-real": found["rowell2015-simulated"]}
     figures = drawn(PAPER.figures[8], twice, 1)
     assert [figure.stem for figure in figures] == ["figure_09", "figure_09_navcam67p-real"]
@@ -222,7 +222,7 @@ def test_a_further_campaign_stands_beside_the_first(runs):
 
 
 def test_footers_name_the_runs_that_a_drawing_shows(runs):
-    found, _ = gather(PAPER, runs)
+    found = gather(PAPER, runs).found
     two = ("rowell2015-simulated", "rowell2015-centroid")
 
     def draw(runs, jobs):
