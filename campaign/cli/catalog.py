@@ -8,9 +8,9 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.table import Table
 from ruamel.yaml import YAML
 
+from campaign.cli.listing import Entry, print_entries
 from campaign.cli.terminal import console
 from campaign.costs import rate_of
 from campaign.machine import cores
@@ -31,9 +31,6 @@ from scenarios.load import (
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction
-
-_WIDE = 1000
-"""Characters of a line that no campaign fills."""
 
 
 def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -63,37 +60,27 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
 
 def _list(_: argparse.Namespace) -> int:
     out = console()
-    table = Table("campaign", "trials", "time here", "what it is", "data", box=None, pad_edge=False)
-    for name in campaign_names():
-        table.add_row(*_campaign_cells(load_campaign(name, CATALOG)))
-    # One line each where nothing is known of a width: what a program reads, or a pager that moves to the right.
-    console(_WIDE).print(table)
+    campaigns = [_campaign_entry(load_campaign(name, CATALOG)) for name in campaign_names()]
+    print_entries(out, ("campaign", "trials", "time here", "data"), campaigns)
     out.print(
-        f"trials: of each scenario, x scenarios. time here: on {cores()} core(s), data bases aside, by the rate of the"
-        " last run on this machine; - where there was none. data: what is read from the data folder"
-        " (boresight fetch --list)."
+        f"\ntrials: of each scenario, x scenarios. time here: on {cores()} core(s), data bases aside, by the rate of"
+        " the last run on this machine; - where there was none. data: what is read from the data folder"
+        " (boresight fetch --list).\n"
     )
-    out.print()
-    table = Table("scenario", "what it is", box=None, pad_edge=False)
-    for name in scenario_names():
-        table.add_row(name, load_scenario(name).spec.description)
-    out.print(table)
+    scenarios = [Entry((name, ""), load_scenario(name).spec.description) for name in scenario_names()]
+    print_entries(out, ("scenario", ""), scenarios)
     out.print(f"\nestimators: {', '.join(estimator_names())}")
     out.print(f"estimators of sequences: {', '.join(sequence_estimator_names())}")
     return 0
 
 
-def _campaign_cells(loaded: LoadedCampaign) -> tuple[str, ...]:
-    """Return a campaign's line of the list."""
+def _campaign_entry(loaded: LoadedCampaign) -> Entry:
+    """Tell of a campaign its size, its cost here and its data."""
     spec, rate = loaded.spec, rate_of(loaded.spec.name)
     scenarios = len(spec.scenarios) * (1 if spec.grid is None else len(cells(spec.grid)))
-    return (
-        spec.name,
-        f"{spec.trials}" if scenarios == 1 else f"{spec.trials} x {scenarios}",
-        "-" if rate is None else rate.describe(spec.trials * scenarios, cores()),
-        spec.title,
-        ", ".join(map(str, data_needed(loaded))) or "-",
-    )
+    size = f"{spec.trials}" if scenarios == 1 else f"{spec.trials} x {scenarios}"
+    time = "-" if rate is None else rate.describe(spec.trials * scenarios, cores())
+    return Entry((spec.name, size, time, ", ".join(map(str, data_needed(loaded))) or "-"), spec.title)
 
 
 def _show(arguments: argparse.Namespace) -> int:

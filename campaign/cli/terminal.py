@@ -18,12 +18,12 @@ class _Plain(Console):
         super().print(*(_shown(one) if isinstance(one, str) else one for one in objects), **how)
 
 
-def console(width: int = _WIDTH) -> Console:
+def console() -> Console:
     """Return a console on standard output that wraps no text when it is not a terminal; tables are so wide then."""
     plain = _Plain(markup=False, emoji=False)
     if plain.is_terminal:
         return plain
-    return _Plain(width=width, soft_wrap=True, highlight=False, markup=False, emoji=False)
+    return _Plain(width=_WIDTH, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 
 def _shown(text: str) -> str:

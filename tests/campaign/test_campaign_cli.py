@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
 from importlib.metadata import version
@@ -16,6 +17,7 @@ from ruamel.yaml import YAML
 from tiny_campaign import CAMPAIGN, SCENE, boresight, compute, write_campaign
 
 from campaign.cli import main
+from campaign.needs import data_needed
 from campaign.resolve import CATALOG, campaign_names
 from campaign.store import RunFolder
 from estimators.registry import estimator_names
@@ -44,6 +46,24 @@ def test_list_names_everything(capsys):
         assert load_campaign(name, CATALOG).spec.title in line, "each has one line"
     textures = next(line for line in text.splitlines() if line.startswith("delpech2015-images-textures"))
     assert "6 x 10" in textures
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_list_reads_like_a_manual_in_a_terminal(capsys, monkeypatch, width):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", str(width))
+    lines = re.sub(r"\x1b\[[0-9;]*m", "", said(capsys, "list")).splitlines()
+    assert max(map(len, lines)) <= width
+    for name in campaign_names():
+        loaded = load_campaign(name, CATALOG)
+        first = next(i for i, line in enumerate(lines) if line.split(" ", 1)[0] == name)
+        after = next(i for i in range(first + 1, len(lines)) if not lines[i].startswith(" "))
+        entry = lines[first:after]
+        for need in data_needed(loaded):
+            assert any(need.name in line for line in entry), "no name is cut"
+        below = [line for line in entry if line.startswith("    ") and line[4] != " "]
+        assert " ".join(map(str.strip, below)) == loaded.spec.title
+        assert len(entry) - len(below) == 1 or data_needed(loaded), "one line, but for long names of data"
 
 
 @pytest.mark.parametrize("name", campaign_names())
