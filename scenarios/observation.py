@@ -53,3 +53,8 @@ class Observation:
 
     camera: Camera
     frames: tuple[Frame, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse one without frames, which no estimator could do anything with."""
+        if not self.frames:
+            raise ValueError("an observation holds one frame at least")

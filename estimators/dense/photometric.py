@@ -49,8 +49,6 @@ class PhotometricEstimator:
         Stages, diagnostics and timings are those of the last frame; nothing is drawn at random.
         """
         del rng
-        if not observation.frames:
-            return Estimate("failed", "the observation holds no image")
         clock = Stopwatch()
         found: list[Registration] = []
         for frame in observation.frames:

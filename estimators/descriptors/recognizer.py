@@ -100,8 +100,6 @@ class DescriptorNavigator:
 
         Stages, diagnostics and timings are those of the last frame.
         """
-        if not observation.frames:
-            return Estimate("failed", "the observation holds no image")
         clock = Stopwatch()
         solved: list[Posterior] = []
         stages: tuple[Stage, ...] = ()

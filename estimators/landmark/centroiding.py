@@ -61,10 +61,10 @@ class CentroidAligner:
             numbers, failure = {**_offset(alignment), **extent}, alignment.failure
             if failure:
                 break
-        ok = bool(poses) and not failure
+        ok = not failure
         return Estimate(
             status="ok" if ok else "failed",
-            reason="" if ok else failure or "the observation holds no image",
+            reason=failure,
             poses=tuple(poses) if ok else (),
             stages=(Stage("centroid", poses[-1]),) if ok else (),
             diagnostics=numbers,

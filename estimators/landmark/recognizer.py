@@ -216,8 +216,6 @@ class LandmarkRecognizer:
         Stages, diagnostics and timings are those of the last frame; nothing is drawn at random.
         """
         del rng
-        if not observation.frames:
-            return Estimate("failed", "the observation holds no image")
         results: list[Recognition] = []
         for frame in observation.frames:
             results.append(self.recognise(frame, observation.camera))

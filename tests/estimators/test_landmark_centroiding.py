@@ -83,8 +83,9 @@ def test_a_mesh_out_of_view_is_a_failure_with_a_reason():
     assert "out of view" in estimate(observed((900.0, 0.0, 0.0))).reason
 
 
-def test_an_observation_without_an_image_is_a_failure():
-    assert estimate(Observation(CAMERA, ())).reason == "the observation holds no image"
+def test_there_is_no_observation_without_an_image():
+    with pytest.raises(ValueError, match="one frame at least"):
+        Observation(CAMERA, ())
 
 
 def test_an_image_of_another_size_is_refused():

@@ -61,9 +61,7 @@ class CraterPose:
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate the pose of each frame on its own; the first frame that fails fails the whole."""
         del rng
-        if not observation.frames:
-            return Estimate("failed", "the observation holds no image")
-        clock, poses, covariances, found = Stopwatch(), [], [], None
+        clock, poses, covariances, n_craters = Stopwatch(), [], [], 0
         for frame in observation.frames:
             with clock("detection"):
                 rims = self._detect(frame, observation.camera)
@@ -76,12 +74,13 @@ class CraterPose:
                 return Estimate("failed", found.reason or needed, timings_s=clock.seconds)
             poses.append(pose)
             covariances.append(found.covariance)
+            n_craters = len(found.pairs)
         return Estimate(
             "ok",
             poses=tuple(poses),
             covariances=tuple(covariances),
             stages=(Stage("recognition", poses[-1]),),
-            diagnostics={"n_landmarks": 0 if found is None else len(found.pairs)},
+            diagnostics={"n_landmarks": n_craters},
             timings_s=clock.seconds,
         )
 

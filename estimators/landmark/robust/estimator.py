@@ -78,8 +78,6 @@ class ConsensusRecognizer:
 
         Stages, diagnostics and timings are those of the last frame. Only minimal sets, where asked for, need ``rng``.
         """
-        if not observation.frames:
-            return Estimate("failed", "the observation holds no image")
         clock = Stopwatch()
         solutions: list[_Solution] = []
         for frame in observation.frames:
