@@ -24,7 +24,12 @@ from reports.run_data import RunData
 from reports.statistics import LEVEL, RESAMPLES, FloatArray, Measured, Statistic, content_rng
 
 _KEY = ("trial", "scenario")
-_CIRCUMSTANCES = ("image", "range_m", "phase_deg", "latitude_deg")
+_CIRCUMSTANCES = ("image", "range_m", "phase_deg", "latitude_deg", "view_deg", "sun_deg", "epipolar_offset_px")
+_RESULTS = (
+    "rows", "stages", "landmarks", "diagnostics", "epochs", "vision", "crater_matches", "detections", "orbits",
+    "navigation", "surveyed_images", "surveyed_craters",
+)  # fmt: skip
+"""Tables of what methods find, of any kind of trial."""
 FIRST, TOTAL, RANK = "first-order index", "total index", "rank correlation"
 
 
@@ -75,10 +80,8 @@ def outcome(run: RunData, metric: Metric, statistic: Statistic, scenario: str, e
 
 def same_results(run: RunData, one: str, other: str, estimator: str) -> bool:
     """Whether an estimator gives the same results in two scenarios, bit for bit, whatever its trials are like."""
-    tables = (run.rows, run.stages, run.landmarks, run.diagnostics, run.epochs)
-    return all(
-        _results(table, one, estimator).equals(_results(table, other, estimator)) for table in tables if len(table)
-    )
+    tables = [table for table in (getattr(run, name) for name in _RESULTS) if len(table)]
+    return all(_results(table, one, estimator).equals(_results(table, other, estimator)) for table in tables)
 
 
 def _results(table: pd.DataFrame, scenario: str, estimator: str) -> pd.DataFrame:

@@ -12,18 +12,24 @@ from reports.figures.global_sensitivity import Row, draw_sensitivity
 from reports.figures.style import save_figure
 from reports.global_sensitivity import Sensitivity, Varied
 from reports.grid import Grid
+from reports.provenance import stamp
+from reports.run_data import RunData
 from reports.statistics import FloatArray
 
 
 def write_sensitivity(
+    run: RunData,
     found: Sequence[Sensitivity],
     grid: Grid,
     varied: Sequence[Varied],
     samples: FloatArray,
     metric: Metric,
-    folder: Path,
 ) -> Path:
-    """Write ``sensitivity.md``, ``samples.csv`` (every sample with its outcomes), ``indices.csv`` and the figure."""
+    """Write ``sensitivity/`` into the run folder; return the page.
+
+    ``sensitivity.md``, ``samples.csv`` (every sample with its outcomes), ``indices.csv`` and the figure.
+    """
+    folder = run.folder / "sensitivity"
     folder.mkdir(parents=True, exist_ok=True)
     keys = [one.key for one in varied]
     table = pd.DataFrame(samples, columns=keys).assign(**{one.estimator: one.outcomes for one in found})
@@ -36,7 +42,9 @@ def write_sensitivity(
     ]
     pd.DataFrame(indices).to_csv(folder / "indices.csv", index=False, lineterminator="\n")
     rows = [Row(one.estimator, one.outcomes, one.base, one.shares) for one in found]
-    save_figure(draw_sensitivity(rows, keys, samples, metric.axis, "Sensitivity"), folder / "sensitivity")
+    figure = draw_sensitivity(rows, keys, samples, metric.axis, "Sensitivity")
+    stamp(figure, [run])
+    save_figure(figure, folder / "sensitivity")
     unmoved = [f"- {key} changes no result of {one.estimator}, bit for bit." for one in found for key in one.unmoved]
     parts = [grid.markdown(), "\n".join(unmoved), "![Indices and outcomes of each varied key](sensitivity.png)"]
     (folder / "sensitivity.md").write_text("\n\n".join(part for part in parts if part) + "\n", encoding="utf-8")

@@ -82,7 +82,7 @@ def _sensitivity(arguments: argparse.Namespace) -> int:
     found = analyse(run, design, metric, statistic, labels)
     grid = sensitivity_grid(found, varied, metric, statistic.name)
     try:
-        page = write_sensitivity(found, grid, design.varied, design.samples, metric, folder.path / "sensitivity")
+        page = write_sensitivity(run, found, grid, design.varied, design.samples, metric)
     except OSError as error:
         raise BoresightError(explain(error.filename or folder.path, error)) from error
     out.print(rich_table(grid))

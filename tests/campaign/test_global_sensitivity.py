@@ -83,3 +83,18 @@ def test_failures_count_and_results_are_compared_bit_for_bit(tmp_path):
     assert outcome(run, Metric("position_error_m"), MEDIAN, SCENARIO, "landmark-harris") == 20.0
     assert same_results(run, SCENARIO, "same", "landmark-harris")
     assert not same_results(run, SCENARIO, "other", "landmark-harris")
+
+
+def test_other_detections_are_other_results_though_rows_are_the_same(tmp_path):
+    builder = RunBuilder(tmp_path / "run")
+    ellipse = dict.fromkeys(("v_px", "major_px", "minor_px", "angle_deg"), 20.0)
+    errors = dict.fromkeys(("centre_error_px", "major_error_px", "minor_error_px"), 0.5)
+    for scenario, u_px in (("base", 100.0), ("same", 100.0), ("other", 100.1)):
+        builder.trial(0, ((40.0, 0.0, 0.0), 1.0), None, estimator="crater-classic")
+        builder.tables["rows"][-1]["scenario"] = scenario
+        key = {"trial": 0, "scenario": scenario, "estimator": "crater-classic", "rank": 0, "confidence": 0.9}
+        known = {"kept": True, "crater": 3, "duplicate": False, "detectable": True, "clean": True}
+        builder.add("detections", **key, **known, u_px=u_px, **ellipse, **errors)
+    run = read_run(builder.write(scenarios={name: {} for name in ("base", "same", "other")}))
+    assert same_results(run, "base", "same", "crater-classic")
+    assert not same_results(run, "base", "other", "crater-classic")
