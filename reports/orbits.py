@@ -9,6 +9,7 @@ import numpy as np
 from reports.clusters import clusters_of
 from reports.comparison import ComparedValue
 from reports.comparison_tables import comparison_grid
+from reports.consistency import consistency_grid
 from reports.figures.orbit import draw_orbit_errors, draw_residuals
 from reports.grid import Grid, value_of
 from reports.named_figure import NamedFigure, file_stem
@@ -16,6 +17,7 @@ from reports.records import Record, find, unit_of
 from reports.run_data import RunData, select
 from reports.statistics import MEAN, MEDIAN, RMS, Statistic, measure
 from reports.tables import diagnostic_grid, timing_grid
+from reports.weighed import AT_EPOCH
 
 ORBIT = "orbit"
 """Stage of what a trial of orbit determination comes to."""
@@ -55,7 +57,8 @@ def orbit_records(run: RunData) -> list[Record]:
 
 def orbit_grids(records: Sequence[Record], compared: Sequence[ComparedValue], run: RunData) -> list[Grid]:
     """List the tables of a run of orbit determination."""
-    found = (comparison_grid(compared), _grid(records, run), timing_grid(records))
+    claims = consistency_grid([record for record in records if record.measure == AT_EPOCH])
+    found = (comparison_grid(compared), _grid(records, run), claims, timing_grid(records))
     several = run.manifest.grid is not None
     return [grid for grid in (*found, None if several else diagnostic_grid(records)) if grid is not None]
 

@@ -21,8 +21,9 @@ from reports.run_data import RunData, select
 from reports.statistics import MEAN, MEDIAN, FloatArray, Measured, measure
 
 NEES, NIS = "nees", "innovation"
-_AFTER = f"{NEES}_after_"
-POSE_DEGREES, POSITION_DEGREES = 6, 3
+AT_EPOCH = f"{NEES}_at_epoch"
+_AFTER, _EPOCH = f"{NEES}_after_", "epoch_nees"
+POSE_DEGREES, STATE_DEGREES, POSITION_DEGREES = 6, 6, 3
 _NIS_DEGREES = "innovation_degrees"
 _TAILS = (0.025, 0.975)
 _TURN_DEG = 360.0
@@ -36,7 +37,8 @@ class Weighed:
     Parameters
     ----------
     name
-        Of the records: ``nees`` of a pose, ``nees_after_K`` of a position after K revolutions, ``innovation``.
+        Of the records: ``nees`` of a pose, ``nees_after_K`` of a position after K revolutions, ``nees_at_epoch``
+        of position and velocity of an orbit, ``innovation``.
     expected
         Mean where covariances are true, in the unit of ``ratio``.
     table
@@ -87,6 +89,11 @@ def weighed_errors(run: RunData) -> Iterator[Weighed]:
         for k in range(1, int((last + _SAME_FRAME_DEG) // _TURN_DEG) + 1):
             at = known[(known["anomaly_deg"] - k * _TURN_DEG).abs() < _SAME_FRAME_DEG]
             yield from _some(f"{_AFTER}{k}", POSITION_DEGREES, at)
+    if _EPOCH in run.orbits:
+        # The table has it over the number of degrees of freedom, so that 1 is expected.
+        solved = run.orbits[run.orbits[_EPOCH].notna()]
+        squares = solved.assign(ratio=STATE_DEGREES * solved[_EPOCH], degrees=STATE_DEGREES)
+        yield from _some(AT_EPOCH, STATE_DEGREES, squares)
     told = run.diagnostics[run.diagnostics["name"].isin([NIS, _NIS_DEGREES])]
     wide = told.pivot_table(index=["scenario", "estimator", "trial"], columns="name", values="value").reset_index()
     if {NIS, _NIS_DEGREES} <= set(wide):
@@ -99,7 +106,8 @@ def weighed_label(name: str) -> str:
     if name.startswith(_AFTER):
         turns = name.removeprefix(_AFTER)
         return f"NEES of the position after {turns} revolution{'' if turns == '1' else 's'}"
-    return {NEES: "NEES of the pose", NIS: "NIS of a measurement"}.get(name, name)
+    known = {NEES: "NEES of the pose", AT_EPOCH: "NEES of the orbit at its epoch", NIS: "NIS of a measurement"}
+    return known.get(name, name)
 
 
 def _some(name: str, expected: int, table: pd.DataFrame) -> Iterator[Weighed]:

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 from stored_runs import SCENARIO, RunBuilder, pose_error
 
 from reports.build import write_report
+from reports.consistency import BAND, CONSISTENCY, INSIDE
 from reports.orbits import ORBIT
 from reports.records import find
+from reports.weighed import AT_EPOCH
 
 ERRORS = (1.0, 2.0, 3.0, 10.0)
 
@@ -46,6 +49,17 @@ def test_medians_and_percentiles_are_over_the_trials_that_converged(report):
     assert value("arc_rms_m", "90th percentile").value == pytest.approx(np.quantile(ERRORS, 0.9))
     assert value("epoch_nees", "mean").value == pytest.approx(1.0)
     assert (value("arc_rms_m", "median").n_ok, value("arc_rms_m", "median").n) == (4, 5)
+
+
+def test_the_covariance_is_held_against_the_errors_at_the_epoch(report):
+    """Four weighed squares of 6, all of them the expected mean of chi-square with 6 degrees of freedom."""
+    key = {"scenario": SCENARIO, "estimator": "batch-filter", "stage": CONSISTENCY, "measure": AT_EPOCH}
+    mean, band, inside = (find(report.content.records, **key, statistic=name) for name in ("mean", BAND, INSIDE))
+    assert (mean.value, mean.n_ok, mean.n) == (6.0, 4, 5)
+    ends = chi2.ppf((0.025, 0.975), 4 * 6) / 4
+    assert (band.value, band.low, band.high) == pytest.approx((6.0, *ends), rel=1e-6)
+    assert inside.value == 1.0
+    assert "NEES of the orbit at its epoch" in report.markdown.read_text()
 
 
 def test_the_page_counts_what_did_not_converge_and_shows_the_figures(report):
