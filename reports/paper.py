@@ -195,7 +195,7 @@ class PaperPage:
     grids
         Further tables.
     figures
-        The paper's figures, named by its numbers.
+        The paper's figures and tables, named by its numbers.
     runs
         What each number comes from: campaign, and how its run was made.
     missing
@@ -218,13 +218,14 @@ class PaperPage:
 
 
 def write_paper(page: PaperPage, folder: Path) -> Path:
-    """Write figures (PNG and PDF), ``table.csv``, ``table.md`` and ``index.html`` into a folder; return the page.
+    """Write the drawings (PNG and PDF), ``table.csv``, ``table.md`` and ``index.html`` into a folder; return the page.
 
-    Figures of the paper that an earlier call left there and that this one cannot draw are removed.
+    Drawings of the paper that an earlier call left there and that this one cannot draw are removed.
     """
     folder.mkdir(parents=True, exist_ok=True)
     stems = {figure.stem for figure in page.figures}
-    for old in (*folder.glob("figure_*.png"), *folder.glob("figure_*.pdf")):
+    patterns = [f"{kind}_[0-9]*.{end}" for kind in ("figure", "table") for end in ("png", "pdf")]
+    for old in [path for pattern in patterns for path in folder.glob(pattern)]:
         if old.stem not in stems:
             old.unlink()
     for figure in page.figures:

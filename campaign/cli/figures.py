@@ -96,8 +96,8 @@ def _of_paper(name: str, folder: Path, arguments: argparse.Namespace) -> int:
     out.print(rich_table(paper_grid(page.lines).keep(*shown)))
     for line in (*page.refused, *page.missing):
         out.print(line)
-    out.print(f"{len(page.figures)} figures; verdicts: {verdict_tally(page.lines)}")
-    out.print(f"figures and table: {written}")
+    out.print(f"figures and tables drawn: {len(page.figures)}; verdicts: {verdict_tally(page.lines)}")
+    out.print(f"page: {written}")
     return _IN_PART if page.refused else 0
 
 

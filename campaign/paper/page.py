@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
@@ -12,6 +12,7 @@ from campaign.paper.kinds import Paper, PaperFigure
 from campaign.resolve import CATALOG, campaign_names
 from reports.named_figure import NamedFigure
 from reports.paper import PaperLine, PaperPage, paper_lines
+from reports.paper_tables import lines_by_table, table_figure
 from reports.provenance import stamp
 from reports.published import load_published
 from scenarios.errors import BoresightError
@@ -54,15 +55,16 @@ def paper_page(paper: Paper, runs: Path, jobs: int | None = None, draft: float =
             missing.append(f"figure {figure.number}: {error}")
     reports = _reports(paper)
     lines = [line for name, report in reports.items() for line in _lines(paper, name, report, found.get(name))]
+    tables, without = _tables(lines, found)
     sources = {load_published(name).source for name in reports.values()}
     return PaperPage(
         title=paper.title,
         source="; ".join(sorted(sources)),
         lines=tuple(lines),
         grids=tuple(grid for run in found.values() for grid in paper.grids(run)),
-        figures=tuple(figures),
+        figures=(*figures, *tables),
         runs=tuple((name, _how(run)) for name, run in found.items()),
-        missing=tuple(missing),
+        missing=(*missing, *without),
         refused=gathered.refused,
         credits=tuple(sorted({line for run in found.values() for line in run.manifest["credits"]})),
     )
@@ -91,6 +93,21 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | Non
     if not named:
         raise BoresightError(f"there is nothing to draw in the runs of {', '.join(runs)}")
     return named
+
+
+def _tables(lines: Sequence[PaperLine], found: Mapping[str, FinishedRun]) -> tuple[list[NamedFigure], list[str]]:
+    """Draw the tables of the paper of which something has been run, and say of the others what they need."""
+    tables, missing = [], []
+    for number, own in lines_by_table(lines).items():
+        campaigns = dict.fromkeys(line.campaign for line in own)
+        runs = [found[name].content.run for name in campaigns if name in found]
+        if runs:
+            table = table_figure(number, own)
+            stamp(table.figure, runs)
+            tables.append(table)
+        else:
+            missing.append(f"table {number}: not drawn without a finished run of {' or '.join(campaigns)}")
+    return tables, missing
 
 
 def _reports(paper: Paper) -> dict[str, str]:

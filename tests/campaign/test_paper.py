@@ -103,7 +103,8 @@ def test_every_published_number_has_its_line(page):
         assert {claim.text for claim in comparison.claims} <= set(mine["published"])
     assert (table.loc[table["campaign"] == "navcam67p-real", "verdict"] == "not measured").all()
     html = (page / "index.html").read_text(encoding="utf-8")
-    assert html.count("<img ") == len(list(page.glob("figure_*.png")))
+    assert html.count("<img ") == len(list(page.glob("*.png")))
+    assert (page / "table_01.pdf").exists()
     assert "http" not in html.replace("http://www.w3.org", "")
 
 

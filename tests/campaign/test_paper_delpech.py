@@ -41,6 +41,7 @@ def page(runs):
 def test_figures_have_the_numbers_of_the_paper(page):
     drawn = {path.stem for path in page.glob("figure_*.png")}
     assert {f"figure_{n}" for n in ("3.1", "3.2", "4.1", "4.2", "5.1", "5.2")} <= drawn
+    assert {path.name for path in page.glob("table_*")} == {"table_03.png", "table_03.pdf"}
     text = (page / "table.md").read_text(encoding="utf-8")
     assert "Figure 4.2. Position error after whole revolutions by views" in text
 
