@@ -15,7 +15,7 @@ from reports.content import Content, read_content
 from reports.figures.style import save_figure
 from reports.html import html_page, reproduce_command
 from reports.named_figure import NamedFigure
-from reports.provenance import stamp
+from reports.provenance import counted, stamp
 from reports.row_files import write_row_files
 from reports.run_figures import draw_figures
 from scenarios.errors import BoresightError
@@ -103,7 +103,7 @@ def write_report(run: Path, out: Path | None = None, extra: Iterable[NamedFigure
 def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure]) -> list[str]:
     """Write all files into ``folder`` and list their names, the page last so that it never shows what is not there."""
     names = _write_tables(content, folder)
-    figures = [*draw_figures(content), *extra]
+    figures = [*(counted(figure, [content.run]) for figure in draw_figures(content)), *extra]
     twice = [stem for stem, count in Counter(figure.stem for figure in figures).items() if count > 1]
     if twice:
         raise ValueError(f"two figures are called {twice[0]}: one would take the place of the other")

@@ -13,7 +13,7 @@ from campaign.resolve import CATALOG, campaign_names
 from reports.named_figure import NamedFigure
 from reports.paper import PaperLine, PaperPage, paper_lines
 from reports.paper_tables import lines_by_table, table_figure
-from reports.provenance import stamp
+from reports.provenance import counted, stamp
 from reports.published import load_published
 from scenarios.errors import BoresightError
 from scenarios.load import load_campaign
@@ -87,9 +87,11 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | Non
     named: list[NamedFigure] = []
     for group in groups:
         for drawing in figure.draw(group, jobs):
-            stamp(drawing.figure, [run.content.run for run in group.values()])
+            shown = [run.content.run for run in group.values()]
+            stamp(drawing.figure, shown)
             beside = f"_{next(iter(group))}" if named else ""
-            named.append(figure.named(drawing, drawing.stem if drawing.stem.startswith("_") else beside))
+            suffix = drawing.stem if drawing.stem.startswith("_") else beside
+            named.append(figure.named(counted(drawing, shown), suffix))
     if not named:
         raise BoresightError(f"there is nothing to draw in the runs of {', '.join(runs)}")
     return named

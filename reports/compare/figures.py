@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import pandas as pd
 
@@ -31,7 +32,13 @@ _KEY = ["scenario", "estimator", "trial"]
 
 
 def comparison_figures(found: RunComparison) -> Iterator[NamedFigure]:
-    """Draw every figure that the trials allow."""
+    """Draw every figure that the trials allow; captions say how many trials each subject solved, of how many."""
+    counts = "; ".join(f"{found.label(one.names)} {one.n_ok}/{one.n}" for one in found.subjects)
+    for figure in _figures(found):
+        yield replace(figure, caption=f"{figure.caption} Solved trials: {counts}.")
+
+
+def _figures(found: RunComparison) -> Iterator[NamedFigure]:
     yield standings_figure(found)
     yield from consistency_figures(found)
     for name, subjects in groups(found).items():
@@ -122,7 +129,6 @@ def standings_figure(found: RunComparison) -> NamedFigure:
     ]
     against = {name for name, _ in bases.values()}
     title = ", ".join(filter(None, (found.metric.label.capitalize(), found.shared)))
-    counts = "; ".join(f"{found.label(one.names)} {one.n_ok}/{one.n}" for one in found.subjects)
     return NamedFigure(
         "compare",
         draw_standings(
@@ -130,7 +136,7 @@ def standings_figure(found: RunComparison) -> NamedFigure:
         ),
         f"{title}: median with its 95 % interval, RMS and percentiles over the solved trials, the median of all trials"
         " with failures counted, success rates, and the median difference trial by trial to the first of those that"
-        f" differ from it in one thing. Solved trials: {counts}.",
+        " differ from it in one thing.",
         f"Errors, success rates and differences of {', '.join(found.label(one.names) for one in found.subjects)}.",
     )
 

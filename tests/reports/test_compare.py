@@ -1,6 +1,7 @@
 """Comparisons of stored runs: hand-made failures, scipy's tests and bootstrap, and what may not be compared."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -176,6 +177,9 @@ def test_the_files_hold_every_number(tmp_path):
     files = write_comparison(compare_runs([run]), tmp_path / "out", "boresight compare run")
     text = files.markdown.read_text()
     assert "failures at prior" in text
+    captions = re.findall(r"^!\[.*\]\(.*\)\n\n(.*)$", text, re.M)
+    assert len(captions) > 1
+    assert all(caption.endswith("Solved trials: one 3/4; other 4/4.") for caption in captions)
     assert "boresight compare run" in text
     subjects = (tmp_path / "out" / "subjects.csv").read_text().splitlines()
     assert len(subjects) == 1 + (1 + 5 + 5) + (1 + 5)

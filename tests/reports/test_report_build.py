@@ -5,10 +5,13 @@ from html.parser import HTMLParser
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 from reports.build import write_report
 from reports.figures import draw_landmark_counts
 from reports.named_figure import NamedFigure
+from reports.provenance import counted
+from reports.run_data import read_run
 from scenarios.errors import BoresightError
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
@@ -55,6 +58,24 @@ def test_report_holds_every_table_and_figure(report):
     }
     written = {*files.tables, *files.rows, *files.figures, files.html, files.markdown}
     assert {path for path in files.folder.rglob("*") if path.is_file()} == written
+
+
+def test_captions_say_of_how_many_trials_a_figure_is(report):
+    """Six of the 120 trials failed."""
+    text = report.markdown.read_text(encoding="utf-8")
+    captions = re.findall(r"^!\[.*\]\(.*\)\n\n(.*)$", text, re.M)
+    assert len(captions) == 4
+    assert all(caption.endswith(". Of 120 trials, solved: prior 120, landmark-harris 114.") for caption in captions)
+
+
+def test_captions_of_many_methods_give_the_range(builder):
+    for estimator in map(str, range(8)):
+        for trial in range(3):
+            final = ((1.0, 2.0, 3.0), 0.1) if trial or estimator == "0" else None
+            builder.trial(trial, ((9.0, 9.0, 9.0), 1.0), final, estimator=estimator)
+    run = read_run(builder.write(estimators=list(map(str, range(8)))))
+    told = counted(NamedFigure("stem", Figure(), "What it shows.", ""), [run]).caption
+    assert told == "What it shows. Of 3 trials, solved: 2 to 3 by each of 8 methods."
 
 
 def test_csv_carries_the_numbers_behind_the_tables(report):
