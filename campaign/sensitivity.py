@@ -184,7 +184,7 @@ def analyse(
     Raises
     ------
     BoresightError
-        If an estimator has solved no trial of a sample and there is no prior to count it with.
+        If an estimator has failed in too many trials of a sample and there is no prior to count them with.
     """
     found = []
     for label in labels:
@@ -192,7 +192,10 @@ def analyse(
         def of(cell: str, label: str = label) -> float:
             value = outcome(run, metric, statistic, cell, label)
             if not np.isfinite(value):
-                raise BoresightError(f"{run.folder}: {label} has no {metric.name} in {cell}: give more --trials")
+                raise BoresightError(
+                    f"{run.folder}: {label} has no {statistic.name} of {metric.name} in {cell}, as it failed in too"
+                    " many trials: narrow the ranges of --over, or give more --trials"
+                )
             return value
 
         outcomes = np.array([of(_sample(i)) for i in range(len(design.samples))])

@@ -17,11 +17,11 @@ from SALib.analyze import sobol
 from scipy.stats import spearmanr
 
 from reports.cells import interval
-from reports.compare.metrics import Metric, metric_values, prior_values
+from reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
 from reports.grid import NO_VALUE, Grid
 from reports.records import CONTROL
 from reports.run_data import RunData
-from reports.statistics import LEVEL, RESAMPLES, FloatArray, Measured, Statistic, content_rng
+from reports.statistics import LEVEL, RESAMPLES, WORST, FloatArray, Measured, Statistic, bounded, content_rng
 
 _KEY = ("trial", "scenario")
 _CIRCUMSTANCES = ("image", "range_m", "phase_deg", "latitude_deg", "view_deg", "sun_deg", "epipolar_offset_px")
@@ -71,11 +71,19 @@ class Sensitivity:
 
 
 def outcome(run: RunData, metric: Metric, statistic: Statistic, scenario: str, estimator: str) -> float:
-    """Evaluate a statistic over the trials of a scenario, a failure with its prior's error; NaN where none has one."""
-    own = (run.rows["scenario"] == scenario) & (run.rows["estimator"] == estimator)
+    """Evaluate a statistic over the trials of a scenario; NaN or infinite where too few have a value.
+
+    A failure counts with its prior's error. Where there are no priors it counts in medians and percentiles, as worse
+    than any error; a mean of such does not exist, and is that of the solved trials.
+    """
+    own = (run.rows["scenario"] == scenario) & (run.rows["estimator"] == estimator) & ~nothing_to_find(run, metric)
     values, prior = metric_values(run, metric)[own], prior_values(run, metric)
-    known = (values if prior is None else values.fillna(prior[own])).dropna()
-    return statistic.of(known.to_numpy(dtype=np.float64)) if len(known) else float("nan")
+    if prior is not None:
+        values = values.fillna(prior[own])
+    elif statistic.quantile is not None and metric.is_error:
+        values = values.fillna(WORST)
+    known = values.dropna().to_numpy(dtype=np.float64)
+    return bounded(statistic.of(known)) if len(known) else float("nan")
 
 
 def same_results(run: RunData, one: str, other: str, estimator: str) -> bool:
@@ -148,8 +156,8 @@ def sensitivity_grid(found: Sequence[Sensitivity], varied: Sequence[Varied], met
             rows.append((one.estimator, key.key, f"{key.low:g}", f"{key.high:g}", *alone, *shares, remark))
     note = (
         f"Outcome: {statistic} of the {metric.label} over the trials of a sample, the same draws in all samples; a"
-        " failure counts with its prior's error. At from, at to: that key alone at its bounds. 'changes no result': at"
-        " both bounds every number of the estimator is that of the base, bit for bit. An index whose interval is wider"
-        " than 1 says nothing: take more --samples."
+        " failure counts with its prior's error, without priors in medians and percentiles as worse than any. At from,"
+        " at to: that key alone at its bounds. 'changes no result': at both bounds every number of the estimator is"
+        " that of the base, bit for bit. An index whose interval is wider than 1 says nothing: take more --samples."
     )
     return Grid("Sensitivity", heads, tuple(rows), frozenset({0, 1, len(heads) - 1}), note)

@@ -12,6 +12,7 @@ lies between two order statistics, that of a mean is its standard error's.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -25,6 +26,15 @@ RESAMPLES = 2000
 LEVEL = 0.95
 LARGE = 10_000
 _CHUNK = 4_000_000  # numbers held at a time while resampling
+
+
+WORST = 1e150
+"""Stands for the error of a failure that has none: above every error, and its square is still a number."""
+
+
+def bounded(value: float) -> float:
+    """Call a quantile infinite that lies among failures, or between one and an error."""
+    return math.inf if value > 1e-6 * WORST else value
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,14 +19,12 @@ from reports.compare.trials import all_factors, check_pairs, tabulate_trials
 from reports.paired import share_of
 from reports.records import CONTROL
 from reports.run_data import RunData, read_run
-from reports.statistics import MEDIAN, P75, P95, P99, RMS, FloatArray, Measured, Statistic, measure
+from reports.statistics import MEDIAN, P75, P95, P99, RMS, WORST, FloatArray, Measured, Statistic, bounded, measure
 from scenarios.errors import BoresightError
 
 STATISTICS = (MEDIAN, RMS, P75, P95, P99)
 DEFAULT_FACTORS = (ESTIMATOR, SCENARIO)
 _QUANTILES = tuple(statistic for statistic in STATISTICS if statistic.quantile is not None)
-_WORST = 1e150
-"""Stands for the error of a failure that has none: above every error, and its square is still a number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +204,7 @@ def _subject(rows: pd.DataFrame, names: tuple[str, ...]) -> Subject:
         len(rows),
         share_of(~rows["failed"].to_numpy(dtype=bool), clusters),
         tuple(measure(values[known], clusters[known], STATISTICS)),
-        tuple(_counted(np.where(known, values, prior if at_prior else _WORST), clusters, at_prior)),
+        tuple(_counted(np.where(known, values, prior if at_prior else WORST), clusters, at_prior)),
         at_prior,
     )
 
@@ -221,4 +219,4 @@ def _counted(values: FloatArray, clusters: NDArray[np.generic], at_prior: bool) 
 def _bounded(measured: Measured) -> Measured:
     """Call what lies among the failures infinite."""
     ends = (measured.value, measured.low, measured.high)
-    return Measured(*(np.inf if end is not None and end > 1e-6 * _WORST else end for end in ends))
+    return Measured(*(None if end is None else bounded(end) for end in ends))

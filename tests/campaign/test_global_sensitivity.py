@@ -18,7 +18,7 @@ from reports.global_sensitivity import (
     sobol_shares,
 )
 from reports.run_data import read_run
-from reports.statistics import MEDIAN
+from reports.statistics import MEAN, MEDIAN
 from scenarios.errors import BoresightError
 
 PI = [Varied(name, -np.pi, np.pi) for name in "abc"]
@@ -83,6 +83,19 @@ def test_failures_count_and_results_are_compared_bit_for_bit(tmp_path):
     assert outcome(run, Metric("position_error_m"), MEDIAN, SCENARIO, "landmark-harris") == 20.0
     assert same_results(run, SCENARIO, "same", "landmark-harris")
     assert not same_results(run, SCENARIO, "other", "landmark-harris")
+
+
+@pytest.mark.parametrize(
+    ("lengths", "median", "mean"),
+    [([1.0, 2.0, 9.0], 2.0, 4.0), ([1.0, 2.0, None], 2.0, 1.5), ([1.0, None, None], np.inf, 1.0)],
+)
+def test_without_priors_a_failure_is_worse_than_any_error(tmp_path, lengths, median, mean):
+    builder = RunBuilder(tmp_path / "run")
+    for trial, length in enumerate(lengths):
+        builder.trial(trial, ((np.nan, 0.0, 0.0), np.nan), None if length is None else ((length, 0.0, 0.0), 0.5))
+    run = read_run(builder.write())
+    found = [outcome(run, Metric("position_error_m"), one, SCENARIO, "landmark-harris") for one in (MEDIAN, MEAN)]
+    assert found == pytest.approx([median, mean])
 
 
 def test_other_detections_are_other_results_though_rows_are_the_same(tmp_path):
