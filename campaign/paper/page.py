@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, cast
 from campaign.paper.gather import FinishedRun, Gathered, gather_runs, run_folders
 from campaign.paper.kinds import Paper, PaperFigure
 from campaign.resolve import CATALOG, campaign_names
+from campaign.start import RUNS
 from reports.named_figure import NamedFigure
 from reports.paper import PaperLine, PaperPage, paper_lines
 from reports.paper_tables import lines_by_table, table_figure
@@ -43,7 +45,7 @@ def paper_page(paper: Paper, runs: Path, jobs: int | None = None, draft: float =
     gathered = gather(paper, runs, draft)
     found = gathered.found
     missing = [
-        f"{name}: no finished run without --set under {runs}/; to run it: boresight run {name}"
+        f"{name}: no finished run without --set under {runs}/; to run it: {_command(name, runs)}"
         for name in paper_campaigns(paper)
         if name not in found
     ]
@@ -95,6 +97,11 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | Non
     if not named:
         raise BoresightError(f"there is nothing to draw in the runs of {', '.join(runs)}")
     return named
+
+
+def _command(name: str, runs: Path) -> str:
+    """Write the command that leaves a run of a campaign where it is looked for."""
+    return shlex.join(["boresight", "run", name, *([] if runs == RUNS else ["--out", str(runs / name)])])
 
 
 def _tables(lines: Sequence[PaperLine], found: Mapping[str, FinishedRun]) -> tuple[list[NamedFigure], list[str]]:
