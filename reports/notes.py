@@ -22,11 +22,19 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
         f" from {LARGE:,} independent trials on, between order statistics or from the standard error of a mean)."
     )
     yield from _set_lines(run)
-    yield (
-        "Position error is the difference of camera positions in the body frame, its components turned into the true"
-        " camera's axes. Failed trials have no error: statistics after a stage are over the trials that reached it,"
-        " beside their number, and the line 'failures at prior' counts every trial."
-    )
+    posed = bool(run.posed_pairs())
+    if posed:
+        yield (
+            "Position error is the difference of camera positions in the body frame, its components turned into the"
+            " true camera's axes. Failed trials have no error: statistics after a stage are over the trials that"
+            " reached it, beside their number, and the line 'failures at prior' counts every trial."
+        )
+    elif not run.epochs.empty:
+        yield (
+            "Position error is that of the camera about the body, in inertial axes. A trial that failed has no error"
+            " from the frame on at which it ended: statistics after a revolution are over the trials that came so far,"
+            " beside their number."
+        )
     if (run.rows["image"] != "").any():
         yield (
             "These are real images. The pose that they are scored against is itself an estimate, and so is every"
@@ -35,7 +43,7 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
     if comparison is not None:
         yield f"Published values: {comparison.source}. {comparison.conditions}"
     absent = [name for name in ("stages", "landmarks", "timings") if getattr(run, name).empty]
-    if absent:
+    if posed and absent:
         yield f"Not stored in this run, so left out: {', '.join(absent)}."
     yield from run.manifest.notes
 

@@ -8,6 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from reports.build import write_report
+from reports.content import read_content
 from reports.figures import draw_landmark_counts
 from reports.named_figure import NamedFigure
 from reports.provenance import counted
@@ -146,6 +147,18 @@ def test_what_is_not_stored_is_left_out_and_said(builder):
     assert not [p for p in files.figures if p.stem.startswith("landmark_errors")]
     assert "left out: stages, landmarks, timings" in files.markdown.read_text()
     assert "Time per stage" not in files.markdown.read_text()
+
+
+def test_notes_on_poses_stand_where_there_are_poses(builder, full_run):
+    about, absent = "components turned into the true camera's axes", "so left out"
+    text = write_report(full_run()).markdown.read_text(encoding="utf-8")
+    assert about in text
+    (builder.folder / "rows" / "block-0.parquet").unlink()
+    rows = pd.DataFrame([row for row in builder.tables["rows"] if row["estimator"] == "prior"])
+    nothing = [name for name in rows if "_error" in name]
+    rows.assign(**dict.fromkeys(nothing, np.nan)).to_parquet(builder.folder / "rows" / "block-0.parquet")
+    notes = read_content(builder.folder).notes
+    assert not any(about in note or absent in note for note in notes)
 
 
 def test_a_run_in_which_everything_failed_is_still_reported(builder):
