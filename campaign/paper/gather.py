@@ -12,6 +12,7 @@ from campaign.newest import start_of
 from campaign.resolve import ResolvedCampaign, campaign_names, reload
 from campaign.store import RunFolder
 from reports.content import Content, content_of
+from reports.published import load_published
 from reports.run_data import RunData, read_run
 from scenarios.errors import BoresightError, one_line
 from scenarios.reading import plain_json
@@ -126,26 +127,28 @@ def finished_runs(runs: Sequence[Path], name: str, draft: float = 1.0) -> tuple[
                 finished.append(FinishedRun(folder, manifest))
         except BoresightError as error:
             if _may_be_of(path, name):
-                refused.append(_left_out(error))
+                refused.append(_left_out(path, error))
     newest = sorted(finished, key=lambda run: (start_of(run.folder.path), str(run.manifest["finished"])), reverse=True)
     return newest, refused
 
 
 def _first_sound(runs: Sequence[FinishedRun]) -> tuple[FinishedRun | None, list[str]]:
-    """Return the first run all of whose tables can be read, and a line for each before it."""
+    """Return the first run that can be read and held against what it names, and a line for each before it."""
     refused = []
     for run in runs:
         try:
-            run.data  # noqa: B018  reads the tables, which it keeps
+            if run.data.manifest.report:
+                load_published(run.data.manifest.report)
         except BoresightError as error:
-            refused.append(_left_out(error))
+            refused.append(_left_out(run.folder.path, error))
         else:
             return run, refused
     return None, refused
 
 
-def _left_out(error: BoresightError) -> str:
-    return f"left out: {one_line(error)}"
+def _left_out(path: Path, error: BoresightError) -> str:
+    said = one_line(error)
+    return f"left out: {said}" if str(path) in said else f"left out: {path}: {said}"
 
 
 def _may_be_of(path: Path, name: str) -> bool:
