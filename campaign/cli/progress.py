@@ -82,9 +82,10 @@ class ProgressListener:
             if isinstance(error, float):
                 self._medians.setdefault(str(row["estimator"]), RunningMedian()).add(error)
         rate = self._fresh / max(time.monotonic() - self._began, 1e-9)
-        median = "  ".join(f"{label} {m.value:.3g} m" for label, m in self._medians.items() if m.value is not None)
+        known = [f"{label} {m.value:.3g} m" for label, m in self._medians.items() if m.value is not None]
+        median = "median " + "  ".join(known) if known else ""  # of craters or data bases there is none
         if self._task is not None:
-            self._bar.update(self._task, completed=self._done, rate=f"{rate:.1f}/s", median=f"median {median}")
+            self._bar.update(self._task, completed=self._done, rate=f"{rate:.1f}/s", median=median)
         self._line(rate, median)
 
     def _line(self, rate: float, median: str) -> None:
@@ -92,4 +93,5 @@ class ProgressListener:
         if self._bar.disable and due:
             self._last_line = time.monotonic()
             left = (self._total - self._done) / max(rate, 1e-9)
-            self._console.print(f"{self._done}/{self._total} trials, {rate:.1f}/s, {left:.0f} s left, median {median}")
+            told = (f"{self._done}/{self._total} trials", f"{rate:.1f}/s", f"{left:.0f} s left", median)
+            self._console.print(", ".join(filter(None, told)))

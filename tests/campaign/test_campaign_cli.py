@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import shutil
@@ -13,10 +14,12 @@ import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
+from rich.console import Console
 from ruamel.yaml import YAML
 from tiny_campaign import CAMPAIGN, SCENE, boresight, compute, write_campaign
 
 from campaign.cli import main
+from campaign.cli.progress import ProgressListener
 from campaign.needs import data_needed
 from campaign.resolve import CATALOG, campaign_names
 from campaign.store import RunFolder
@@ -256,3 +259,12 @@ def test_the_report_shows_the_worst_trials_and_how_to_see_all_of_them(tiny_run, 
     worst = failed if len(failed) else own.sort_values("position_error_m", ascending=False)
     page = (tmp_path / "run" / "report" / "report.html").read_text(encoding="utf-8")
     assert f"--trial {worst.iloc[0]['trial']}" in page
+
+
+@pytest.mark.parametrize(("error_m", "told"), [(3.0, "0 s left, median mine 3 m\n"), (None, "0 s left\n")])
+def test_progress_tells_a_median_where_there_are_position_errors(error_m, told):
+    out = io.StringIO()
+    with ProgressListener(Console(file=out)) as listener:
+        listener.started(0, 1)
+        listener.block({"rows": [{"position_error_m": error_m, "estimator": "mine"}]}, 1)
+    assert out.getvalue().endswith(told)
