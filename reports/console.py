@@ -12,6 +12,7 @@ from rich.text import Text
 from reports.clusters import pools
 from reports.comparison_tables import verdict_grid
 from reports.content import Content, read_content
+from reports.crater_matching import matching_brief
 from reports.designs import design_grids
 from reports.grid import Grid
 from reports.records import CONTROL
@@ -21,7 +22,7 @@ from scenarios.errors import printable
 
 
 def console_table(run: Path | Content) -> Group:
-    """Build the table of pose errors, and the verdicts where values are published; of a grid, the grid's tables.
+    """Build the table of what a run is about, and the verdicts where values are published; of a grid, its tables.
 
     Parameters
     ----------
@@ -29,6 +30,9 @@ def console_table(run: Path | Content) -> Group:
         A run folder, or the content of a report that was just written.
     """
     content = read_content(run) if isinstance(run, Path) else run
+    if not content.run.crater_matches.empty:
+        brief = [*matching_brief(content.records, content.run), verdict_grid(content.compared)]
+        return Group(*(rich_table(grid) for grid in brief if grid is not None))
     if content.run.manifest.grid is not None:
         own = [pool.name for pool in pools(content.run)]
         pooled = sequence_grid([record for record in content.records if record.scenario in own])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -25,6 +25,8 @@ _OFFSETS = (MEDIAN, P95)
 _VIEWS = ((0.0, 10.0), (10.0, 20.0), (0.0, 20.0), (20.0, 30.0), (30.0, 90.0))
 _SUNS = ((0.0, 10.0), (10.0, 30.0), (0.0, 30.0), (30.0, 50.0), (50.0, 60.0), (60.0, 90.0))
 _DRAWN = (0.0, 20.0)
+_BRIEF_SUNS = ((0.0, 10.0), (0.0, 30.0), (50.0, 60.0))
+_BRIEF = ("Suns apart", "mode", "image pairs", "recall, %", "wrong, %")
 _NOTE = (
     "Recall: correct matches over the craters of the truth that both images detect. Wrong: over all matches. Intervals"
     " are 95 % bootstrap intervals over pairs of images; a pair that a mode rejects has missed all its craters."
@@ -74,9 +76,25 @@ def _offset(scenario: str, estimator: str, pairs: pd.DataFrame) -> Iterator[Reco
 
 def matching_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
     """Tabulate each scenario: a line for each cell of angles and matcher."""
-    return [
-        _grid(str(scenario), own, records, run) for scenario, own in run.crater_matches.groupby("scenario", sort=False)
-    ]
+    each = run.crater_matches.groupby("scenario", sort=False)
+    return [_grid(str(scenario), own, records, _cells(run, own)) for scenario, own in each]
+
+
+def matching_brief(records: Sequence[Record], run: RunData) -> list[Grid]:
+    """Tabulate what fits a terminal: three cells of angles of each scenario, or the scenarios of a grid."""
+    each = run.crater_matches.groupby("scenario", sort=False)
+    if run.manifest.grid is None:
+        cells = [_Cell(_DRAWN, sun) for sun in _BRIEF_SUNS]
+        found = [_grid(str(scenario), own, records, [c for c in cells if len(c.of(own))]) for scenario, own in each]
+        return [replace(grid.keep(*_BRIEF), title=f"{grid.title}, views {_span(_DRAWN)} apart") for grid in found]
+    axes = run.manifest.grid.axes
+    rows = []
+    for variation in run.manifest.grid.scenarios:
+        if variation.name in each.groups:
+            own = _grid(variation.name, each.get_group(variation.name), records, [_everything()]).keep(*_BRIEF[1:])
+            rows += [(*(variation.levels[axis.name] for axis in axes), *row) for row in own.rows]
+    heads = (*(axis.label or axis.name for axis in axes), *_BRIEF[1:])
+    return [Grid("Matching", heads, tuple(rows), frozenset(range(len(axes) + 1)))]
 
 
 def matching_figures(records: Sequence[Record], run: RunData) -> Iterator[NamedFigure]:
@@ -140,9 +158,9 @@ def _percent(sums: FloatArray) -> FloatArray:
     return np.asarray(100.0 * sums[:, 0] / np.maximum(sums[:, 1], 1.0))
 
 
-def _grid(scenario: str, own: pd.DataFrame, records: Sequence[Record], run: RunData) -> Grid:
+def _grid(scenario: str, own: pd.DataFrame, records: Sequence[Record], cells: Sequence[_Cell]) -> Grid:
     rows = []
-    for cell in _cells(run, own):
+    for cell in cells:
         for estimator in dict.fromkeys(own["estimator"]):
             here = {
                 r.measure: r for r in records if (r.scenario, r.estimator, r.stage) == (scenario, estimator, cell.stage)
@@ -152,9 +170,9 @@ def _grid(scenario: str, own: pd.DataFrame, records: Sequence[Record], run: RunD
             shares = [value_of(here.get(name), interval=True) for name in (RECALL, WRONG)]
             time = here.get(SECONDS)
             angles = (_span(cell.view), _span(cell.sun))
-            cells = (len(pairs), *totals)
+            numbers = (len(pairs), *totals)
             seconds = NO_VALUE if time is None else value_of(time)
-            rows.append((*angles, str(estimator), *map(str, cells), *shares, seconds))
+            rows.append((*angles, str(estimator), *map(str, numbers), *shares, seconds))
     heads = (
         "views apart", "Suns apart", "mode", "image pairs", "craters in both", "correct", "wrong", "missed",
         "recall, %", "wrong, %", "median time",

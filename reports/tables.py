@@ -147,12 +147,14 @@ def timing_grid(records: Sequence[Record]) -> Grid | None:
 def failure_grid(run: RunData) -> Grid | None:
     """Tabulate failures by reason; None if every trial is ok.
 
-    Of sequences, reasons that differ in their frame and numbers alone are one.
+    Reasons that differ in numbers alone are one, and of sequences those of all frames.
     """
-    failed, note = run.rows[run.rows["status"] != "ok"], ""
-    if not run.epochs.empty:
-        alike = failed["reason"].str.replace(_FRAME, "", regex=True).str.replace(_NUMBER, "n", regex=True)
-        failed, note = failed.assign(reason=alike), "n stands for numbers that differ from trial to trial."
+    failed = run.rows[run.rows["status"] != "ok"]
+    reason = failed["reason"] if run.epochs.empty else failed["reason"].str.replace(_FRAME, "", regex=True)
+    alike = reason.str.replace(_NUMBER, "n", regex=True)
+    merged = reason.groupby(alike).transform("nunique") > 1
+    failed = failed.assign(reason=reason.where(~merged, alike))
+    note = "n stands for numbers that differ from trial to trial." if merged.any() else ""
     keys = ["scenario", "estimator", "status", "reason"]
     tally = failed.value_counts(keys, sort=False).sort_index().sort_values(ascending=False, kind="stable")
     table = tally.reset_index().astype(str)

@@ -20,6 +20,7 @@ from campaign.experiments.registry import Bench
 from campaign.resolve import resolve
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
 from reports.crater_matching import RECALL, WRONG, matching_grids, matching_records
+from reports.grid import value_of
 from reports.run_data import read_run
 from scenarios.craters.pairs import CraterLook, CraterPair
 from scenarios.craters.simulated import NO_CRATER, LabelledDetections
@@ -125,7 +126,7 @@ def test_matches_that_break_the_contract_are_refused(matches, said) -> None:
         check_matches(matches, *images)
 
 
-def test_a_run_is_stored_and_reported_with_shares_of_its_counts(campaign_file, tmp_path) -> None:
+def test_a_run_is_stored_and_reported_with_shares_of_its_counts(campaign_file, tmp_path, capsys) -> None:
     from campaign.cli import main
 
     out = tmp_path / "run"
@@ -141,7 +142,24 @@ def test_a_run_is_stored_and_reported_with_shares_of_its_counts(campaign_file, t
     assert wrong.n == int(table["n_correct"].sum() + table["n_wrong"].sum())
     assert recall.low <= recall.value <= recall.high
     assert len(matching_grids(records, run)) == 1
+    told = capsys.readouterr().out
+    assert f"0 to 30 deg vote             6 {value_of(recall, interval=True)}" in told
+    assert "6/6 trials" in told
+    assert "median" not in told  # of a position: there is none
     assert (out / "report" / "matching_tiny-pairs.png").exists()
+
+
+def test_the_terminal_has_a_grid_by_its_levels(campaign_file, tmp_path, capsys) -> None:
+    from campaign.cli import main
+
+    levels = "{a: {crater_pairs.errors.centre_px: 0.1}, b: {crater_pairs.errors.centre_px: 0.4}}"
+    (tmp_path / "tiny-pairs.yaml").write_text(PAIRS)
+    (tmp_path / "tiny-matching.yaml").write_text(f"{_CAMPAIGN}grid:\n  axes: {{rim: {{levels: {levels}}}}}\n")
+    assert main(["run", str(tmp_path / "tiny-matching.yaml"), "--out", str(tmp_path / "run"), "--worst", "0"]) == 0
+    lines = [line.split()[:3] for line in capsys.readouterr().out.splitlines()]
+    for level in ("a", "b"):
+        for mode in ("vote", "hybrid"):
+            assert [level, mode, "6"] in lines
 
 
 @pytest.mark.parametrize(("change", "said"), [

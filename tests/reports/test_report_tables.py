@@ -8,7 +8,7 @@ from reports.console import console_table
 from reports.content import read_content
 from reports.grid import Grid, number, value_of
 from reports.records import Record
-from reports.tables import pose_grids, reference_grid, timing_grid
+from reports.tables import failure_grid, pose_grids, reference_grid, timing_grid
 
 LINE = Record("s", "e", "recognition", "", "position_error_m", "m", "median", 20.94, 19.06, 121.4, 9, 10)
 
@@ -66,6 +66,14 @@ def test_one_trial_prints_values_without_intervals_and_none_prints_dashes(builde
     prior, final, _ = grid.rows
     assert prior[3] == "5.00"
     assert final[2:] == ("0/1", *("-",) * 9)
+
+
+def test_reasons_that_differ_in_numbers_alone_are_counted_together(builder):
+    for trial, reason in enumerate(["3 of 9 lost", "4 of 9 lost", "no 1st corner", "no 1st corner", "5 craters"]):
+        builder.trial(trial, ([3, 4, 0], 1), None, reason=reason)
+    grid = failure_grid(read_content(builder.write()).run)
+    assert {row[3]: row[4] for row in grid.rows} == {"n of n lost": "2", "no 1st corner": "2", "5 craters": "1"}
+    assert "n stands for numbers" in grid.note
 
 
 def test_references_stand_below_the_truth_by_its_name(builder):
