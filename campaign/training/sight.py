@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaign.training.ground import STEP_PX, Ground, make_ground
-from estimators.craters.detection.fitting import fit_reweighted, real_ellipses
+from estimators.craters.detection.fitting import fit_reweighted
 from scenarios.geometry import Camera, Ellipses, Pose
 from scenarios.observation import Frame
 
@@ -156,7 +156,7 @@ def _truth(ground: Ground, geometry: Geometry, image: FloatImage) -> tuple[Ellip
     radius = np.array([bowl.radius for bowl in ground.bowls])
     chosen = np.flatnonzero((inside > 0.5) & (radius > 3.0))
     conics = fit_reweighted(uv[chosen], np.ones(uv[chosen].shape[:2]))
-    rims, good = real_ellipses(conics)
+    rims, good = Ellipses.among(conics)
     chosen = chosen[good]
     place = np.clip(np.floor(uv[chosen]), 0, [WIDTH_PX - 1, HEIGHT_PX - 1]).astype(np.int64)
     near_light = cv2.dilate((image > 0.06 * np.percentile(image, 99)).astype(np.uint8), np.ones((7, 7), np.uint8)) > 0

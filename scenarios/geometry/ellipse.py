@@ -13,6 +13,7 @@ from scenarios.geometry.vectors import plane_axes
 from scenarios.geometry.view import View
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,21 +101,33 @@ class Ellipses:
         BoresightError
             If one of them is not a real ellipse.
         """
+        found, real = cls.among(conics)
+        if not real.all():
+            raise BoresightError(f"conic {int(np.argmin(real))} is not a real ellipse")
+        return found
+
+    @classmethod
+    def among(cls, conics: FloatArray) -> tuple[Ellipses, BoolArray]:
+        """Read those of (n, 3, 3) conics of any scale that are real ellipses, and tell (n,) which they are.
+
+        What rounding leaves without a real point or an axis is none: no other test of a conic agrees with this one.
+        """
         conics = np.asarray(conics, dtype=np.float64)
         conics = conics * np.where(np.trace(conics[:, :2, :2], axis1=1, axis2=2) < 0.0, -1.0, 1.0)[:, None, None]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            rows = np.linalg.det(conics[:, :2, :2]) > 0.0
-            if not rows.all():
-                raise BoresightError(f"conic {int(np.argmin(rows))} is not an ellipse")
-            solved = np.linalg.solve(conics[:, :2, :2], conics[:, :2, 2:])
-            centre = np.asarray(-solved[:, :, 0], dtype=np.float64)
-        scale = np.einsum("ni,ni->n", conics[:, 2, :2], centre) + conics[:, 2, 2]
-        if np.any(scale >= 0.0):
-            raise BoresightError(f"conic {int(np.argmax(scale >= 0.0))} has no real point")
-        values, vectors = np.linalg.eigh(conics[:, :2, :2] / -scale[:, None, None])
-        longer = vectors[:, :, 0]  # eigh: ascending, so that the first has the longest axis
-        semi_axes = np.asarray(1.0 / np.sqrt(values), dtype=np.float64)
-        return cls(centre, semi_axes, np.arctan2(longer[:, 1], longer[:, 0]) % np.pi)
+        real = np.asarray(np.isfinite(conics).all(axis=(1, 2)), dtype=np.bool_)
+        real[real] = np.linalg.det(conics[real, :2, :2]) > 0.0
+        kept = conics[real]
+        centre = -np.linalg.solve(kept[:, :2, :2], kept[:, :2, 2:])[:, :, 0]
+        scale = np.einsum("ni,ni->n", kept[:, 2, :2], centre) + kept[:, 2, 2]
+        inside = scale < 0.0
+        real[real] = inside
+        values, vectors = np.linalg.eigh(kept[inside, :2, :2] / -scale[inside, None, None])
+        has_axes = values[:, 0] > 0.0
+        real[real] = has_axes
+        longer = vectors[has_axes, :, 0]  # eigh: ascending, so that the first has the longest axis
+        semi_axes = np.asarray(1.0 / np.sqrt(values[has_axes]), dtype=np.float64)
+        angle = np.arctan2(longer[:, 1], longer[:, 0]) % np.pi
+        return cls(centre[inside][has_axes], semi_axes, angle), real
 
     def _turns(self) -> FloatArray:
         c, s = np.cos(self.angle_rad), np.sin(self.angle_rad)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.optimize import minimize
 
-from estimators.craters.detection.fitting import distances, fit_conics, fit_reweighted, real_ellipses
+from estimators.craters.detection.fitting import distances, fit_conics, fit_reweighted
 from scenarios.geometry import Ellipses
 
 
@@ -27,7 +27,7 @@ def two_arcs(ellipses, count=90):
 def test_exact_points_give_the_ellipse_back():
     truth = drawn(30, 1)
     points, _ = two_arcs(truth)
-    found, good = real_ellipses(fit_conics(points, np.ones(points.shape[:2])))
+    found, good = Ellipses.among(fit_conics(points, np.ones(points.shape[:2])))
     assert good.all()
     np.testing.assert_allclose(found.centre_px, truth.centre_px, atol=1e-6)
     np.testing.assert_allclose(found.semi_axes_px, truth.semi_axes_px, rtol=1e-6)
@@ -38,7 +38,7 @@ def test_the_direct_fit_is_opencvs():
     truth = drawn(30, 3)
     points, _ = truth.points(40)
     points = (points + rng.normal(size=points.shape)).astype(np.float32).astype(np.float64)
-    found, _ = real_ellipses(fit_conics(points, np.ones(points.shape[:2])))
+    found, _ = Ellipses.among(fit_conics(points, np.ones(points.shape[:2])))
     for i in range(30):
         centre, axes, _ = cv2.fitEllipseDirect(points[i].astype(np.float32))
         np.testing.assert_allclose(found.centre_px[i], centre, atol=0.02)
@@ -51,7 +51,7 @@ def test_reweighting_comes_to_the_least_squares_of_distances():
     truth = drawn(8, 5)
     points, _ = two_arcs(truth)
     points += 0.3 * rng.uniform(-1, 1, points.shape)  # bounded: the robust weights stay close to one
-    found, _ = real_ellipses(fit_reweighted(points, np.ones(points.shape[:2])))
+    found, _ = Ellipses.among(fit_reweighted(points, np.ones(points.shape[:2])))
     for i in range(8):
 
         def cost(p, i=i):
@@ -74,7 +74,7 @@ def test_outliers_move_the_reweighted_fit_less_than_the_direct_one():
     ones = np.ones(points.shape[:2])
     errors = []
     for conics in (fit_conics(points, ones), fit_reweighted(points, ones)):
-        found, good = real_ellipses(conics)
+        found, good = Ellipses.among(conics)
         assert good.all()
         errors.append(np.linalg.norm(found.centre_px - truth.centre_px, axis=1))
     assert np.median(errors[1]) < 0.5 * np.median(errors[0])
@@ -85,13 +85,13 @@ def test_points_of_no_weight_do_not_count():
     points, _ = two_arcs(truth)
     padded = np.concatenate([points, np.zeros((5, 7, 2))], axis=1)
     weights = np.concatenate([np.ones(points.shape[:2]), np.zeros((5, 7))], axis=1)
-    found, _ = real_ellipses(fit_reweighted(padded, weights))
+    found, _ = Ellipses.among(fit_reweighted(padded, weights))
     np.testing.assert_allclose(found.centre_px, truth.centre_px, atol=1e-5)
 
 
 def test_a_line_is_no_ellipse_of_a_craters_shape():
     points = np.stack([np.arange(20.0), 3.0 * np.arange(20.0)], axis=1)[None]
-    found, good = real_ellipses(fit_conics(points, np.ones((1, 20))))
+    found, good = Ellipses.among(fit_conics(points, np.ones((1, 20))))
     assert not good.any() or found.semi_axes_px[0, 1] < 0.05 * found.semi_axes_px[0, 0]
 
 

@@ -64,12 +64,29 @@ def test_a_projected_circle_is_what_opencv_fits_to_its_projected_points():
 
 
 def test_what_is_no_ellipse_is_refused():
-    with pytest.raises(BoresightError, match="conic 0 is not an ellipse"):
+    with pytest.raises(BoresightError, match="conic 0 is not a real ellipse"):
         Ellipses.from_conics(np.diag([1.0, -1.0, -1.0])[None])
-    with pytest.raises(BoresightError, match="conic 0 has no real point"):
+    with pytest.raises(BoresightError, match="conic 0 is not a real ellipse"):
         Ellipses.from_conics(np.eye(3)[None])
     with pytest.raises(BoresightError, match=r"\(n, 2\) centres"):
         Ellipses(np.zeros((2, 2)), np.zeros((1, 2)), np.zeros(2))
+
+
+def test_ellipses_are_found_among_conics_that_rounding_has_left_without_a_point():
+    """Of a point its determinant has any sign: a rim that is mapped to nothing is none, and is no error."""
+    some = Ellipses(np.array([[350.0, 120.0], [80.0, 60.0]]), np.array([[9.0, 4.0], [3.0, 3.0]]), np.array([0.4, 0.0]))
+    rng = np.random.default_rng(3)
+    shapes = rng.normal(size=(500, 2, 2))
+    shapes = shapes @ np.swapaxes(shapes, 1, 2)
+    centre = rng.uniform(0.0, 500.0, (500, 2, 1))
+    pulled = -shapes @ centre
+    points = np.block([[shapes, pulled], [np.swapaxes(pulled, 1, 2), -np.swapaxes(pulled, 1, 2) @ centre]])
+    broken = np.stack([np.diag([1.0, -1.0, -1.0]), np.eye(3), np.full((3, 3), np.nan)])
+    found, real = Ellipses.among(np.concatenate([some.conics(), -some.conics(), broken, points]))
+    assert real[:7].tolist() == [True] * 4 + [False] * 3
+    np.testing.assert_allclose(found.centre_px[:4], np.tile(some.centre_px, (2, 1)), rtol=1e-12)
+    assert (found.semi_axes_px[4:] < 0.1).all()
+    assert np.isfinite(found.semi_axes_px).all()
 
 
 def test_rows_can_be_taken_and_none_is_empty():

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from estimators.craters.detection.edges import Edges
-from estimators.craters.detection.fitting import distances, fit_conics, fit_reweighted, real_ellipses
+from estimators.craters.detection.fitting import distances, fit_conics, fit_reweighted
 from estimators.craters.detection.grouping import Arc
 from estimators.craters.detection.picture import Picture
 from scenarios.geometry import Ellipses, pixel_to_opencv
@@ -60,7 +60,7 @@ def candidates_of(
     if len(pairs) == 0:
         return nothing
     points, normals = _stacked(pairs, shaded, lit)
-    ellipses, good = real_ellipses(fit_conics(points, np.ones(points.shape[:2])))
+    ellipses, good = Ellipses.among(fit_conics(points, np.ones(points.shape[:2])))
     agree = normal_agreement(ellipses, points[good], normals[good])
     sane = plausible(ellipses, radius_px, axis_ratio_min, picture) & (agree > 0.85)
     order = np.argsort(-agree[sane], kind="stable")[:_COUNT]
@@ -68,7 +68,7 @@ def candidates_of(
     if len(first) == 0:
         return nothing
     points, weights, signed = edges_near(first, edges, picture)
-    refitted, good = real_ellipses(fit_reweighted(points, weights))
+    refitted, good = Ellipses.among(fit_reweighted(points, weights))
     sane = plausible(refitted, radius_px, axis_ratio_min, picture)
     support = rim_support(refitted, points[good], weights[good])
     both = support.min(axis=1) > 0.25

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.geometry import Ellipses
-
 FloatArray = NDArray[np.float64]
 _CUTOFF = 2.5  # residuals of so many standard deviations count a quarter
 
@@ -108,14 +106,3 @@ def _median(values: FloatArray, weights: FloatArray) -> FloatArray:
     kept = np.where(weights > 0.0, values, np.nan)
     kept[np.isnan(kept).all(axis=1)] = 0.0
     return np.asarray(np.nanmedian(kept, axis=1), dtype=np.float64)
-
-
-def real_ellipses(conics: FloatArray) -> tuple[Ellipses, NDArray[np.bool_]]:
-    """Read the ellipses among conics, and tell which (m,) they were."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        minor = conics[:, 0, 0] * conics[:, 1, 1] - conics[:, 0, 1] ** 2
-        full = np.linalg.det(np.nan_to_num(conics))
-        trace = conics[:, 0, 0] + conics[:, 1, 1]
-        good = np.isfinite(conics).all(axis=(1, 2)) & (minor > 0.0) & (full * trace < 0.0)
-    kept = conics[good]
-    return (Ellipses.from_conics(kept) if len(kept) else Ellipses.none()), good

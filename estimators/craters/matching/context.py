@@ -48,7 +48,7 @@ class ContextMatcher:
     """
 
     name: ClassVar[str] = "context"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     def __init__(self, options: ContextOptions) -> None:
         self._options = options

@@ -54,7 +54,7 @@ class HybridMatcher:
     """All three modes, and the craters that follow from what they found."""
 
     name: ClassVar[str] = "hybrid"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     def __init__(self, options: HybridOptions) -> None:
         self._options = options

@@ -88,10 +88,7 @@ def mapped(ellipses: Ellipses, maps: FloatArray) -> tuple[Ellipses, BoolArray]:
     """Map n ellipses by n homographies: those that stay ellipses, and (n,) which they are."""
     inverse = np.linalg.inv(maps)
     conics = np.swapaxes(inverse, 1, 2) @ ellipses.conics() @ inverse  # eq. (9) for x' = T x
-    blocks = np.linalg.det(conics[:, :2, :2])
-    # An ellipse is real where its determinant and its trace differ in sign.
-    real = (blocks > 0.0) & (np.linalg.det(conics) * np.trace(conics[:, :2, :2], axis1=1, axis2=2) < 0.0)
-    return Ellipses.from_conics(conics[real]), np.asarray(real)
+    return Ellipses.among(conics)
 
 
 def _sensitivity(located: Located, camera: Camera, pose: Pose) -> tuple[FloatArray, FloatArray]:
