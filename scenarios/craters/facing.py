@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.craters.jit import kernel
-from scenarios.craters.kernels import number_tile
+from scenarios.craters.kernels import Layout, number_tile, room_for_tile
 from scenarios.craters.tiles import Tiling
 
 FloatArray = NDArray[np.float64]
@@ -18,7 +18,7 @@ BoolArray = NDArray[np.bool_]
 def facing_cones(tiling: Tiling, vertices_m: SingleArray) -> FloatArray:
     """(T, 4) of each tile the unit mean of its facets' normals, and the least cosine of one of them with it."""
     cones = np.empty((len(tiling.mesh.faces), 4))
-    _cones(cones, vertices_m, *tiling.layout)
+    _cones(cones, vertices_m, tiling.layout)
     return cones
 
 
@@ -30,23 +30,11 @@ def may_face(cones: FloatArray, directions: FloatArray, slack_rad: FloatArray | 
 
 
 @kernel
-def _cones(
-    cones: FloatArray,
-    vertices: SingleArray,
-    faces: IndexArray,
-    of_face: IndexArray,
-    ends: IndexArray,
-    edge_pieces: IndexArray,
-    edge_start: IndexArray,
-    tile_pieces: IndexArray,
-    tile_start: IndexArray,
-) -> None:
-    most = tile_pieces.max() + 1
-    ids = np.empty((most, most), dtype=np.int64)
-    normals = np.empty((most * most, 3))
-    for f in range(len(faces)):
-        n = tile_pieces[f]
-        number_tile(ids, f, faces, of_face, ends, edge_pieces, edge_start, n, tile_start[f])
+def _cones(cones: FloatArray, vertices: SingleArray, layout: Layout) -> None:
+    ids = room_for_tile(layout)
+    normals = np.empty((ids.size, 3))
+    for f in range(len(layout.faces)):
+        n = number_tile(ids, f, layout)
         count = 0
         mean = cones[f]
         mean[:] = 0.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,18 @@ from scenarios.craters.profile import profile_height
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 IndexArray = NDArray[np.int64]
+
+
+class Layout(NamedTuple):
+    """How tiles are cut: their corners and edges, the ends and pieces of edges, and where vertices of each begin."""
+
+    faces: IndexArray
+    of_face: IndexArray
+    ends: IndexArray
+    edge_pieces: IndexArray
+    edge_start: IndexArray
+    tile_pieces: IndexArray
+    tile_start: IndexArray
 
 
 @kernel
@@ -95,49 +109,36 @@ def _on_edge(corner: int, other: int, first: int, pieces: int, start: int, step:
 
 
 @kernel
-def number_tile(
-    ids: IndexArray,
-    f: int,
-    faces: IndexArray,
-    of_face: IndexArray,
-    ends: IndexArray,
-    edge_pieces: IndexArray,
-    edge_start: IndexArray,
-    n: int,
-    start: int,
-) -> None:
-    """Write the numbers of a tile's vertices: at [i, j] that at barycentric coordinates (n - i - j, i, j) / n."""
-    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-    row = start
+def room_for_tile(layout: Layout) -> IndexArray:
+    """Array that holds the numbers of the vertices of any tile."""
+    most = layout.tile_pieces.max() + 1
+    return np.empty((most, most), dtype=np.int64)
+
+
+@kernel
+def number_tile(ids: IndexArray, f: int, layout: Layout) -> int:
+    """Write the numbers of a tile's vertices and return n: at [i, j] is that of (n - i - j, i, j) / n, barycentric."""
+    a, b, c = layout.faces[f, 0], layout.faces[f, 1], layout.faces[f, 2]
+    ends, pieces, edge_start = layout.ends, layout.edge_pieces, layout.edge_start
+    n, row = layout.tile_pieces[f], layout.tile_start[f]
     for i in range(1, n - 1):
         for j in range(1, n - i):
             ids[i, j] = row
             row += 1
-    e, g, h = of_face[f, 0], of_face[f, 1], of_face[f, 2]
+    e, g, h = layout.of_face[f, 0], layout.of_face[f, 1], layout.of_face[f, 2]
     for k in range(n + 1):
-        ids[k, 0] = _on_edge(a, b, ends[e, 0], edge_pieces[e], edge_start[e], k, n)
-        ids[n - k, k] = _on_edge(b, c, ends[g, 0], edge_pieces[g], edge_start[g], k, n)
-        ids[0, n - k] = _on_edge(c, a, ends[h, 0], edge_pieces[h], edge_start[h], k, n)
+        ids[k, 0] = _on_edge(a, b, ends[e, 0], pieces[e], edge_start[e], k, n)
+        ids[n - k, k] = _on_edge(b, c, ends[g, 0], pieces[g], edge_start[g], k, n)
+        ids[0, n - k] = _on_edge(c, a, ends[h, 0], pieces[h], edge_start[h], k, n)
+    return int(n)
 
 
 @kernel
-def cut_tiles(
-    found: IndexArray,
-    tiles: IndexArray,
-    faces: IndexArray,
-    of_face: IndexArray,
-    ends: IndexArray,
-    edge_pieces: IndexArray,
-    edge_start: IndexArray,
-    tile_pieces: IndexArray,
-    tile_start: IndexArray,
-) -> int:
+def cut_tiles(found: IndexArray, tiles: IndexArray, layout: Layout) -> int:
     """Write the facets of some tiles, and return how many they are; those of no area are left out."""
-    count = 0
-    ids = np.empty((tile_pieces.max() + 1, tile_pieces.max() + 1), dtype=np.int64)
+    count, ids = 0, room_for_tile(layout)
     for f in tiles:
-        n = tile_pieces[f]
-        number_tile(ids, f, faces, of_face, ends, edge_pieces, edge_start, n, tile_start[f])
+        n = number_tile(ids, f, layout)
         for i in range(n):
             for j in range(n - i):
                 for half in range(1 if i + j == n - 1 else 2):
@@ -300,23 +301,12 @@ def crossings(
 
 @kernel
 def least_heights(
-    least: FloatArray,
-    vertices: SingleArray,
-    origins: FloatArray,
-    normals: FloatArray,
-    faces: IndexArray,
-    of_face: IndexArray,
-    ends: IndexArray,
-    edge_pieces: IndexArray,
-    edge_start: IndexArray,
-    tile_pieces: IndexArray,
-    tile_start: IndexArray,
+    least: FloatArray, vertices: SingleArray, origins: FloatArray, normals: FloatArray, layout: Layout
 ) -> None:
     """Least height of each tile's vertices over its plane, given by a point and a normal."""
-    ids = np.empty((tile_pieces.max() + 1, tile_pieces.max() + 1), dtype=np.int64)
+    ids = room_for_tile(layout)
     for f in range(len(least)):
-        n = tile_pieces[f]
-        number_tile(ids, f, faces, of_face, ends, edge_pieces, edge_start, n, tile_start[f])
+        n = number_tile(ids, f, layout)
         lowest = np.inf
         for i in range(n + 1):
             for j in range(n + 1 - i):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.bodies.detail.placement import tangent_axes
 from scenarios.craters.jit import kernel
-from scenarios.craters.kernels import number_tile
+from scenarios.craters.kernels import Layout, number_tile, room_for_tile
 from scenarios.craters.surface import CrateredSurface
 from scenarios.geometry import View
 
@@ -17,6 +18,7 @@ FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+_Point = tuple[float, float, float]  # on a fan's plane, and how far along its third axis
 
 _RAYS_A_CELL = 2
 # Single precision moves a ray by some 1e-7 of the body's radius: facets are tried that it passes by so much farther.
@@ -75,6 +77,27 @@ def facets_met(ground: CrateredSurface, tiles: IndexArray, fan: Fan, rays: Float
     rays = rays[np.isfinite(rays).all(axis=1)]
     if not len(rays) or not len(tiles):
         return np.empty((0, 3, 3), dtype=np.float32)
+    found = np.empty((int((ground.tiling.tile_pieces[tiles] ** 2).sum()), 3), dtype=np.int64)
+    radius_m = float(np.linalg.norm(ground.corners_m, axis=1).max())
+    axes, slack_m = np.ascontiguousarray(fan.axes), (_SLACK * radius_m, _DEPTH_SLACK * radius_m)
+    count = _find_met(
+        found, tiles, ground.vertices_m, axes, fan.origin_m, fan.pencil, slack_m, _in_cells(rays), ground.tiling.layout
+    )
+    return np.asarray(ground.vertices_m[found[:count].ravel()]).reshape(-1, 3, 3)
+
+
+class _Cells(NamedTuple):
+    """Rays (N, 3) of a fan by the cells of a grid from ``low`` (2,) on, and the first ray of each cell."""
+
+    rays: FloatArray
+    start: IndexArray
+    low: FloatArray
+    step: float
+    n_columns: int
+    n_rows: int
+
+
+def _in_cells(rays: FloatArray) -> _Cells:
     low, high = rays[:, :2].min(axis=0), rays[:, :2].max(axis=0)
     step = max(
         float(np.sqrt(np.prod(high - low) * _RAYS_A_CELL / len(rays))),
@@ -83,26 +106,7 @@ def facets_met(ground: CrateredSurface, tiles: IndexArray, fan: Fan, rays: Float
     )
     n_columns, n_rows = (int(n) for n in np.floor((high - low) / step) + 1)
     start, order = _sorted_into_cells(rays, low, step, n_columns, n_rows)
-    found = np.empty((int((ground.tiling.tile_pieces[tiles] ** 2).sum()), 3), dtype=np.int64)
-    radius_m = float(np.linalg.norm(ground.corners_m, axis=1).max())
-    count = _find_met(
-        found,
-        tiles,
-        ground.vertices_m,
-        np.ascontiguousarray(fan.axes),
-        fan.origin_m,
-        fan.pencil,
-        _SLACK * radius_m,
-        _DEPTH_SLACK * radius_m,
-        rays[order],
-        low,
-        step,
-        n_columns,
-        n_rows,
-        start,
-        *ground.tiling.layout,
-    )
-    return np.asarray(ground.vertices_m[found[:count].ravel()]).reshape(-1, 3, 3)
+    return _Cells(rays[order], start, low, step, n_columns, n_rows)
 
 
 @kernel
@@ -140,35 +144,18 @@ def _find_met(
     axes: FloatArray,
     origin: FloatArray,
     pencil: bool,
-    slack_m: float,
-    depth_slack_m: float,
-    rays: FloatArray,
-    low: FloatArray,
-    step: float,
-    n_columns: int,
-    n_rows: int,
-    start: IndexArray,
-    faces: IndexArray,
-    of_face: IndexArray,
-    ends: IndexArray,
-    edge_pieces: IndexArray,
-    edge_start: IndexArray,
-    tile_pieces: IndexArray,
-    tile_start: IndexArray,
+    slack_m: tuple[float, float],
+    cells: _Cells,
+    layout: Layout,
 ) -> int:
     """Write the vertices of the facets that rays may meet, and return how many they are."""
-    count = 0
-    most = tile_pieces.max() + 1
-    ids = np.empty((most, most), dtype=np.int64)
+    count, ids = 0, room_for_tile(layout)
     # On the plane, how far along its normal, and how wide the slack is there; negative behind the camera.
-    u, v, depth_m, slack = (
-        np.empty((most, most)), np.empty((most, most)), np.empty((most, most)), np.empty((most, most)),
-    )  # fmt: skip
-    per_m = 1.0 / step
-    right, bottom = low[0] + step * n_columns, low[1] + step * n_rows
+    u, v, depth_m, slack = np.empty(ids.shape), np.empty(ids.shape), np.empty(ids.shape), np.empty(ids.shape)
+    low = cells.low
+    right, bottom = low[0] + cells.step * cells.n_columns, low[1] + cells.step * cells.n_rows
     for f in tiles:
-        n = tile_pieces[f]
-        number_tile(ids, f, faces, of_face, ends, edge_pieces, edge_start, n, tile_start[f])
+        n = number_tile(ids, f, layout)
         least_u, least_v, most_u, most_v = np.inf, np.inf, -np.inf, -np.inf
         for i in range(n + 1):
             for j in range(n + 1 - i):
@@ -178,15 +165,13 @@ def _find_met(
                 scale = 1.0 / depth_m[i, j] if pencil else 1.0
                 u[i, j] = scale * (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z)
                 v[i, j] = scale * (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z)
-                slack[i, j] = scale * slack_m
+                slack[i, j] = scale * slack_m[0]
                 least_u, most_u = min(least_u, u[i, j]), max(most_u, u[i, j])
                 least_v, most_v = min(least_v, v[i, j]), max(most_v, v[i, j])
         wide = abs(slack[0, 0]) * 2.0
         if most_u + wide < low[0] or most_v + wide < low[1] or least_u - wide > right or least_v - wide > bottom:
             continue
-        if not _any_near(
-            least_u - wide, least_v - wide, most_u + wide, most_v + wide, low, per_m, n_columns, n_rows, start
-        ):
+        if not _any_near(least_u - wide, least_v - wide, most_u + wide, most_v + wide, cells):
             continue
         for i in range(n):
             for j in range(n - i):
@@ -194,23 +179,12 @@ def _find_met(
                     a, b = i + half, j + half
                     near = min(slack[a, j], slack[i + 1, b], slack[i, j + 1])
                     if near > 0.0 and _is_met(
-                        u[a, j],
-                        v[a, j],
-                        u[i + 1, b],
-                        v[i + 1, b],
-                        u[i, j + 1],
-                        v[i, j + 1],
-                        depth_m[a, j],
-                        depth_m[i + 1, b],
-                        depth_m[i, j + 1],
+                        (u[a, j], v[a, j], depth_m[a, j]),
+                        (u[i + 1, b], v[i + 1, b], depth_m[i + 1, b]),
+                        (u[i, j + 1], v[i, j + 1], depth_m[i, j + 1]),
                         1.5 * near,
-                        depth_slack_m,
-                        rays,
-                        low,
-                        per_m,
-                        n_columns,
-                        n_rows,
-                        start,
+                        slack_m[1],
+                        cells,
                     ):
                         found[count, 0], found[count, 1], found[count, 2] = ids[a, j], ids[i + 1, b], ids[i, j + 1]
                         count += 1
@@ -218,98 +192,63 @@ def _find_met(
 
 
 @kernel
-def _any_near(
-    left: float,
-    top: float,
-    right: float,
-    bottom: float,
-    low: FloatArray,
-    per_m: float,
-    n_columns: int,
-    n_rows: int,
-    start: IndexArray,
-) -> bool:
+def _cells_about(left: float, top: float, right: float, bottom: float, cells: _Cells) -> tuple[int, int, int, int]:
+    """First and last column and row of the cells that a box touches."""
+    low, per_m = cells.low, 1.0 / cells.step
+    first, last = _cell(left, low[0], per_m, cells.n_columns), _cell(right, low[0], per_m, cells.n_columns)
+    return first, last, _cell(top, low[1], per_m, cells.n_rows), _cell(bottom, low[1], per_m, cells.n_rows)
+
+
+@kernel
+def _any_near(left: float, top: float, right: float, bottom: float, cells: _Cells) -> bool:
     """Whether the cells that a box touches hold a ray."""
-    first, last = _cell(left, low[0], per_m, n_columns), _cell(right, low[0], per_m, n_columns)
-    for row in range(_cell(top, low[1], per_m, n_rows), _cell(bottom, low[1], per_m, n_rows) + 1):
-        if start[row * n_columns + first] < start[row * n_columns + last + 1]:
+    first, last, upper, lower = _cells_about(left, top, right, bottom, cells)
+    for row in range(upper, lower + 1):
+        if cells.start[row * cells.n_columns + first] < cells.start[row * cells.n_columns + last + 1]:
             return True
     return False
 
 
 @kernel
-def _is_met(
-    pu: float,
-    pv: float,
-    qu: float,
-    qv: float,
-    ru: float,
-    rv: float,
-    p_m: float,
-    q_m: float,
-    r_m: float,
-    slack: float,
-    depth_slack_m: float,
-    rays: FloatArray,
-    low: FloatArray,
-    per_m: float,
-    n_columns: int,
-    n_rows: int,
-    start: IndexArray,
-) -> bool:
+def _is_met(p: _Point, q: _Point, r: _Point, slack: float, depth_slack_m: float, cells: _Cells) -> bool:
     """Whether a ray's point lies in the triangle p q r, or outside by less than the slack, and it begins before it."""
-    left, right = min(pu, qu, ru) - slack, max(pu, qu, ru) + slack
-    top, bottom = min(pv, qv, rv) - slack, max(pv, qv, rv) + slack
-    first, last = _cell(left, low[0], per_m, n_columns), _cell(right, low[0], per_m, n_columns)
-    if (qu - pu) * (rv - pv) < (qv - pv) * (ru - pu):
-        qu, qv, q_m, ru, rv, r_m = ru, rv, r_m, qu, qv, q_m
-    nearest_m, farthest_m = min(p_m, q_m, r_m), max(p_m, q_m, r_m) + depth_slack_m
-    for row in range(_cell(top, low[1], per_m, n_rows), _cell(bottom, low[1], per_m, n_rows) + 1):
-        for k in range(start[row * n_columns + first], start[row * n_columns + last + 1]):
-            x, y = rays[k, 0], rays[k, 1]
-            if x < left or x > right or y < top or y > bottom or rays[k, 2] > farthest_m:
+    left, right = min(p[0], q[0], r[0]) - slack, max(p[0], q[0], r[0]) + slack
+    top, bottom = min(p[1], q[1], r[1]) - slack, max(p[1], q[1], r[1]) + slack
+    nearest_m, farthest_m = min(p[2], q[2], r[2]), max(p[2], q[2], r[2]) + depth_slack_m
+    if (q[0] - p[0]) * (r[1] - p[1]) < (q[1] - p[1]) * (r[0] - p[0]):
+        q, r = r, q
+    first, last, upper, lower = _cells_about(left, top, right, bottom, cells)
+    for row in range(upper, lower + 1):
+        for k in range(cells.start[row * cells.n_columns + first], cells.start[row * cells.n_columns + last + 1]):
+            x, y, from_m = cells.rays[k, 0], cells.rays[k, 1], cells.rays[k, 2]
+            if x < left or x > right or y < top or y > bottom or from_m > farthest_m:
                 continue
             if (
-                _left_of(pu, pv, qu, qv, x, y, slack)
-                and _left_of(qu, qv, ru, rv, x, y, slack)
-                and _left_of(ru, rv, pu, pv, x, y, slack)
-                and (
-                    rays[k, 2] < nearest_m
-                    or not _behind(
-                        rays[k], pu, pv, p_m, qu - pu, qv - pv, q_m - p_m, ru - pu, rv - pv, r_m - p_m, depth_slack_m
-                    )
-                )
+                _left_of(p, q, x, y, slack)
+                and _left_of(q, r, x, y, slack)
+                and _left_of(r, p, x, y, slack)
+                and (from_m < nearest_m or not _behind(x, y, from_m, p, q, r, depth_slack_m))
             ):
                 return True
     return False
 
 
 @kernel
-def _left_of(au: float, av: float, bu: float, bv: float, x: float, y: float, slack: float) -> bool:
+def _left_of(a: _Point, b: _Point, x: float, y: float, slack: float) -> bool:
     """Whether a point lies to the left of the line from a to b, or to the right of it within the slack."""
-    along, across = bu - au, bv - av
-    distance = along * (y - av) - across * (x - au)
+    along, across = b[0] - a[0], b[1] - a[1]
+    distance = along * (y - a[1]) - across * (x - a[0])
     return distance >= 0.0 or distance * distance <= slack * slack * (along * along + across * across)
 
 
 @kernel
-def _behind(
-    ray: FloatArray,
-    pu: float,
-    pv: float,
-    p_m: float,
-    qu: float,
-    qv: float,
-    q_m: float,
-    ru: float,
-    rv: float,
-    r_m: float,
-    slack_m: float,
-) -> bool:
-    """Whether a ray begins beyond the plane through p, and q and r as seen from there; never where that is edge-on."""
+def _behind(x: float, y: float, from_m: float, p: _Point, q: _Point, r: _Point, slack_m: float) -> bool:
+    """Whether a ray at a point begins beyond the plane through p, q and r; never where that is edge-on."""
+    qu, qv, q_m = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    ru, rv, r_m = r[0] - p[0], r[1] - p[1], r[2] - p[2]
     area = qu * rv - qv * ru
     if area <= 0.0:
         return False
     by_u, by_v = (q_m * rv - r_m * qv) / area, (r_m * qu - q_m * ru) / area
-    plane_m = p_m + by_u * (ray[0] - pu) + by_v * (ray[1] - pv)
-    return bool(plane_m + slack_m * (1.0 + abs(by_u) + abs(by_v)) < ray[2])
+    plane_m = p[2] + by_u * (x - p[0]) + by_v * (y - p[1])
+    return plane_m + slack_m * (1.0 + abs(by_u) + abs(by_v)) < from_m

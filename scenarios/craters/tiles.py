@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.bodies.topology import Edges, find_edges, vertex_normals
-from scenarios.craters.kernels import cut_tiles, place_edges, place_interiors
+from scenarios.craters.kernels import Layout, cut_tiles, place_edges, place_interiors
 from scenarios.geometry import TriangleMesh
 
 FloatArray = NDArray[np.float64]
@@ -96,14 +96,14 @@ class Tiling:
     def facets(self, tiles: IndexArray) -> IndexArray:
         """(F, 3) vertices of the facets of some tiles, counter-clockwise as the tiles are."""
         found = np.empty((int((self.tile_pieces[tiles] ** 2).sum()), 3), dtype=np.int64)
-        count = cut_tiles(found, tiles, *self.layout)
+        count = cut_tiles(found, tiles, self.layout)
         return found[:count]
 
     @cached_property
-    def layout(self) -> tuple[IndexArray, ...]:
+    def layout(self) -> Layout:
         """What kernels number the vertices of a tile by."""
         ends, of_face = self.edges.ends, np.ascontiguousarray(self.edges.of_face)
-        return (self._faces, of_face, ends, self.edge_pieces, self.edge_start, self.tile_pieces, self.tile_start)
+        return Layout(self._faces, of_face, ends, self.edge_pieces, self.edge_start, self.tile_pieces, self.tile_start)
 
     @cached_property
     def _faces(self) -> IndexArray:
