@@ -117,22 +117,22 @@ def counts_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
     """Draw how many craters images have and how many images landmarks, in the first trial."""
     images = _first(select(run.navigated_images, scenario, estimator))
     landmarks = _first(select(run.navigated_landmarks, scenario, estimator))
-    title = f"Craters of images and images of landmarks, {scenario}, {estimator}"
+    title = f"Craters of images and images of landmarks, {scenario}, {estimator}, first trial"
     return NamedFigure(
         file_stem("crater_counts", scenario, estimator),
         draw_counts(images, landmarks, title),
-        f"{title}: the first trial (figures 8b and 9 of Cheng et al. 2003); {images['n_detections'].mean():.3g}"
+        f"{title} (figures 8b and 9 of Cheng et al. 2003): {images['n_detections'].mean():.3g}"
         f" craters an image on average, median {images['n_detections'].median():.3g}.",
         "Two histograms: craters detected in an image, and images that show a landmark.",
     )
 
 
 def _spans_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
-    title = f"Landmarks over time, {scenario}, {estimator}"
+    title = f"Landmarks over time, {scenario}, {estimator}, first trial"
     return NamedFigure(
         file_stem("landmark_spans", scenario, estimator),
         draw_landmark_spans(_first(select(run.navigated_landmarks, scenario, estimator)), title),
-        f"{title}: from the first to the last image that shows each landmark of the data base, in the first trial.",
+        f"{title}: from the first to the last image that shows each landmark of the data base.",
         "A horizontal line for each landmark over the days of the arc.",
     )
 

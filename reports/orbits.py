@@ -116,12 +116,11 @@ def orbit_figures(run: RunData) -> Iterator[NamedFigure]:
 
 def residual_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
     """Draw the optical data residuals of the first trial."""
-    title = f"Optical data residuals, {scenario}, {estimator}"
+    title = f"Optical data residuals, {scenario}, {estimator}, first trial"
     return NamedFigure(
         file_stem("residuals", scenario, estimator),
         draw_residuals(select(run.residuals, scenario, estimator), title),
-        f"{title}: seen less predicted of the sightings that were not edited, in the first trial (figure 10 of Cheng et"
-        " al. 2003).",
+        f"{title}: seen less predicted of the sightings that were not edited (figure 10 of Cheng et al. 2003).",
         "Residuals of columns and rows in pixels against time.",
     )
 
