@@ -142,7 +142,8 @@ def test_minimum_is_that_of_numpy(seed: int, reference) -> None:
     assert solution.converged
     assert solution.cost == pytest.approx(expected.cost, rel=1e-12)
     np.testing.assert_allclose(solution.state.positions_m, expected.state.positions_m, rtol=1e-12, atol=1e-9)
-    np.testing.assert_allclose(solution.state.points_m, expected.state.points_m, rtol=1e-12, atol=1e-9)
+    # Equal costs leave points that are seen at small angles free by more than the rounding of their places.
+    np.testing.assert_allclose(solution.state.points_m, expected.state.points_m, rtol=1e-12, atol=1e-8)
     at = expected.state
     assert reduced_rank_deficiency(problem, at) == reference(reduced_rank_deficiency, problem, at) == 0
     if problem.free_views[4]:
