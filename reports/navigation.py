@@ -12,7 +12,7 @@ from reports.figures.navigation import draw_counts, draw_landmark_spans
 from reports.grid import Grid, value_of
 from reports.named_figure import NamedFigure, file_stem
 from reports.records import Record, find, unit_of
-from reports.run_data import RunData, select
+from reports.run_data import TRIAL_KEY, RunData, select
 from reports.statistics import MEAN, MEDIAN, measure
 
 NAVIGATION = "navigation"
@@ -55,10 +55,9 @@ _MEASURES = (
 
 def _measured(run: RunData) -> pd.DataFrame:
     """Work out the measures of each trial and chain."""
-    key = ["scenario", "estimator", "trial"]
-    table = run.navigation.set_index(key)
-    images = run.navigated_images.groupby(key)["n_detections"]
-    landmarks = run.navigated_landmarks.groupby(key)
+    table = run.navigation.set_index(TRIAL_KEY)
+    images = run.navigated_images.groupby(TRIAL_KEY)["n_detections"]
+    landmarks = run.navigated_landmarks.groupby(TRIAL_KEY)
     worked = run.timings[~run.timings["stage"].isin(["imaging", "scoring"])]
     matches = table["n_correct"] + table["n_wrong"]
     hits = landmarks["hits"].sum().reindex(table.index)
@@ -76,7 +75,7 @@ def _measured(run: RunData) -> pd.DataFrame:
             "database_landmarks": table["n_landmarks"],
             "hits_per_landmark": hits / table["n_landmarks"].where(table["n_landmarks"] > 0),
             "mixed_share": _percent(landmarks["n_other"].sum().reindex(table.index), hits),
-            "processing_seconds": worked.groupby(key)["seconds"].sum(),
+            "processing_seconds": worked.groupby(TRIAL_KEY)["seconds"].sum(),
         }
     ).reset_index()
 

@@ -16,6 +16,9 @@ from scenarios.errors import BoresightError
 from scenarios.parquet import Layout, read_frame
 from scenarios.reading import held_to, plain_json, unreadable
 
+TRIAL_KEY = ["scenario", "estimator", "trial"]
+"""Columns that tell the row of a trial and method from all others."""
+
 POSE_COLUMNS = (
     "position_error_m",
     "attitude_error_deg",

@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from reports.clusters import clusters_of
 from reports.paired import share_of
-from reports.run_data import RunData, select
+from reports.run_data import TRIAL_KEY, RunData, select
 from reports.statistics import MEAN, MEDIAN, FloatArray, Measured, measure
 
 NEES, NIS = "nees", "innovation"
@@ -95,7 +95,7 @@ def weighed_errors(run: RunData) -> Iterator[Weighed]:
         squares = solved.assign(ratio=STATE_DEGREES * solved[_EPOCH], degrees=STATE_DEGREES)
         yield from _some(AT_EPOCH, STATE_DEGREES, squares)
     told = run.diagnostics[run.diagnostics["name"].isin([NIS, _NIS_DEGREES])]
-    wide = told.pivot_table(index=["scenario", "estimator", "trial"], columns="name", values="value").reset_index()
+    wide = told.pivot_table(index=TRIAL_KEY, columns="name", values="value").reset_index()
     if {NIS, _NIS_DEGREES} <= set(wide):
         whole = wide.dropna().rename(columns={NIS: "ratio", _NIS_DEGREES: "degrees"})
         yield from _some(NIS, 1, whole)

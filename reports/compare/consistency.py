@@ -16,10 +16,9 @@ from reports.figures.calibration import Claim, draw_calibration
 from reports.grid import Grid, number
 from reports.named_figure import NamedFigure, file_stem
 from reports.records import CONTROL
+from reports.run_data import TRIAL_KEY
 from reports.statistics import FloatArray
 from reports.weighed import Judged, judge, weighed_errors, weighed_label
-
-_KEY = ["scenario", "estimator", "trial"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +47,7 @@ def _claims(found: RunComparison) -> Iterator[_Claims]:
     for kind, expected in kinds.items():
         weighed_rows = pd.concat(tables[kind], ignore_index=True)
         for subject in found.subjects:
-            own = found.of(subject)[[*_KEY, "run", "cluster"]].merge(weighed_rows, on=[*_KEY, "run"])
+            own = found.of(subject)[[*TRIAL_KEY, "run", "cluster"]].merge(weighed_rows, on=[*TRIAL_KEY, "run"])
             if len(own) and subject.estimator != CONTROL:
                 ratios, degrees = (own[name].to_numpy(dtype=np.float64) for name in ("ratio", "degrees"))
                 yield _Claims(subject, kind, expected, ratios, degrees, own["cluster"].to_numpy())

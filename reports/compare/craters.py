@@ -6,9 +6,8 @@ from collections.abc import Mapping
 
 import pandas as pd
 
-from reports.run_data import RunData
+from reports.run_data import TRIAL_KEY, RunData
 
-KEY = ["scenario", "estimator", "trial"]
 MISSED, FALSE_ALARMS, CENTRE_ERROR, WRONG = "missed_share", "false_alarm_share", "centre_error_px", "wrong_share"
 DETECTION = (MISSED, FALSE_ALARMS, CENTRE_ERROR)
 """Of an image: detectable craters that were not found, detections that are no crater, %, and the median error, px, of
@@ -22,8 +21,8 @@ THERE = "n_there"
 def crater_numbers(run: RunData) -> Mapping[str, pd.DataFrame]:
     """Return the numbers of a run that is about craters in images, by their names; none of another run.
 
-    Each is a column of a table with a row for each trial and method (`KEY`), beside `THERE`. A share of nothing is NaN:
-    that of false alarms where nothing was detected, that of missed craters where there are none.
+    Each is a column of a table with a row for each trial and method (`TRIAL_KEY`), beside `THERE`. A share of nothing
+    is NaN: that of false alarms where nothing was detected, that of missed craters where there are none.
     """
     if not run.crater_matches.empty:
         matched = run.crater_matches
@@ -44,16 +43,16 @@ def detection_counts(run: RunData) -> pd.DataFrame:
     Returns
     -------
     counts
-        A row for each row of the run: `KEY`, `THERE` (detectable craters), ``n_kept`` (detections), ``n_hits``
+        A row for each row of the run: `TRIAL_KEY`, `THERE` (detectable craters), ``n_kept`` (detections), ``n_hits``
         (detectable craters found), ``n_false`` (detections that are no crater) and `CENTRE_ERROR` of the hits.
     """
     found = run.detections[run.detections["kept"].astype(bool)]
     hits = found[found["detectable"].astype(bool)]
-    rows = run.rows[KEY].merge(run.crater_images[["scenario", "trial", "n_detectable"]], on=["scenario", "trial"])
-    at = pd.MultiIndex.from_frame(rows[KEY])
+    rows = run.rows[TRIAL_KEY].merge(run.crater_images[["scenario", "trial", "n_detectable"]], on=["scenario", "trial"])
+    at = pd.MultiIndex.from_frame(rows[TRIAL_KEY])
     tables = {"n_kept": found, "n_hits": hits, "n_false": found[found["crater"] < 0]}
-    counted = {name: table.groupby(KEY).size().reindex(at).fillna(0).to_numpy() for name, table in tables.items()}
-    centre = hits.groupby(KEY)[CENTRE_ERROR].median().reindex(at).to_numpy()
+    counted = {name: table.groupby(TRIAL_KEY).size().reindex(at).fillna(0).to_numpy() for name, table in tables.items()}
+    centre = hits.groupby(TRIAL_KEY)[CENTRE_ERROR].median().reindex(at).to_numpy()
     return rows.rename(columns={"n_detectable": THERE}).assign(**counted, **{CENTRE_ERROR: centre})
 
 

@@ -26,9 +26,8 @@ from reports.figures.pose import draw_cumulative_errors
 from reports.figures.standings import Standing, draw_standings
 from reports.named_figure import NamedFigure, file_stem
 from reports.records import CONTROL
+from reports.run_data import TRIAL_KEY
 from reports.statistics import Measured
-
-_KEY = ["scenario", "estimator", "trial"]
 
 
 def comparison_figures(found: RunComparison) -> Iterator[NamedFigure]:
@@ -85,8 +84,8 @@ def frames_of_subject(found: RunComparison, subject: Subject) -> pd.DataFrame:
     parts = []
     for run in found.runs:
         if {"true_x_m", "radial_m"} <= set(run.epochs.columns):
-            own = trials.loc[trials["run"] == run.folder.name, [*_KEY, "cluster"]]
-            parts.append(run.epochs.merge(own, on=_KEY))
+            own = trials.loc[trials["run"] == run.folder.name, [*TRIAL_KEY, "cluster"]]
+            parts.append(run.epochs.merge(own, on=TRIAL_KEY))
     return frames_of(pd.concat(parts, ignore_index=True)) if parts else pd.DataFrame()
 
 
