@@ -75,6 +75,7 @@ MEASURES = {
     "wrong_share": "wrong matches",
     "epipolar_offset_px": "largest distance of a crater from its epipolar line",
     "best_centre_error_px": "centre error of these 12",
+    "common_centre_error_px": "centre error of the craters that all methods found",
     "detections_per_image": "detections in an image",
     "epoch_error_m": "position error at the epoch",
     "arc_rms_m": "RMS position error over the arc",

@@ -75,7 +75,7 @@ def notes(found: RunComparison) -> Iterator[str]:
         yield f"{run.folder}: {made}" + (", not finished" if done < total else "")
     n = sum(len(run.rows) for run in found.runs)
     if len(found.trials) < n:
-        yield f"Left out: trials in which there was no crater to find, {n - len(found.trials)} of {n}."
+        yield f"Left out: trials without a crater to go by, {n - len(found.trials)} of {n}."
     named = [one for one in found.subjects if one.estimator != "prior"]
     if len(named) > 1 and not found.contrasts:
         yield "No two subjects share views, priors or tracks, so no differences are given: --unpaired gives them."

@@ -9,9 +9,11 @@ import pandas as pd
 from reports.run_data import TRIAL_KEY, RunData
 
 MISSED, FALSE_ALARMS, CENTRE_ERROR, WRONG = "missed_share", "false_alarm_share", "centre_error_px", "wrong_share"
-DETECTION = (MISSED, FALSE_ALARMS, CENTRE_ERROR)
+COMMON_CENTRE_ERROR = "common_centre_error_px"
+DETECTION = (MISSED, FALSE_ALARMS, CENTRE_ERROR, COMMON_CENTRE_ERROR)
 """Of an image: detectable craters that were not found, detections that are no crater, %, and the median error, px, of
-the centres of the detectable craters that this method found."""
+the centres of the detectable craters that this method found, and of those that every method of the run found: a method
+that leaves the difficult ones out must not look more accurate for it."""
 MATCHING = (MISSED, WRONG)
 """Of a pair of images: craters in both that were not matched, and matches that are wrong, %."""
 THERE = "n_there"
@@ -33,7 +35,8 @@ def crater_numbers(run: RunData) -> Mapping[str, pd.DataFrame]:
         counts = detection_counts(run)
         missed, false = counts[THERE] - counts["n_hits"], counts["n_false"]
         shares = {MISSED: _percent(missed, counts[THERE]), FALSE_ALARMS: _percent(false, counts["n_kept"])}
-        return dict.fromkeys(DETECTION, counts.assign(**shares))
+        numbers = dict.fromkeys((MISSED, FALSE_ALARMS, CENTRE_ERROR), counts.assign(**shares))
+        return numbers | {COMMON_CENTRE_ERROR: _common_centres(run)}
     return {}
 
 
@@ -46,14 +49,34 @@ def detection_counts(run: RunData) -> pd.DataFrame:
         A row for each row of the run: `TRIAL_KEY`, `THERE` (detectable craters), ``n_kept`` (detections), ``n_hits``
         (detectable craters found), ``n_false`` (detections that are no crater) and `CENTRE_ERROR` of the hits.
     """
-    found = run.detections[run.detections["kept"].astype(bool)]
-    hits = found[found["detectable"].astype(bool)]
+    found = _kept(run)
+    hits = _hits(run)
     rows = run.rows[TRIAL_KEY].merge(run.crater_images[["scenario", "trial", "n_detectable"]], on=["scenario", "trial"])
     at = pd.MultiIndex.from_frame(rows[TRIAL_KEY])
     tables = {"n_kept": found, "n_hits": hits, "n_false": found[found["crater"] < 0]}
     counted = {name: table.groupby(TRIAL_KEY).size().reindex(at).fillna(0).to_numpy() for name, table in tables.items()}
     centre = hits.groupby(TRIAL_KEY)[CENTRE_ERROR].median().reindex(at).to_numpy()
     return rows.rename(columns={"n_detectable": THERE}).assign(**counted, **{CENTRE_ERROR: centre})
+
+
+def _common_centres(run: RunData) -> pd.DataFrame:
+    """Return `TRIAL_KEY`, `THERE` (detectable craters that all methods found) and `COMMON_CENTRE_ERROR` of them."""
+    hits = _hits(run)
+    methods = run.rows.groupby("scenario")["estimator"].nunique()
+    finders = hits.groupby(["scenario", "trial", "crater"])["estimator"].transform("nunique")
+    by_trial = hits[finders == hits["scenario"].map(methods)].groupby(TRIAL_KEY)[CENTRE_ERROR]
+    at = pd.MultiIndex.from_frame(run.rows[TRIAL_KEY])
+    there, centre = by_trial.size().reindex(at).fillna(0).to_numpy(), by_trial.median().reindex(at).to_numpy()
+    return run.rows[TRIAL_KEY].assign(**{THERE: there, COMMON_CENTRE_ERROR: centre})
+
+
+def _kept(run: RunData) -> pd.DataFrame:
+    return run.detections[run.detections["kept"].astype(bool)]
+
+
+def _hits(run: RunData) -> pd.DataFrame:
+    found = _kept(run)
+    return found[found["detectable"].astype(bool)]
 
 
 def _percent(part: pd.Series, whole: pd.Series) -> pd.Series:

@@ -162,7 +162,7 @@ def prior_values(run: RunData, metric: Metric) -> pd.Series | None:
 
 
 def nothing_to_find(run: RunData, metric: Metric) -> pd.Series:
-    """Tell of which rows of a run the metric says nothing, because there was no crater to find, and so none to miss."""
+    """Tell of which rows of a run the metric says nothing: no crater was to be found, or none was found by all."""
     table = crater_numbers(run).get(metric.name)
     if table is None:
         return pd.Series(False, index=run.rows.index)

@@ -71,12 +71,26 @@ def test_detectors_are_compared_image_by_image(detectors, metric, shy, keen):
     assert (contrast.first[0], contrast.n_both, contrast.n) == ("keen", 1, 2)
 
 
+def test_centres_are_compared_over_the_craters_that_both_found(detectors):
+    """One crater of the first image, none of the second, which one method refused; the third ended in an error."""
+    found = compare_runs([detectors], "common_centre_error_px")
+    assert median_of(found, "shy") == pytest.approx((0.2, 0.2, 1, 1))
+    assert median_of(found, "keen") == pytest.approx((0.1, np.inf, 1, 2))
+    (contrast,) = found.contrasts
+    assert contrast.median.value == pytest.approx(-0.1)
+
+
 def test_what_is_left_out_is_said_and_the_missed_share_comes_first(detectors, tmp_path):
     found = compare_runs([detectors])
     assert found.metric.name == "missed_share"
-    assert metric_names(read_run(detectors)) == ["missed_share", "false_alarm_share", "centre_error_px"]
+    assert metric_names(read_run(detectors)) == [
+        "missed_share",
+        "false_alarm_share",
+        "centre_error_px",
+        "common_centre_error_px",
+    ]
     text = write_comparison(found, tmp_path / "out").markdown.read_text()
-    assert "Left out: trials in which there was no crater to find, 1 of 6." in text
+    assert "Left out: trials without a crater to go by, 1 of 6." in text
     assert "negative is better" in text
     assert "failures worst" in text
 
