@@ -14,6 +14,7 @@ import pandas as pd
 from reports.content import Content, read_content
 from reports.figures.style import save_figure
 from reports.html import html_page, reproduce_command
+from reports.kinds import report_grids
 from reports.named_figure import NamedFigure
 from reports.provenance import counted, stamp
 from reports.row_files import write_row_files
@@ -135,7 +136,7 @@ def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:
     """Write the report as Markdown, with its figures beside it."""
     manifest = content.run.manifest
     parts = [f"# {manifest.title or manifest.name}", "\n".join(f"- {note}" for note in content.notes)]
-    parts += [grid.markdown() for grid in content.grids()]
+    parts += [grid.markdown() for grid in report_grids(content)]
     parts += [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in figures]
     parts += [f"To make this again: `{reproduce_command(content)}`", *manifest.credits]
     return "\n\n".join(parts) + "\n"

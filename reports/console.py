@@ -9,20 +9,14 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from reports.clusters import pools
-from reports.comparison_tables import verdict_grid
 from reports.content import Content, read_content
-from reports.crater_matching import matching_brief
-from reports.designs import design_grids
 from reports.grid import Grid
-from reports.records import CONTROL
-from reports.sequences import sequence_grid
-from reports.tables import pose_grids
+from reports.kinds import brief_grids
 from scenarios.errors import printable
 
 
 def console_table(run: Path | Content) -> Group:
-    """Build the table of what a run is about, and the verdicts where values are published; of a grid, its tables.
+    """Build the tables of what a run is about, and the verdicts where values are published.
 
     Parameters
     ----------
@@ -30,18 +24,7 @@ def console_table(run: Path | Content) -> Group:
         A run folder, or the content of a report that was just written.
     """
     content = read_content(run) if isinstance(run, Path) else run
-    if not content.run.crater_matches.empty:
-        brief = [*matching_brief(content.records, content.run), verdict_grid(content.compared)]
-        return Group(*(rich_table(grid) for grid in brief if grid is not None))
-    if content.run.manifest.grid is not None:
-        own = [pool.name for pool in pools(content.run)]
-        pooled = sequence_grid([record for record in content.records if record.scenario in own])
-        found = [*([] if pooled is None else [pooled]), *design_grids(content.run)]
-        return Group(*(rich_table(grid.keep(*(c for c in grid.columns if c != "change"))) for grid in found))
-    several = len({r.estimator for r in content.records if r.estimator and r.stage != CONTROL}) > 1
-    columns = (*(["estimator"] if several else []), "stage", "ok", "position m", "x", "y", "z", "attitude deg")
-    grids = [*(grid.keep(*columns) for grid in pose_grids(content.records)), verdict_grid(content.compared)]
-    return Group(*(rich_table(grid) for grid in grids if grid is not None))
+    return Group(*(rich_table(grid) for grid in brief_grids(content)))
 
 
 def rich_table(grid: Grid) -> Table:

@@ -10,28 +10,21 @@ from pathlib import Path
 import pandas as pd
 
 from reports.comparison import ComparedClaim, ComparedValue, compare, compare_claims
-from reports.comparison_tables import claim_grid, comparison_grid
-from reports.consistency import consistency_grid, consistency_records
+from reports.consistency import consistency_records
 from reports.contrasts import ratio_records, reduction_records
-from reports.crater_matching import matching_grids, matching_records
-from reports.craters import crater_grids, crater_records
+from reports.crater_matching import matching_records
+from reports.craters import crater_records
 from reports.derived import derived_records
-from reports.designs import design_grids
-from reports.detection import outlier_grid, outlier_records
-from reports.grid import Grid
+from reports.detection import outlier_records
 from reports.measures import measure_run
-from reports.navigation import navigation_grid, navigation_records
+from reports.navigation import navigation_records
 from reports.notes import notes
-from reports.orbits import orbit_grids, orbit_records
-from reports.paired import paired_grid, paired_records
+from reports.orbits import orbit_records
+from reports.paired import paired_records
 from reports.published import Comparison, load_published
 from reports.records import Record
 from reports.run_data import RunData, read_run
-from reports.sensitivity import mesh_variants, sensitivity_grid
-from reports.sequences import pooled_alone, sequence_grids
-from reports.surveys import survey_grids
-from reports.tables import detail_grid, diagnostic_grid, failure_grid, pose_grids, reference_grid, timing_grid
-from reports.tradeoff import trade_grid
+from reports.sequences import pooled_alone
 from reports.vision import vision_records
 
 _BESIDE = ["published", "tolerance", "verdict", "place"]
@@ -61,40 +54,6 @@ class Content:
     compared: tuple[ComparedValue, ...]
     claims: tuple[ComparedClaim, ...]
     notes: tuple[str, ...]
-
-    def grids(self) -> list[Grid]:
-        """List the tables of the report, in order; of a grid of scenarios, those of the grid alone."""
-        failures = failure_grid(self.run)
-        if not self.run.epochs.empty:
-            return [*sequence_grids(self.records, self.compared, self.run), *([] if failures is None else [failures])]
-        if not self.run.crater_matches.empty:
-            found = [*matching_grids(self.records, self.run), comparison_grid(self.compared), failures]
-            return [grid for grid in found if grid is not None]
-        if not self.run.craters.empty:
-            found = [*crater_grids(self.records, self.run), comparison_grid(self.compared)]
-            return [grid for grid in (*found, timing_grid(self.records), failures) if grid is not None]
-        if not self.run.surveyed_images.empty:
-            return [*survey_grids(self.records, self.compared), *([] if failures is None else [failures])]
-        if not (self.run.orbits.empty and self.run.navigation.empty):
-            orbit = orbit_grids(self.records, self.compared, self.run)
-            return [grid for grid in (navigation_grid(self.records, self.run), *orbit, failures) if grid is not None]
-        if self.run.manifest.grid is not None:
-            return [*design_grids(self.run), *([] if failures is None else [failures])]
-        optional = (
-            reference_grid(self.records, self.run),
-            comparison_grid(self.compared),
-            claim_grid(self.claims),
-            trade_grid(self.run),
-            detail_grid(self.records),
-            diagnostic_grid(self.records),
-            paired_grid(self.records),
-            consistency_grid(self.records),
-            sensitivity_grid(self.records, mesh_variants(self.run)),
-            outlier_grid(self.records),
-            timing_grid(self.records),
-            failures,
-        )
-        return [*pose_grids(self.records), *(grid for grid in optional if grid is not None)]
 
     def table(self) -> pd.DataFrame:
         """Every measured number, beside the published one where there is one."""

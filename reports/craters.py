@@ -43,6 +43,7 @@ _LABELS = {
     "clean_centre_error_px": "centre error of clean craters, px",
     "clean_axes_error_px": "error of a semi-axis of clean craters, px",
 }
+_BRIEF_SHARES = ("detection_share", "clean_detection_share", "false_alarm_share")
 _NOTE = (
     "Over the detections that reach the detector's threshold (`confidence_min`), which was chosen on images of another"
     " world before this run; intervals are 95 %, with images as the unit. A"
@@ -160,6 +161,18 @@ def crater_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
         *(_binned_grid(ones, *binning) for binning in BINNINGS),
         _image_grid(run),
     ]
+
+
+def crater_brief(records: Sequence[Record]) -> list[Grid]:
+    """Tabulate what fits a terminal: the rates of each detector, and how far the centres are off; a grid a scenario."""
+    known = {(r.scenario, r.estimator, r.measure, r.statistic): r for r in records if r.stage == DETECTION}
+    rows: dict[str, list[tuple[str, ...]]] = {}
+    for scenario, estimator in dict.fromkeys(key[:2] for key in known):
+        shares = [value_of(known[scenario, estimator, name, "mean"], interval=True) for name in _BRIEF_SHARES]
+        centre = value_of(known[scenario, estimator, "centre_error_px", RMS.name])
+        rows.setdefault(scenario, []).append((estimator, *shares, centre))
+    heads = ("detector", "found, %", "of clean, %", "false, %", "RMS px")
+    return [Grid(f"Detection of craters, {scenario}", heads, tuple(lines)) for scenario, lines in rows.items()]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from reports.content import Content
 from reports.distributions import distributions
+from reports.kinds import report_grids
 from reports.named_figure import NamedFigure
 from reports.row_files import row_links
 from reports.templates import embedded, filled, text_of
@@ -30,7 +31,7 @@ def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) ->
         facts=_facts(content),
         notes=content.notes,
         js=text_of("page.js"),
-        grids=[(grid, row_links(content.run, grid)) for grid in content.grids()],
+        grids=[(grid, row_links(content.run, grid)) for grid in report_grids(content)],
         distributions=list(distributions(content.run)),
         figures=embedded(figures),
         resolved={

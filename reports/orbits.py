@@ -63,6 +63,13 @@ def orbit_grids(records: Sequence[Record], compared: Sequence[ComparedValue], ru
     return [grid for grid in (*found, None if several else diagnostic_grid(records)) if grid is not None]
 
 
+def orbit_brief(records: Sequence[Record], run: RunData) -> list[Grid]:
+    """Tabulate what fits a terminal: how many converged, and the errors over the arc and of the prediction."""
+    whole = _grid(records, run)
+    several = len({scenario for scenario, _ in run.pairs()}) > 1
+    return [whole.keep(*(["scenario"] if several else []), "estimator", "converged", "arc m", "predicted m")]
+
+
 def _grid(records: Sequence[Record], run: RunData) -> Grid:
     heads = (
         "scenario", "estimator", "converged", "epoch m", "90 %", "arc m", "RMS", "90 %", "predicted m", "90 %",

@@ -24,6 +24,12 @@ def survey_grids(records: Sequence[Record], compared: Sequence[ComparedValue]) -
     return [grid for grid in (comparison_grid(compared), diagnostic_grid(records)) if grid is not None]
 
 
+def survey_brief(records: Sequence[Record]) -> list[Grid]:
+    """Tabulate what fits a terminal."""
+    found = diagnostic_grid(records)
+    return [] if found is None else [found.keep("estimator", "number", "median [95 %]", "trials")]
+
+
 def survey_figures(run: RunData, comparison: Comparison | None) -> Iterator[NamedFigure]:
     """Draw, for each scenario, similar images, craters an image and hits of a crater, in the first arc."""
     for scenario in dict.fromkeys(run.surveyed_images["scenario"]):

@@ -9,6 +9,7 @@ import pandas as pd
 
 from campaign.store import TABLES, RunFolder
 from reports.content import read_content
+from reports.kinds import report_grids
 from reports.named_figure import file_stem
 from scenarios.atomic import write_atomically, write_text
 
@@ -53,7 +54,7 @@ def _write(table: pd.DataFrame, path: Path, kind: str) -> None:
 def write_latex(folder: RunFolder, out: Path) -> list[Path]:
     """Write every table of the report as a LaTeX table in the style of booktabs."""
     written = []
-    for grid in read_content(folder.path).grids():
+    for grid in report_grids(read_content(folder.path)):
         written.append(out / f"{file_stem(grid.title.lower().replace(' ', '-'))}.tex")
         write_text(written[-1], grid.latex())
     return written

@@ -11,6 +11,7 @@ from campaign.paper.gather import FinishedRun
 from campaign.paper.kinds import Draw, Paper, PaperFigure, Runs
 from estimators.craters.planning.plan import PLANNER
 from reports.grid import Grid
+from reports.kinds import report_grids
 from reports.named_figure import NamedFigure
 from reports.navigation import counts_figure
 from reports.orbits import reference_scenarios, residual_figure
@@ -94,7 +95,7 @@ def _figure_10(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
 def _grids(run: FinishedRun) -> list[Grid]:
     """Return what a run tells beside the published numbers."""
     name = str(run.manifest["name"])
-    told = [grid for grid in run.content.grids() if grid.title.startswith(_TABLES)]
+    told = [grid for grid in report_grids(run.content) if grid.title.startswith(_TABLES)]
     return [replace(grid, title=f"{name}: {grid.title}") for grid in told[: _TABLES_OF.get(name)]]
 
 

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from terminal_text import terminal_lines
 from tiny_campaign import Heard, run
 
 from campaign.cli import main
@@ -25,6 +26,7 @@ from estimators.craters.contract import CraterDetections
 from renderers.mitsuba3 import choose_variant
 from reports.content import read_content
 from reports.craters import confidence_curve, crater_records, shown
+from reports.grid import number
 from reports.records import find
 from reports.run_data import read_run
 from scenarios.errors import BoresightError
@@ -184,6 +186,13 @@ def test_report_shows_images_curves_and_the_papers_claim(done: Path) -> None:
         assert words in text
     assert "nan" not in text.lower().replace("finance", "")
     assert read_content(done).comparison is not None
+
+
+def test_the_terminal_shows_the_rates_of_each_detector(done: Path) -> None:
+    rate = find(crater_records(read_run(done)), estimator="blobs", measure="detection_share", statistic="mean")
+    lines = [line.split() for line in terminal_lines(done)]
+    assert [line[1] for line in lines if line[:1] == ["blobs"]] == [number(rate.value)]
+    assert ["blind", "0", "[0,", "0]"] in [line[:4] for line in lines]
 
 
 def test_a_look_colours_craters_by_how_often_they_are_detected(done: Path) -> None:

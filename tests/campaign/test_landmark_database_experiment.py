@@ -10,6 +10,7 @@ from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.database import LandmarkDatabase
 from renderers.mitsuba3 import choose_variant
 from reports.content import read_content
+from reports.kinds import report_grids
 
 DATABASES = """\
 title: Data bases
@@ -74,7 +75,7 @@ def test_a_data_base_that_does_not_come_out_is_a_failure_with_a_reason(stored):
 
 def test_the_report_says_how_many_and_draws_no_poses(stored):
     content = read_content(stored.path)
-    titles = [grid.title for grid in content.grids()]
+    titles = [grid.title for grid in report_grids(content)]
     assert "Diagnostics" in titles
     assert not any(title.startswith("Pose error") for title in titles)
     means = {r.measure: r for r in content.records if r.estimator == "base" and r.statistic == "mean"}

@@ -12,6 +12,7 @@ from reports.content import read_content
 from reports.designs import DesignData, Outcome, design_grids, outcomes
 from reports.figures.curves import CurvePanel, Points, draw_curves
 from reports.figures.matrix import Matrix, draw_matrix
+from reports.kinds import report_grids
 from reports.run_data import read_run
 from reports.tables import failure_grid
 
@@ -178,7 +179,7 @@ def test_centroiding_alone_has_an_offset_and_no_attitude(builder):
 
 def test_a_report_tells_of_the_grid_and_not_of_each_scenario(square):
     content = read_content(square.run.folder)
-    assert [grid.title for grid in content.grids()] == [
+    assert [grid.title for grid in report_grids(content)] == [
         "truth against onboard, rock, landmark-harris",
         "Failures by reason",
     ]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 from stored_runs import SCENARIO, RunBuilder, pose_error
+from terminal_text import terminal_lines
 
 from reports.build import write_report
 from reports.consistency import BAND, CONSISTENCY, INSIDE
@@ -60,6 +61,11 @@ def test_the_covariance_is_held_against_the_errors_at_the_epoch(report):
     assert (band.value, band.low, band.high) == pytest.approx((6.0, *ends), rel=1e-6)
     assert inside.value == 1.0
     assert "NEES of the orbit at its epoch" in report.markdown.read_text()
+
+
+def test_the_terminal_counts_what_converged_and_shows_the_error_over_the_arc(report):
+    (line,) = (line for line in terminal_lines(report.content) if "batch-filter" in line)
+    assert line.split()[:3] == ["batch-filter", "4/5", "2.50"]
 
 
 def test_the_page_counts_what_did_not_converge_and_shows_the_figures(report):

@@ -1,10 +1,8 @@
-import io
 from dataclasses import replace
 
 import pytest
-from rich.console import Console
+from terminal_text import terminal_lines
 
-from reports.console import console_table
 from reports.content import read_content
 from reports.grid import Grid, number, value_of
 from reports.records import Record
@@ -116,9 +114,7 @@ def test_timing_table_names_the_work_done(full_run):
 
 
 def test_terminal_table_fits_80_columns(full_run):
-    out = io.StringIO()
-    Console(file=out, width=80, force_terminal=False).print(console_table(full_run()))
-    lines = out.getvalue().splitlines()
+    lines = terminal_lines(full_run())
     assert max(len(line) for line in lines) <= 80
     rows = [line for line in lines if line.startswith("after recognition")]
     assert len(rows) == 1
