@@ -8,7 +8,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from scenarios.checksums import refuse_damaged
@@ -285,6 +287,11 @@ class RunData:
 def select(table: pd.DataFrame, scenario: str, estimator: str) -> pd.DataFrame:
     """Rows of one scenario and estimator."""
     return table[(table["scenario"] == scenario) & (table["estimator"] == estimator)]
+
+
+def in_order_of(rows: pd.DataFrame, numbers: pd.Series) -> NDArray[np.float64]:
+    """Bring ``numbers``, which go by `TRIAL_KEY`, into the order of rows (n,); NaN where a row has none."""
+    return numbers.reindex(pd.MultiIndex.from_frame(rows[TRIAL_KEY])).to_numpy(dtype=np.float64)
 
 
 def read_run(folder: str | PathLike[str]) -> RunData:

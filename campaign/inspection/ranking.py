@@ -8,7 +8,7 @@ import pandas as pd
 from campaign.inspection.case import CONTROLS, Case, Choice, cases_of, chosen_rows
 from reports.compare.craters import THERE, detection_counts
 from reports.compare.metrics import Metric, choose_metric, metric_names, metric_values
-from reports.run_data import TRIAL_KEY, RunData
+from reports.run_data import TRIAL_KEY, RunData, in_order_of
 
 ORDER = "estimators that raised, then failures by their prior error, then solved trials by"
 MISSED_OR_WRONG = "n_missed_or_wrong"
@@ -65,5 +65,4 @@ def crater_faults(run: RunData) -> pd.Series | None:
         counted = counts.assign(faults=counts[THERE] - counts["n_hits"] + counts["n_false"])
     else:
         return None
-    by_key = counted.set_index(TRIAL_KEY)["faults"].astype(float)
-    return pd.Series(by_key.reindex(pd.MultiIndex.from_frame(run.rows[TRIAL_KEY])).to_numpy(), index=run.rows.index)
+    return pd.Series(in_order_of(run.rows, counted.set_index(TRIAL_KEY)["faults"]), index=run.rows.index)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from reports.run_data import TRIAL_KEY, RunData
+from reports.run_data import TRIAL_KEY, RunData, in_order_of
 
 MISSED, FALSE_ALARMS, CENTRE_ERROR, WRONG = "missed_share", "false_alarm_share", "centre_error_px", "wrong_share"
 COMMON_CENTRE_ERROR = "common_centre_error_px"
@@ -52,10 +54,9 @@ def detection_counts(run: RunData) -> pd.DataFrame:
     found = _kept(run)
     hits = _hits(run)
     rows = run.rows[TRIAL_KEY].merge(run.crater_images[["scenario", "trial", "n_detectable"]], on=["scenario", "trial"])
-    at = pd.MultiIndex.from_frame(rows[TRIAL_KEY])
     tables = {"n_kept": found, "n_hits": hits, "n_false": found[found["crater"] < 0]}
-    counted = {name: table.groupby(TRIAL_KEY).size().reindex(at).fillna(0).to_numpy() for name, table in tables.items()}
-    centre = hits.groupby(TRIAL_KEY)[CENTRE_ERROR].median().reindex(at).to_numpy()
+    counted = {name: _count(rows, table) for name, table in tables.items()}
+    centre = in_order_of(rows, hits.groupby(TRIAL_KEY)[CENTRE_ERROR].median())
     return rows.rename(columns={"n_detectable": THERE}).assign(**counted, **{CENTRE_ERROR: centre})
 
 
@@ -64,10 +65,14 @@ def _common_centres(run: RunData) -> pd.DataFrame:
     hits = _hits(run)
     methods = run.rows.groupby("scenario")["estimator"].nunique()
     finders = hits.groupby(["scenario", "trial", "crater"])["estimator"].transform("nunique")
-    by_trial = hits[finders == hits["scenario"].map(methods)].groupby(TRIAL_KEY)[CENTRE_ERROR]
-    at = pd.MultiIndex.from_frame(run.rows[TRIAL_KEY])
-    there, centre = by_trial.size().reindex(at).fillna(0).to_numpy(), by_trial.median().reindex(at).to_numpy()
-    return run.rows[TRIAL_KEY].assign(**{THERE: there, COMMON_CENTRE_ERROR: centre})
+    common = hits[finders == hits["scenario"].map(methods)]
+    centre = in_order_of(run.rows, common.groupby(TRIAL_KEY)[CENTRE_ERROR].median())
+    return run.rows[TRIAL_KEY].assign(**{THERE: _count(run.rows, common), COMMON_CENTRE_ERROR: centre})
+
+
+def _count(rows: pd.DataFrame, table: pd.DataFrame) -> NDArray[np.float64]:
+    """Count the lines of a table that belong to each row."""
+    return np.nan_to_num(in_order_of(rows, table.groupby(TRIAL_KEY).size()), nan=0.0)
 
 
 def _kept(run: RunData) -> pd.DataFrame:

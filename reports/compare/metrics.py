@@ -13,7 +13,7 @@ from reports.compare.craters import DETECTION, MATCHING, THERE, crater_numbers
 from reports.labels import measure_label
 from reports.measures import SEQUENCE_COLUMNS
 from reports.records import unit_of
-from reports.run_data import POSE_COLUMNS, TRIAL_KEY, RunData
+from reports.run_data import POSE_COLUMNS, TRIAL_KEY, RunData, in_order_of
 from scenarios.errors import BoresightError
 
 LATERAL, BORESIGHT = "lateral_error_m", "boresight_error_m"
@@ -183,5 +183,5 @@ def _size(rows: pd.DataFrame, prefix: str, name: str) -> np.ndarray[tuple[int], 
 
 def _laid_on(rows: pd.DataFrame, table: pd.DataFrame, column: str) -> pd.Series:
     """Take a column of a detail table to the rows that it belongs to."""
-    found = table.drop_duplicates(TRIAL_KEY).set_index(TRIAL_KEY)[column].astype(float)
-    return pd.Series(found.reindex(pd.MultiIndex.from_frame(rows[TRIAL_KEY])).to_numpy(), index=rows.index)
+    found = table.drop_duplicates(TRIAL_KEY).set_index(TRIAL_KEY)[column]
+    return pd.Series(in_order_of(rows, found), index=rows.index)
