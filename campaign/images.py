@@ -8,7 +8,6 @@ from pathlib import Path
 
 from renderers.images import ImageSet, PosedImageSet, keep_clear
 from renderers.mitsuba3.rays import outline_points
-from renderers.spice import SpiceImageSet
 from scenarios.bodies import body_digest, load_body
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
@@ -68,5 +67,9 @@ def _all_images(scenario: LoadedScenario) -> ImageSet:
     spec = scenario.spec
     if spec.images is None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
-    kind = PosedImageSet if spec.images.spice is None else SpiceImageSet
-    return kind.open(spec.images, spec.camera.camera(), scenario.search_dirs)
+    if spec.images.spice is None:
+        return PosedImageSet.open(spec.images, spec.camera.camera(), scenario.search_dirs)
+    # Imported here: most runs need no SPICE.
+    from renderers.spice import SpiceImageSet
+
+    return SpiceImageSet.open(spec.images, spec.camera.camera(), scenario.search_dirs)

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from renderers.images.fits import read_fits, read_fits_header
 from renderers.images.metadata import ImageMetadata, metadata_of
 from renderers.images.pds3 import ATTACHED_SUFFIXES, LABEL_SUFFIXES, Label, has_label, parse_label, pixel_file
 from renderers.images.pds3 import read_pixels as read_pds3_pixels
-from renderers.images.pixels import FITS_SUFFIXES, finite_float32, read_bytes, read_fits, read_fits_header
+from renderers.images.pixels import FITS_SUFFIXES, finite_float32, read_bytes
 from scenarios.errors import BoresightError
 
 

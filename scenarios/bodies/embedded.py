@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-import trimesh
 
 from scenarios.bodies import cubegrid
 from scenarios.bodies.detail.noise import Band, fractal_field
 from scenarios.bodies.eros_like import eros_like
+from scenarios.bodies.icosphere import icosphere
 from scenarios.bodies.topology import FloatArray, IndexArray, unit, vertex_normals
 from scenarios.geometry import TriangleMesh
 
@@ -23,6 +23,7 @@ EMBEDDED_VERSION = 1
 _BOX_M = np.array([560.0, 305.0, 243.0])
 _GRID = 32
 _BISECTIONS = 50
+_SPHERE_ROUNDS = 4
 _LUMPS = Band(longest_m=180.0, shortest_m=22.0, hurst=1.0)
 _LUMPS_RMS_M = 5.0
 _LUMPS_SEED = 25143
@@ -106,17 +107,12 @@ def contact_binary() -> TriangleMesh:
 
 def sphere() -> TriangleMesh:
     """Make a sphere of 250 m radius from an icosahedron: 5,120 facets."""
-    return _icosphere(250.0)
+    return icosphere(_SPHERE_ROUNDS, 250.0)
 
 
 def apophis_sphere() -> TriangleMesh:
     """Make the sphere of 190 m radius that stands for (99942) Apophis in Delpech et al. (2015): 5,120 facets."""
-    return _icosphere(190.0)
-
-
-def _icosphere(radius_m: float) -> TriangleMesh:
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=radius_m)
-    return TriangleMesh(np.array(ball.vertices), np.array(ball.faces))
+    return icosphere(_SPHERE_ROUNDS, 190.0)
 
 
 def _centre_of_volume(points_m: FloatArray, faces: IndexArray) -> FloatArray:

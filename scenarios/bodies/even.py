@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from scenarios.bodies.detail.subdivide import rounds_for
+from scenarios.bodies.icosphere import icosphere
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
 
@@ -46,12 +46,12 @@ def evenly_meshed(mesh: TriangleMesh, facets: int, source: str) -> TriangleMesh:
             f"{source}: body.even_facets: {hidden} facets cannot be seen from the body's origin, so that one net over"
             " all directions does not fit; remove the key"
         )
-    net = trimesh.creation.icosphere(rounds_for(_ICOSAHEDRON_FACETS, facets))
-    directions = np.asarray(net.vertices, dtype=np.float64)
+    net = icosphere(rounds_for(_ICOSAHEDRON_FACETS, facets), 1.0)
+    directions = net.vertices_m
     facet, weights = _met(directions, opposite)
     points_m = np.einsum("nk,nki->ni", weights, corners[facet])
     albedo = None if mesh.albedo is None else np.einsum("nk,nk->n", weights, mesh.albedo[mesh.faces[facet]])
-    return TriangleMesh(points_m, np.asarray(net.faces, dtype=np.int32), albedo)
+    return TriangleMesh(points_m, net.faces, albedo)
 
 
 def _met(directions: FloatArray, opposite: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:

@@ -7,7 +7,6 @@ import re
 import struct
 
 import numpy as np
-import trimesh
 
 from scenarios.bodies.readers.source import RawShape, ShapeFile
 
@@ -49,6 +48,9 @@ def read_ply(source: ShapeFile) -> RawShape:
 
 
 def _parse(source: ShapeFile, data: bytes, file_type: str) -> RawShape:
+    # Imported here: trimesh takes a tenth of the start-up, and most runs find their body in the cache.
+    import trimesh
+
     options = {"skip_materials": True} if file_type == "obj" else {}
     try:
         with np.errstate(all="ignore"):
