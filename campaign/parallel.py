@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import math
 import multiprocessing
 import os
 import signal
@@ -33,8 +34,9 @@ AfterDeath = Callable[[Sequence[Call], Path], Sequence[Call]]
 are to be made instead, as many."""
 
 MOST_CALLS = 1_000_000
-_QUEUED = 2
-"""Calls that a process has at a time: the second begins while the results of the first are stored."""
+_SHORT_S = 1.0
+"""A process whose last call was shorter is given a second one, which begins while the results of the first are stored;
+behind a long one it would wait for it, be another process idle or not."""
 
 _AHEAD = 8
 """Results for each process that may wait for an earlier one."""
@@ -150,13 +152,18 @@ class _Hand:
         descriptor, name = tempfile.mkstemp(prefix="boresight-worker-")
         os.close(descriptor)
         self.note = Path(name)
-        self.given: deque[tuple[tuple[int, Call], Future[object]]] = deque()
+        self.given: deque[tuple[tuple[int, Call], Future[tuple[float, object]]]] = deque()
         self._executor: ProcessPoolExecutor | None = None
         self._made = 0
+        self._last_s = math.inf
 
     def has_room(self, renew_after: int) -> bool:
         """Whether it can be given a call now."""
-        return len(self.given) < _QUEUED and self._made < renew_after
+        return len(self.given) < (2 if self._last_s < _SHORT_S else 1) and self._made < renew_after
+
+    def rest(self) -> None:
+        """Forget how long its calls took: the next may be of another kind."""
+        self._last_s = math.inf
 
     def renew(self, renew_after: int) -> None:
         """Let a process that has worked enough end, so that the next call starts another."""
@@ -190,7 +197,8 @@ class _Hand:
         """Yield what has come back; raise what a call has raised."""
         while self.given and self.given[0][1].done() and not self._is_lost():
             (index, _), future = self.given.popleft()
-            yield index, future.result()
+            self._last_s, answer = future.result()
+            yield index, answer
 
     def lost(self) -> list[tuple[int, Call]]:
         """Return the calls of a process that has ended, and be ready for a new one; none while it lives."""
@@ -232,6 +240,8 @@ class _Rested:
 
     def put_back(self, hands: Sequence[_Hand]) -> None:
         """Keep some for later."""
+        for hand in hands:
+            hand.rest()
         self._hands = sorted([*self._hands, *hands], key=lambda hand: hand.place)
 
     def _forget(self) -> None:
@@ -244,10 +254,12 @@ def _rested() -> _Rested:
     return _Rested()
 
 
-def _made(images_kept: bool, note: Path, function: Callable[..., T], call: Call) -> T:
-    """Make a call in a worker, which may have started before the store of images was switched."""
+def _made(images_kept: bool, note: Path, function: Callable[..., T], call: Call) -> tuple[float, T]:
+    """Make a call in a worker, which may have started before the store of images was switched; time it, in s."""
     with store_switched(images_kept), guarding(note=note):
-        return function(*call)
+        start = time.perf_counter()
+        answer = function(*call)
+        return time.perf_counter() - start, answer
 
 
 def _follow_parent(parent: int) -> None:
