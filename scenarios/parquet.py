@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
@@ -15,6 +14,9 @@ import pyarrow.parquet as pq
 from scenarios.errors import BoresightError
 from scenarios.limits import MOST_FOLD, may_unfold
 from scenarios.reading import unreadable
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 PARQUET_FAULTS = (
     pa.ArrowException, AttributeError, LookupError, MemoryError, OSError, OverflowError, RecursionError, TypeError,

@@ -8,9 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -21,6 +20,9 @@ from scenarios.atomic import write_atomically, write_text
 from scenarios.checksums import refuse_damaged
 from scenarios.errors import BoresightError
 from scenarios.parquet import read_column, read_frame, read_where
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Records = Sequence[Mapping[str, object]]
 
