@@ -13,7 +13,7 @@ import numpy as np
 from campaign.crater_score import NONE, check_detections, ellipse_errors, match_detections
 from campaign.experiments.fault import GaveUpError, Work
 from campaign.experiments.kept_images import ImageSink, image_sink
-from campaign.experiments.registry import Bench, Record, Records, Witness
+from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.experiments.single_image import SingleImage
 from campaign.guard import Call
 from campaign.products import BuiltProduct, Shelf
@@ -100,8 +100,7 @@ class CraterDetection:
         """Run trials, in the order of trials and detectors."""
         records: Records = {}
         for trial in trials:
-            for table, added in self.trial(trial).items():
-                records.setdefault(table, []).extend(added)
+            add_records(records, self.trial(trial))
         self.world.source.flush()
         return records
 
@@ -122,15 +121,13 @@ class CraterDetection:
         }
         stage = STORED_IMAGE if sight.from_store else FRESH_IMAGE
         for label, detector in self.detectors.items():
-            key: Record = {**image_key, "estimator": label}
             call = Call(self.world.scenario.spec.name, trial, label)
             judged = Work(call, "detector", _circumstances(sight)).judged(
                 partial(_detected, detector, frame, camera), _check, partial(_judged, truth=truth)
             )
             judged.setdefault("timings", []).append({"stage": stage, "seconds": image_seconds})
             judged["rows"][0] = {**_circumstances(sight), **judged["rows"][0]}
-            for table, added in judged.items():
-                records.setdefault(table, []).extend({**key, **record} for record in added)
+            add_records(records, judged, {**image_key, "estimator": label})
         return records
 
     def see(self, trial: int) -> tuple[Sight, Frame, Camera]:

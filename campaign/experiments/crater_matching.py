@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from campaign.check_parts import check_array, check_indices, check_reason
 from campaign.crater_pairs import BY_GEOMETRY, Looks, PairSource, check_detectors, open_pairs
 from campaign.experiments.fault import Work
-from campaign.experiments.registry import Bench, Record, Records, Witness
+from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.guard import Call
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
@@ -114,9 +114,8 @@ class CraterMatching:
         for trial in trials:
             looks = self.source.looks(self.seed, trial)
             for label, matcher in self.matchers.items():
-                key: Record = {"trial": trial, "scenario": self.name, "estimator": label}
-                for table, added in self._judged(Call(self.name, trial, label), matcher, looks).items():
-                    records.setdefault(table, []).extend({**key, **record} for record in added)
+                found = self._judged(Call(self.name, trial, label), matcher, looks)
+                add_records(records, found, {"trial": trial, "scenario": self.name, "estimator": label})
         self.source.flush()
         return records
 

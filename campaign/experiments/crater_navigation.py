@@ -21,7 +21,7 @@ from campaign.experiments.orbit_determination import (
     open_orbit_world,
     scored_orbit,
 )
-from campaign.experiments.registry import Bench, Record, Records, Witness
+from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.guard import Call
 from campaign.navigation_score import (
     at_times,
@@ -132,9 +132,7 @@ class CraterNavigationTrials:
         records: Records = {}
         for trial in trials:
             for label, found in self._trial(trial).items():
-                key: Record = {"trial": trial, "scenario": self.name, "estimator": label}
-                for table, added in found.items():
-                    records.setdefault(table, []).extend({**key, **record} for record in added)
+                add_records(records, found, {"trial": trial, "scenario": self.name, "estimator": label})
         return records
 
     def _trial(self, trial: int) -> dict[str, Records]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from campaign.coverage import Coverage, coverage
 from campaign.crater_sights import Address, DrawnSights, open_sights
 from campaign.experiments.orbit_determination import checked_orbit_section, empty_row, open_orbit_world
-from campaign.experiments.registry import Bench, Record, Records, Witness
+from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.navigation_trial import NavigationTrial
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
@@ -103,9 +103,7 @@ class ImageSurvey:
         for trial in trials:
             found = self._surveyed(trial)
             for label in self.labels:
-                key: Record = {"trial": trial, "scenario": self.name, "estimator": label}
-                for table, added in found.items():
-                    records.setdefault(table, []).extend({**key, **record} for record in added)
+                add_records(records, found, {"trial": trial, "scenario": self.name, "estimator": label})
         return records
 
     def _surveyed(self, trial: int) -> Records:

@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from campaign.experiments.fault import Work
-from campaign.experiments.registry import Bench, Record, Records, Witness
+from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.guard import Call
 from campaign.orbit_score import check_orbit, orbit_errors, orbit_summary, residual_records
 from campaign.products import BuiltProduct, Shelf
@@ -87,9 +87,7 @@ class OrbitTrials:
         records: Records = {}
         for trial in trials:
             for label, found in self._run(trial).items():
-                key: Record = {"trial": trial, "scenario": self.name, "estimator": label}
-                for table, added in found.items():
-                    records.setdefault(table, []).extend({**key, **record} for record in added)
+                add_records(records, found, {"trial": trial, "scenario": self.name, "estimator": label})
         return records
 
     def _run(self, trial: int) -> dict[str, Records]:

@@ -20,6 +20,12 @@ Witness = Callable[[object], None]
 """Is shown what came about in a trial of one method: truth, what the method saw, and what it returned."""
 
 
+def add_records(records: Records, found: Records, key: Record | None = None) -> None:
+    """Add what a trial found to the records of each table, each with the columns of ``key`` before its own."""
+    for table, added in found.items():
+        records.setdefault(table, []).extend({**(key or {}), **record} for record in added)
+
+
 @dataclass(frozen=True, slots=True)
 class Bench:
     """Where and how a worker works; nothing here may change a row, but that a method over ``limit_s`` is stopped.

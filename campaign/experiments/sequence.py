@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from campaign.experiments.fault import Work
-from campaign.experiments.registry import Bench, Record, Records, Witness
+from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.guard import Call
 from campaign.image_tracks import ImageTracks, Seen, Watch
 from campaign.orbit_images import OrbitImages
@@ -130,9 +130,7 @@ class SequenceTrials:
         records: Records = {}
         for trial in trials:
             for label, found in self._run(trial).items():
-                key: Record = {"trial": trial, "scenario": self.name, "estimator": label}
-                for table, added in found.items():
-                    records.setdefault(table, []).extend({**key, **record} for record in added)
+                add_records(records, found, {"trial": trial, "scenario": self.name, "estimator": label})
         if self.images is not None:
             self.images.images.flush()
         return records
@@ -150,8 +148,7 @@ class SequenceTrials:
             guided = self.images is not None and self.images.guided
             watch = self.images.watch(self.seed, trial) if self.images is not None and guided else None
             found[label] = self._judged(Call(self.name, trial, label), estimator, seen if watch is None else watch)
-            for table, added in _vision(seen if watch is None else watch.seen()).items():
-                found[label].setdefault(table, []).extend(added)
+            add_records(found[label], _vision(seen if watch is None else watch.seen()))
         return found
 
     def _judged(self, call: Call, estimator: SequenceEstimator, view: Seen | Watch) -> Records:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self, TypeVar
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from campaign.check import check
 from campaign.experiments.fault import Work
 from campaign.experiments.kept_images import ImageSink, image_sink
-from campaign.experiments.registry import Bench, Record, Records, Witness
+from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.guard import Call
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
@@ -106,8 +106,7 @@ class SingleImage:
         """Run trials, in the order of trials and estimators."""
         records: Records = {}
         for trial in trials:
-            for table, added in self.trial(trial).items():
-                records.setdefault(table, []).extend(added)
+            add_records(records, self.trial(trial))
         self.world.source.flush()
         return records
 
@@ -123,10 +122,9 @@ class SingleImage:
         for label, estimator in self.estimators.items():
             key: Record = {"trial": trial, "scenario": self.world.scenario.spec.name, "estimator": label}
             call = Call(self.world.scenario.spec.name, trial, label)
-            for table, added in self._judged(call, estimator, observation, sight).items():
-                _add(records, table, key, added)
+            add_records(records, self._judged(call, estimator, observation, sight), key)
             stage = STORED_IMAGE if sight.from_store else FRESH_IMAGE
-            _add(records, "timings", key, [{"stage": stage, "seconds": image_seconds}])
+            add_records(records, {"timings": [{"stage": stage, "seconds": image_seconds}]}, key)
         return records
 
     def observe(self, sight: Sight, trial: int) -> Observation:
@@ -246,10 +244,6 @@ def _references(final: Pose | None, sight: Sight) -> list[Record]:
     if final is None:
         return []
     return [{"reference": name, **pose_error(final, view.T_cam_body)} for name, view in sight.further.items()]
-
-
-def _add(records: Records, table: str, key: Record, added: Sequence[Mapping[str, object]]) -> None:
-    records.setdefault(table, []).extend({**key, **record} for record in added)
 
 
 def _read_only(array: NDArray[T]) -> NDArray[T]:
