@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 from ruamel.yaml import YAML
+from tiny_campaign import compute
 
 from campaign.cli import main
 from campaign.resolve import CATALOG
@@ -26,7 +27,7 @@ def runs(tmp_path_factory):
         file = folder / f"{name}.yaml"
         with file.open("w", encoding="utf-8") as stream:
             yaml.dump(spec, stream)
-        assert main(["run", str(file), "--jobs", "1", "--worst", "0", "--out", str(folder / "runs" / name)]) == 0
+        compute(file, folder / "runs" / name, TRIALS)
     return folder / "runs"
 
 
