@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 
 from reports.figures.curves import Points
+from reports.figures.log_axis import mark_decades
 from reports.figures.style import LINE_STYLES, add_credits, grid_figure, styled
 
-_FEW_DECADES = 100.0
 Panels = Mapping[tuple[str, str], Mapping[str, Points]]
 """Lines by the labels of their error and their condition."""
 
@@ -75,9 +75,7 @@ def _share_ordinate(row: Sequence[Axes], error: str) -> None:
         elif low > 0.0:
             axes.set_yscale("log")
             axes.set_ylim(low / 1.15, high * 1.15)
-            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)))
-            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axes.yaxis.set_minor_formatter(NullFormatter())
+            mark_decades(axes.yaxis)
         if axes is not row[0]:
             axes.tick_params(labelleft=False)
     row[0].set_ylabel(error)

@@ -9,13 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from reports.figures.log_axis import mark_decades
 from reports.figures.looks import looks
 from reports.figures.style import FloatArray, styled
 
 _PANELS_A_ROW = 3
-_FEW_DECADES = 300.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +44,7 @@ def draw_curves(panels: Sequence[CurvePanel], ordinate: str, title: str) -> Figu
     places = list(figure.subplots(down, across, squeeze=False, sharey=True).ravel())
     for axes, panel in zip(places, panels, strict=False):
         _draw(axes, panel)
-    _mark(places[0])
+    mark_decades(places[0].yaxis)
     for axes in places[len(panels) :]:
         axes.set_axis_off()
     handles, labels = places[0].get_legend_handles_labels()
@@ -77,14 +76,6 @@ def _draw(axes: Axes, panel: CurvePanel) -> None:
     ticks = np.unique(np.concatenate([points.x for points in panel.lines.values()]))
     _scale(axes, ticks)
     axes.set_xlabel(panel.label)
-
-
-def _mark(axes: Axes) -> None:
-    """Mark the shared ordinate with plain numbers: decades, and 2 and 5 of each where there is room."""
-    low, high = axes.get_ylim()
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_locator(NullLocator())
 
 
 def _scale(axes: Axes, ticks: FloatArray) -> None:

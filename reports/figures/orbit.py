@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 from matplotlib.figure import Figure
 
+from reports.figures.log_axis import mark_decades
 from reports.figures.looks import looks
 from reports.figures.style import (
     BLUE,
@@ -65,6 +66,7 @@ def draw_orbit_errors(errors: pd.DataFrame, title: str) -> Figure:
     arc = errors[~errors["predicted"].astype(bool)]
     axes.axvline(float(arc["time_days"].max()), color=GREY, linewidth=0.8)
     axes.set(xlabel="time after the epoch, days", ylabel="position error, m", yscale="log")
+    mark_decades(axes.yaxis)
     axes.legend(loc="upper left")
     figure.suptitle(title, fontsize=9.5)
     return figure

@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 
+from reports.figures.log_axis import mark_decades
 from reports.figures.looks import looks
 from reports.figures.style import (
     BLUE,
@@ -201,4 +202,4 @@ def _spread(axes: Axes, samples: Sequence[FloatArray], limit: float) -> None:
     low = min((float(np.quantile(sample, 0.02)) for sample in samples if len(sample)), default=0.0)
     if _far_apart(samples) and low > 0.0:
         axes.set(xscale="log", xlim=(low, limit))
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        mark_decades(axes.xaxis)

@@ -9,8 +9,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from reports.figures.log_axis import scale_ordinate
 from reports.figures.looks import Look, looks
-from reports.figures.style import new_figure, scale_ordinate, styled
+from reports.figures.style import new_figure, styled
 from reports.statistics import MEAN, measure
 
 _PANELS = {"error_after_1_m": "after 1 revolution", "error_after_2_m": "after 2 revolutions"}

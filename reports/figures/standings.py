@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from reports.figures.log_axis import mark_decades
 from reports.figures.style import GREY, add_credits, grid_figure, styled
 from reports.statistics import Measured
 
 _LINE_IN = 0.32
 _MARKS = (("RMS", "D"), ("75th", "|"), ("95th", "|"), ("99th", "|"))
-_FEW_DECADES = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,10 +95,7 @@ def _errors(axes: Axes, standings: Sequence[Standing], axis: str) -> None:
     if axes.dataLim.x0 <= 0.0:  # A share of nothing at all has no place on a logarithmic axis.
         return
     axes.set_xscale("log")
-    low, high = axes.get_xlim()
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    mark_decades(axes.xaxis)
 
 
 def _legend(axes: Axes) -> None:

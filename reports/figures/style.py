@@ -30,8 +30,6 @@ GREY, ORANGE, BLUE, GREEN, VERMILION, PURPLE, SKY = (
 )
 LineStyle = str | tuple[int, tuple[int, ...]]
 LINE_STYLES: tuple[LineStyle, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
-_FAR_APART = 20.0
-_RUNAWAY = 1e3
 _FOOTER, _FOOTER_SIZE, _FOOTER_LINE_IN = "footer", 6.5, 0.14
 SERIES_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY)
 _PARAMETERS: dict[Any, Any] = {
@@ -108,25 +106,6 @@ def hide_axes(axes: Axes) -> None:
     axes.set(xticks=[], yticks=[])
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
-
-
-def scale_ordinate(axes: Axes, typical: Sequence[float]) -> None:
-    """Choose a logarithmic ordinate where curves would else lie upon the axis: their typical values are far apart.
-
-    What runs away beyond them, such as a method that diverges in one frame, leaves the frame, and a note says how far.
-    """
-    known = [value for value in typical if np.isfinite(value)]
-    if not known or min(known) <= 0.0:
-        axes.set_ylim(bottom=0.0)
-        return
-    top, limit = float(axes.dataLim.y1), _RUNAWAY * max(known)
-    if max(known) > _FAR_APART * min(known) or top > limit:
-        axes.set_yscale("log")
-    else:
-        axes.set_ylim(bottom=0.0)
-    if top > limit:
-        axes.set_ylim(float(axes.dataLim.minposy) / 1.5, limit)
-        axes.annotate(f"up to {top:.1g}", (0.99, 0.98), xycoords="axes fraction", ha="right", va="top", fontsize=7.5)
 
 
 def add_credits(figure: Figure, credit_lines: Sequence[str]) -> None:

@@ -8,8 +8,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from reports.figures.log_axis import scale_ordinate
 from reports.figures.looks import Look, looks
-from reports.figures.style import add_credits, new_figure, scale_ordinate, styled
+from reports.figures.style import add_credits, new_figure, styled
 from reports.figures.turns import mark_turns
 
 POSITION, LANDMARKS = "position_error_m", "landmark_rmse_m"

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from reports.figures.log_axis import mark_decades
 from reports.figures.looks import looks
 from reports.figures.style import GREY, add_credits, grid_figure, styled
 from reports.statistics import Measured
 
-_FEW_DECADES = 300.0
 _ERRORS = (("position_error_m", "position error, m"), ("attitude_error_deg", "attitude error, deg"))
 
 
@@ -97,7 +96,4 @@ def _logarithmic(axes: Axes) -> None:
     axes.margins(0.15)
     axes.autoscale_view()
     for axis in (axes.xaxis, axes.yaxis):
-        low, high = axis.get_view_interval()
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
+        mark_decades(axis)

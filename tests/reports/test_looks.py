@@ -6,8 +6,9 @@ import itertools
 
 import pytest
 
+from reports.figures.log_axis import mark_decades, scale_ordinate
 from reports.figures.looks import colour_of, looks
-from reports.figures.style import GREY, SERIES_COLOURS, add_footer, new_figure, scale_ordinate
+from reports.figures.style import GREY, SERIES_COLOURS, add_footer, new_figure
 
 
 @pytest.mark.parametrize("others", [(), ("ekf-slam", "batch"), ("my-own", "fixed-lag", "prior")])
@@ -78,3 +79,16 @@ def test_what_runs_away_leaves_the_frame_and_is_told(last, scale, said):
     assert axes.get_yscale() == scale
     assert axes.get_ylim()[1] == pytest.approx(2000.0 if said else 31.5, rel=0.02)
     assert [text.get_text() for text in axes.texts] == said
+
+
+@pytest.mark.parametrize(
+    ("limits", "printed"),
+    [((9.0, 400.0), ["10", "20", "50", "100", "200"]), ((0.5, 5e4), ["1", "10", "100", "1000", "10000"])],
+)
+def test_logarithmic_axes_have_plain_numbers(limits, printed):
+    _, (axes,) = new_figure(1)
+    axes.set(yscale="log", ylim=limits)
+    mark_decades(axes.yaxis)
+    ticks = [tick for tick in axes.get_yticks() if limits[0] <= tick <= limits[1]]
+    assert [axes.yaxis.get_major_formatter()(tick) for tick in ticks] == printed
+    assert {axes.yaxis.get_minor_formatter()(tick) for tick in axes.yaxis.get_minorticklocs()} <= {""}
