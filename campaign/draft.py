@@ -26,6 +26,8 @@ LEAST_TRIALS = 2
 LEAST_SETS = 2
 """Of sets of images, each of a body of its own, over which a campaign is pooled."""
 LEAST_DATABASE_IMAGES = 120
+LEAST_OBSERVATIONS = 4
+"""Of a landmark: of fewer, the covariance of its three coordinates is not known."""
 LEAST_ARC_IMAGES = 24
 """Of an arc that is imaged: with fewer, craters are not seen from enough places to solve for an orbit."""
 
@@ -46,11 +48,16 @@ def as_draft(campaign: ResolvedCampaign, share: float) -> ResolvedCampaign:
 
 
 def drafted(options: Options, share: float) -> Options:
-    """Ask for a share of the images that a data base is made of."""
+    """Ask for a share of the images that a data base is made of, and of those that must show a landmark."""
     images = getattr(options, "images", None)
     if share >= 1.0 or not isinstance(images, int):
         return options
-    return options.model_copy(update={"images": kept(images, share, LEAST_DATABASE_IMAGES)})
+    fewer = kept(images, share, LEAST_DATABASE_IMAGES)
+    changes = {"images": fewer}
+    observations = getattr(options, "min_observations", None)
+    if isinstance(observations, int):
+        changes["min_observations"] = kept(observations, fewer / images, LEAST_OBSERVATIONS)
+    return options.model_copy(update=changes)
 
 
 def _fewer_sets(scenarios: tuple[LoadedScenario, ...], share: float) -> Iterator[LoadedScenario]:

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import pytest
+from shape_files import shape_file
+from tiny_campaign import Heard
 
 from campaign.draft import as_draft, drafted, kept
+from campaign.request import RunRequest
 from campaign.resolve import resolve
+from campaign.runner import run_campaign
 from estimators.landmark.build import DatabaseOptions
+from renderers.mitsuba3 import choose_variant
+from reports.run_data import read_run
 
 
 @pytest.mark.parametrize(
@@ -22,6 +28,20 @@ def test_a_draft_keeps_a_share_and_no_less_than_a_method_needs(whole, share, lea
 )
 def test_a_draft_makes_data_bases_of_fewer_images_with_a_floor(images, share, wanted):
     assert drafted(DatabaseOptions(images=images), share).images == wanted
+
+
+@pytest.mark.parametrize(("share", "wanted"), [(0.05, 6), (0.5, 12), (1.0, 24)])
+def test_landmarks_of_a_draft_are_asked_to_be_seen_in_as_large_a_share_of_the_images(share, wanted):
+    assert drafted(DatabaseOptions(images=500, min_observations=24), share).min_observations == wanted
+
+
+@pytest.mark.long
+def test_a_data_base_of_a_draft_of_the_paper_has_landmarks(tmp_path):
+    shape_file("itokawa_gaskell_q64.ply")
+    variant = choose_variant().name
+    run_campaign(as_draft(resolve("rowell2015-simulated", variant=variant), 0.05), RunRequest(tmp_path, 2, 2), Heard())
+    (product,) = read_run(tmp_path).manifest.products
+    assert product.n_landmarks > 200
 
 
 def test_a_draft_renders_a_share_of_the_sets_of_images_that_are_pooled():

@@ -1,23 +1,14 @@
 """Readers on shape models of missions and radar, where BORESIGHT_DATA points at them."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import cKDTree
+from shape_files import shape_file
 
 from scenarios.bodies import load_body
 from scenarios.bodies.readers import read_shape
 from scenarios.spec.body import BodySpec
-
-
-def shape_file(name):
-    path = Path(os.environ.get("BORESIGHT_DATA", "")) / "shapes" / name
-    if "BORESIGHT_DATA" not in os.environ or not path.is_file():
-        pytest.skip(f"needs shapes/{name} under BORESIGHT_DATA")
-    return path
 
 
 def as_trimesh(shape):
