@@ -70,3 +70,11 @@ def test_a_draft_leaves_out_nothing_that_is_compared_or_costs_no_image(name):
 def test_all_of_it_is_no_draft():
     whole = resolve("quickstart")
     assert as_draft(whole, 1.0) is whole
+
+
+def test_a_draft_is_another_run_by_its_share_and_by_the_rule(monkeypatch):
+    whole = resolve("rowell2015-simulated")
+    told = {as_draft(whole, share).digest for share in (0.05, 0.1, 1.0)}
+    monkeypatch.setattr("campaign.resolve.DRAFT_VERSION", 3)
+    assert len(told | {as_draft(whole, 0.05).digest}) == 4
+    assert as_draft(whole, 1.0).digest in told
