@@ -31,7 +31,6 @@ def run_block(
 
     ``lost`` are those that ended the process that they were in: they are not tried again.
     """
-    use_threads(bench.jobs)
     with guarding(limit_s=bench.limit_s, lost=lost):
         found = experiment_of(campaign, block.scenario, bench).run(range(block.first, block.last))
     return {name: found.get(name, []) for name in TABLES}
@@ -39,5 +38,9 @@ def run_block(
 
 @lru_cache(maxsize=1)
 def experiment_of(campaign: ResolvedCampaign, scenario_name: str, bench: Bench) -> Experiment:
-    """Build the experiment once per process and scenario."""
+    """Build the experiment once per process and scenario, with the threads that rows are worked out with.
+
+    Whoever works a trial out again needs them as well: matrices multiplied by more threads differ in their last bits.
+    """
+    use_threads(bench.jobs)
     return experiment_class(campaign.spec.experiment).open(campaign, campaign.scenario(scenario_name), bench)

@@ -24,3 +24,22 @@ def test_a_worker_takes_its_share_of_threads(jobs):
     share = max(1, cores() // jobs)
     done = subprocess.run([sys.executable, "-c", SCRIPT, str(jobs)], capture_output=True, text=True, check=True)
     assert [int(word) for word in done.stdout.split()] == [share, share, 1]
+
+
+AGAIN = """
+import sys
+from pathlib import Path
+from threadpoolctl import threadpool_info
+from campaign.inspection.case import Case
+from campaign.inspection.recompute import recompute, reopened
+from campaign.store import RunFolder
+folder = RunFolder(Path(sys.argv[1]))
+found = recompute(reopened(folder), folder, Case("scene", "landmark-harris", 1))
+print(*{pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"})
+"""
+
+
+def test_a_case_is_recomputed_with_the_threads_of_its_run(tiny_run):
+    """With two, matrices of a whole arc differ in their last bits, and a sound case would not be what is stored."""
+    done = subprocess.run([sys.executable, "-c", AGAIN, tiny_run.folder], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["1"]
