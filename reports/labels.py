@@ -94,6 +94,11 @@ def stage_label(stage: str, timed: bool = False) -> str:
     return (_TIMED if timed else _STAGES).get(stage, stage.replace("_", " "))
 
 
+def as_title(label: str) -> str:
+    """Begin a label with a capital and keep all others, as those of NEES and RMS."""
+    return label[:1].upper() + label[1:]
+
+
 def measure_label(name: str) -> str:
     """Name a measure in plain words."""
     return MEASURES.get(name, name.removesuffix(f"_{unit_of(name)}").replace("_", " "))

@@ -18,7 +18,7 @@ from reports.figures.revolutions import draw_revolutions
 from reports.figures.starts import draw_starts
 from reports.figures.traces import LANDMARKS, POSITION, draw_traces
 from reports.grid import NO_VALUE, Grid, counts, number, value_of
-from reports.labels import measure_label
+from reports.labels import as_title, measure_label
 from reports.paired import BETTER, SIGN_TEST
 from reports.records import SEQUENCE, Record, find
 from reports.run_data import RunData, select
@@ -81,7 +81,7 @@ def ratio_grids(records: Sequence[Record]) -> Iterator[Grid]:
             (one, *(value_of(find(own, estimator=one, reference=other), interval=True) for other in labels))
             for one in labels
         )
-        title = f"{measure_label(name).capitalize()}, {scenario}"
+        title = f"{as_title(measure_label(name))}, {scenario}"
         yield Grid(title, ("mean error of / over", *labels), rows, frozenset({0}), _RATIO_NOTE)
 
 

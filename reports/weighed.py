@@ -79,7 +79,7 @@ def weighed_errors(run: RunData) -> Iterator[Weighed]:
 
     An innovation that a gate refused is no part of the mean that an estimator reports, which is a little small for it.
     """
-    if NEES in run.rows:
+    if NEES in run.rows and run.orbits.empty:  # Rows of orbits repeat what the table of orbits has.
         rows = run.rows[(run.rows["status"] == "ok") & run.rows[NEES].notna()]
         yield from _some(NEES, POSE_DEGREES, rows.assign(ratio=rows[NEES], degrees=POSE_DEGREES))
     if NEES in run.epochs:

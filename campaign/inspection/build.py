@@ -19,6 +19,7 @@ from campaign.store import RunFolder
 from campaign.store.columns import TABLES
 from reports.case_page import CasePage, write_case
 from reports.grid import NO_VALUE, Grid, number
+from reports.labels import as_title
 
 _SHORT = ("stages", "references", "diagnostics", "orbits", "crater_matches")
 """Tables that are a few rows a case; the longer ones are kept as Parquet beside the page."""
@@ -93,7 +94,7 @@ def _grids(again: Recomputed) -> list[Grid]:
         columns = tuple(c for c in records[0] if c not in ("trial", "scenario", "estimator"))
         rows = tuple(tuple(_cell(record.get(column)) for column in columns) for record in records)
         text = frozenset(i for i, column in enumerate(columns) if isinstance(records[0][column], str))
-        grids.append(Grid(name.replace("_", " ").capitalize(), columns, rows, text))
+        grids.append(Grid(as_title(name.replace("_", " ")), columns, rows, text))
     return grids
 
 

@@ -12,6 +12,7 @@ from reports.compare.grids import contrast_grid, contrast_table, subject_grid, s
 from reports.compare.subjects import RunComparison
 from reports.figures.style import save_figure
 from reports.grid import Grid
+from reports.labels import as_title
 from reports.named_figure import NamedFigure
 from reports.provenance import stamp
 from scenarios.errors import BoresightError
@@ -83,7 +84,7 @@ def notes(found: RunComparison) -> Iterator[str]:
 
 
 def _markdown(found: RunComparison, grids: Sequence[Grid], figures: Sequence[NamedFigure], command: str) -> str:
-    parts = [f"# {found.metric.label.capitalize()} compared", "\n".join(f"- {note}" for note in notes(found))]
+    parts = [f"# {as_title(found.metric.label)} compared", "\n".join(f"- {note}" for note in notes(found))]
     parts += [grid.markdown() for grid in grids]
     parts += [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in figures]
     parts += [f"To make this again: `{command}`"] if command else []

@@ -24,6 +24,7 @@ from reports.compare.subjects import RunComparison, Subject
 from reports.figures.binned import draw_binned
 from reports.figures.pose import draw_cumulative_errors
 from reports.figures.standings import Standing, draw_standings
+from reports.labels import as_title
 from reports.named_figure import NamedFigure, file_stem
 from reports.records import CONTROL
 from reports.run_data import TRIAL_KEY
@@ -127,7 +128,7 @@ def standings_figure(found: RunComparison) -> NamedFigure:
         for one in found.subjects
     ]
     against = {name for name, _ in bases.values()}
-    title = ", ".join(filter(None, (found.metric.label.capitalize(), found.shared)))
+    title = ", ".join(filter(None, (as_title(found.metric.label), found.shared)))
     return NamedFigure(
         "compare",
         draw_standings(

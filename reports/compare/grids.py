@@ -10,6 +10,7 @@ from reports.cells import chance, interval
 from reports.compare.pairs import Contrast
 from reports.compare.subjects import STATISTICS, RunComparison, Subject
 from reports.grid import NO_VALUE, Grid
+from reports.labels import as_title
 from reports.records import CONTROL, FAILURES_AT_PRIOR
 from reports.statistics import Measured
 
@@ -40,7 +41,7 @@ def subject_grid(found: RunComparison) -> Grid:
                 (*found.levels(subject.names), _WORDS[how], f"{n}/{subject.n}", success, *map(interval, values))
             )
     note = (
-        f"{found.metric.label.capitalize()}, with 95 % bootstrap intervals of whole trials (real images: of whole"
+        f"{as_title(found.metric.label)}, with 95 % bootstrap intervals of whole trials (real images: of whole"
         " images). Success: an estimate, with a position error that is not above the prior's where there is a prior."
         " Solved: the trials with a number."
     )
@@ -50,7 +51,7 @@ def subject_grid(found: RunComparison) -> Grid:
             " one without an error worse than any (∞ where the quantile is such)."
         )
     text = frozenset(range(len(found.varied) + 1))
-    title = f"{found.metric.label.capitalize()}{f', {found.shared}' if found.shared else ''}"
+    title = f"{as_title(found.metric.label)}{f', {found.shared}' if found.shared else ''}"
     return Grid(title, heads, tuple(rows), text, note)
 
 
