@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
+from shape_files import shape_file
 
 from campaign.experiments.sequence import ground_of
 from campaign.image_tracks import ImageTracks
@@ -118,9 +116,7 @@ SHAPES = {
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_landmarks_of_a_shape_are_where_the_line_of_sight_meets_its_first_facet(tmp_path, shape):
-    data = Path(os.environ.get("BORESIGHT_DATA", "")) / "shapes" / shape
-    if "BORESIGHT_DATA" not in os.environ or not data.is_file():
-        pytest.skip(f"needs shapes/{shape} under BORESIGHT_DATA")
+    shape_file(shape)
     file = tmp_path / "scene.yaml"
     body = f"body: {{shape: {shape}, unit: km, {SHAPES[shape]}}}"
     file.write_text("\n".join([body, *SCENE.splitlines()[2:]]).replace("{step_deg", "{radius_m: 1150, step_deg"))

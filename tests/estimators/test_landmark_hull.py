@@ -1,12 +1,10 @@
 """The concave hull: closed, complete and near the body that the points were taken from."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import ConvexHull, cKDTree
+from shape_files import shape_file
 
 from estimators.landmark.hull import circumspheres, concave_hull
 from scenarios.errors import BoresightError
@@ -133,10 +131,7 @@ def test_circumspheres_touch_all_four_corners():
 
 @pytest.mark.parametrize(("name", "tolerance"), [("67p-4k.obj", 0.04), ("itokawa_gaskell_q16.obj", 0.04)])
 def test_real_shapes(name, tolerance):
-    folder = Path(os.environ.get("BORESIGHT_DATA", "")) / "shapes"
-    if not (folder / name).is_file():
-        pytest.skip(f"BORESIGHT_DATA holds no shapes/{name}")
-    body = trimesh.load(folder / name)
+    body = trimesh.load(shape_file(name))
     points, _ = trimesh.sample.sample_surface_even(body, 320, seed=1)
     hull = concave_hull(np.asarray(points))
     mesh = check_closed(np.asarray(points), hull)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import ConvexHull
+from shape_files import shape_file
 
 from scenarios.bodies import body_digest, load_body
 from scenarios.bodies.even import evenly_meshed
@@ -78,9 +76,7 @@ def test_a_body_without_the_key_has_the_digest_that_it_would_have_if_there_were_
 
 
 def test_the_slivers_of_apophis_no_longer_fold_the_detailed_surface(tmp_path):
-    path = Path(os.environ.get("BORESIGHT_DATA", "")) / "shapes" / "apophis_lightcurve.obj"
-    if "BORESIGHT_DATA" not in os.environ or not path.is_file():
-        pytest.skip("needs shapes/apophis_lightcurve.obj under BORESIGHT_DATA")
+    shape_file("apophis_lightcurve.obj")
     spec = load_scenario("apophis-shape-images").spec.body
     detail = spec.detail.model_copy(
         update={"facets": 80_000, "boulders": None, "craters": None, "roughness": None, "albedo": None}

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from shape_files import shape_file
 
 from scenarios.bodies import load_body
 from scenarios.geometry import Camera
@@ -22,9 +20,7 @@ SHAPES = ("apophis_lightcurve.obj", "itokawa_radar.obj", "itokawa_gaskell_q16.ob
 
 
 def ground(name):
-    path = Path(os.environ.get("BORESIGHT_DATA", "")) / "shapes" / name
-    if "BORESIGHT_DATA" not in os.environ or not path.is_file():
-        pytest.skip(f"needs shapes/{name} under BORESIGHT_DATA")
+    shape_file(name)
     return MeshGround(load_body(BodySpec(shape=name, unit="km"), ()).mesh)
 
 
