@@ -51,8 +51,8 @@ def detection_counts(run: RunData) -> pd.DataFrame:
         A row for each row of the run: `TRIAL_KEY`, `THERE` (detectable craters), ``n_kept`` (detections), ``n_hits``
         (detectable craters found), ``n_false`` (detections that are no crater) and `CENTRE_ERROR` of the hits.
     """
-    found = _kept(run)
-    hits = _hits(run)
+    found = run.detections[run.detections["kept"].astype(bool)]
+    hits = found[found["detectable"].astype(bool)]
     rows = run.rows[TRIAL_KEY].merge(run.crater_images[["scenario", "trial", "n_detectable"]], on=["scenario", "trial"])
     tables = {"n_kept": found, "n_hits": hits, "n_false": found[found["crater"] < 0]}
     counted = {name: _count(rows, table) for name, table in tables.items()}
@@ -62,7 +62,8 @@ def detection_counts(run: RunData) -> pd.DataFrame:
 
 def _common_centres(run: RunData) -> pd.DataFrame:
     """Return `TRIAL_KEY`, `THERE` (detectable craters that all methods found) and `COMMON_CENTRE_ERROR` of them."""
-    hits = _hits(run)
+    found = run.detections
+    hits = found[found["kept"].astype(bool) & found["detectable"].astype(bool)]
     methods = run.rows.groupby("scenario")["estimator"].nunique()
     finders = hits.groupby(["scenario", "trial", "crater"])["estimator"].transform("nunique")
     common = hits[finders == hits["scenario"].map(methods)]
@@ -73,15 +74,6 @@ def _common_centres(run: RunData) -> pd.DataFrame:
 def _count(rows: pd.DataFrame, table: pd.DataFrame) -> NDArray[np.float64]:
     """Count the lines of a table that belong to each row."""
     return np.nan_to_num(in_order_of(rows, table.groupby(TRIAL_KEY).size()), nan=0.0)
-
-
-def _kept(run: RunData) -> pd.DataFrame:
-    return run.detections[run.detections["kept"].astype(bool)]
-
-
-def _hits(run: RunData) -> pd.DataFrame:
-    found = _kept(run)
-    return found[found["detectable"].astype(bool)]
 
 
 def _percent(part: pd.Series, whole: pd.Series) -> pd.Series:
