@@ -14,11 +14,10 @@ import pandas as pd
 from reports.content import Content, read_content
 from reports.figures.style import save_figure
 from reports.html import html_page, reproduce_command
-from reports.kinds import report_grids
+from reports.kinds import draw_figures, report_grids
 from reports.named_figure import NamedFigure
 from reports.provenance import counted, stamp
 from reports.row_files import write_row_files
-from reports.run_figures import draw_figures
 from scenarios.errors import BoresightError
 
 

@@ -1,31 +1,38 @@
-"""The kinds of runs: which tables the report of each has, and what of them a terminal of 80 columns shows."""
+"""The kinds of runs: which tables and figures the report of each has, and what a terminal of 80 columns shows."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+
+from matplotlib.figure import Figure
 
 from reports.clusters import pools
 from reports.comparison_tables import claim_grid, comparison_grid, verdict_grid
 from reports.consistency import consistency_grid
 from reports.content import Content
-from reports.crater_matching import matching_brief, matching_grids
+from reports.crater_figures import crater_figures
+from reports.crater_matching import matching_brief, matching_figures, matching_grids
 from reports.craters import crater_brief, crater_grids
+from reports.design_figures import design_figures
 from reports.designs import design_grids
 from reports.detection import outlier_grid
 from reports.grid import Grid
-from reports.navigation import navigation_grid
-from reports.orbits import orbit_brief, orbit_grids
+from reports.named_figure import NamedFigure, file_stem
+from reports.navigation import navigation_figures, navigation_grid
+from reports.orbits import orbit_brief, orbit_figures, orbit_grids
 from reports.paired import paired_grid
 from reports.records import CONTROL
 from reports.run_data import RunData
+from reports.run_figures import image_figures
 from reports.sensitivity import mesh_variants, sensitivity_grid
-from reports.sequences import sequence_grid, sequence_grids
-from reports.surveys import survey_brief, survey_grids
+from reports.sequences import sequence_figures, sequence_grid, sequence_grids
+from reports.surveys import survey_brief, survey_figures, survey_grids
 from reports.tables import detail_grid, diagnostic_grid, failure_grid, pose_grids, reference_grid, timing_grid
 from reports.tradeoff import trade_grid
 
 Tables = Sequence[Grid | None]
+Figures = Iterable[NamedFigure]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +47,14 @@ class _Kind:
         The tables of its report, in order, before that of failures.
     brief
         What the terminal shows, before the verdicts.
+    figures
+        The figures of its report.
     """
 
     holds: Callable[[RunData], bool]
     report: Callable[[Content], Tables]
     brief: Callable[[Content], Tables]
+    figures: Callable[[Content], Figures]
 
 
 def report_grids(content: Content) -> list[Grid]:
@@ -57,6 +67,11 @@ def brief_grids(content: Content) -> list[Grid]:
     """List what the terminal shows at the end of a run."""
     found = _kind_of(content.run).brief(content)
     return [grid for grid in (*found, verdict_grid(content.compared)) if grid is not None]
+
+
+def draw_figures(content: Content) -> Iterator[NamedFigure]:
+    """Draw every figure that the run's tables allow; of a grid of scenarios those of the grid alone."""
+    yield from _kind_of(content.run).figures(content)
 
 
 def _kind_of(run: RunData) -> _Kind:
@@ -112,32 +127,57 @@ def _designs_or(brief: Callable[[Content], Tables]) -> Callable[[Content], Table
     return lambda content: (brief if content.run.manifest.grid is None else _brief_of_designs)(content)
 
 
+def _figures_of_sequences(content: Content) -> Figures:
+    grid = content.run.manifest.grid
+    if grid is not None and grid.design == "one-at-a-time":
+        return _figures_of_designs(content)
+    return _named(sequence_figures(content.run))
+
+
+def _named(drawn: Iterable[tuple[str, Figure, str, str]]) -> Figures:
+    return (NamedFigure(file_stem(stem), figure, caption, alt) for stem, figure, caption, alt in drawn)
+
+
+def _figures_of_designs(content: Content) -> Figures:
+    return _named(design_figures(content.run))
+
+
 _KINDS = (
     _Kind(
         lambda run: not run.epochs.empty,
         lambda content: sequence_grids(content.records, content.compared, content.run),
         _designs_or(_brief_of_poses),
+        _figures_of_sequences,
     ),
     _Kind(
         lambda run: not run.crater_matches.empty,
         lambda content: (*matching_grids(content.records, content.run), comparison_grid(content.compared)),
         lambda content: matching_brief(content.records, content.run),
+        lambda content: matching_figures(content.records, content.run),
     ),
     _Kind(
         lambda run: not run.crater_images.empty,
         _of_craters,
         lambda content: crater_brief(content.records),
+        lambda content: () if content.run.craters.empty else crater_figures(content.run),
     ),
     _Kind(
         lambda run: not run.surveyed_images.empty,
         lambda content: survey_grids(content.records, content.compared),
         lambda content: survey_brief(content.records),
+        lambda content: survey_figures(content.run, content.comparison),
     ),
     _Kind(
         lambda run: not (run.orbits.empty and run.navigation.empty),
         _of_orbits,
         _designs_or(lambda content: orbit_brief(content.records, content.run)),
+        lambda content: (*navigation_figures(content.run), *orbit_figures(content.run)),
     ),
-    _Kind(lambda run: run.manifest.grid is not None, lambda content: design_grids(content.run), _brief_of_designs),
-    _Kind(lambda run: True, _of_images, _brief_of_poses),
+    _Kind(
+        lambda run: run.manifest.grid is not None,
+        lambda content: design_grids(content.run),
+        _brief_of_designs,
+        _figures_of_designs,
+    ),
+    _Kind(lambda run: True, _of_images, _brief_of_poses, image_figures),
 )

@@ -1,4 +1,4 @@
-"""The figures of a report, as far as the tables of the run allow them."""
+"""The figures of a report of single images, as far as the tables of the run allow them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,6 @@ import numpy as np
 import pandas as pd
 
 from reports.content import Content
-from reports.crater_figures import crater_figures
-from reports.crater_matching import matching_figures
-from reports.design_figures import design_figures
 from reports.detection import DEFINITIONS, Detection, area, detections, roc_curve
 from reports.figures import (
     MOST_CURVES,
@@ -27,42 +24,16 @@ from reports.figures import (
 )
 from reports.labels import stage_label
 from reports.named_figure import NamedFigure, file_stem
-from reports.navigation import navigation_figures
-from reports.orbits import orbit_figures
 from reports.records import CONTROL
 from reports.run_data import RunData, select
-from reports.sequences import sequence_figures
 from reports.stages import errors_by_stage, final_stage
 from reports.statistics import MEDIAN, FloatArray
-from reports.surveys import survey_figures
 from reports.tradeoff import ATTITUDE, POSITION, costs, prior_medians
 
 
-def draw_figures(content: Content) -> Iterator[NamedFigure]:
-    """Draw every figure that the run's tables allow; of a grid of scenarios those of the grid alone."""
+def image_figures(content: Content) -> Iterator[NamedFigure]:
+    """Draw every figure that the tables of a run of single images allow."""
     run = content.run
-    one_at_a_time = run.manifest.grid is not None and run.manifest.grid.design == "one-at-a-time"
-    if not run.epochs.empty and not one_at_a_time:
-        for stem, figure, caption, alt in sequence_figures(run):
-            yield NamedFigure(file_stem(stem), figure, caption, alt)
-        return
-    if not run.crater_matches.empty:
-        yield from matching_figures(content.records, run)
-        return
-    if not run.craters.empty:
-        yield from crater_figures(run)
-        return
-    if not run.surveyed_images.empty:
-        yield from survey_figures(run, content.comparison)
-        return
-    if not (run.orbits.empty and run.navigation.empty):
-        yield from navigation_figures(run)
-        yield from orbit_figures(run)
-        return
-    if run.manifest.grid is not None:
-        for stem, figure, caption, alt in design_figures(run):
-            yield NamedFigure(file_stem(stem), figure, caption, alt)
-        return
     for scenario in dict.fromkeys(scenario for scenario, _ in run.posed_pairs()):
         for _, estimator in (pair for pair in run.posed_pairs() if pair[0] == scenario and pair[1] != CONTROL):
             yield pose_figure(content, scenario, estimator)
