@@ -18,6 +18,7 @@ IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _NEAREST_M = 1.0
+_FLIGHTS_KEPT = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,9 +184,15 @@ def _turns(tilts: FloatArray) -> FloatArray:
 
 
 def fly(layout: Layout, x: FloatArray, times_s: FloatArray) -> Flight:
-    """Follow the orbit of some unknowns."""
-    end = float(times_s[-1]) if len(times_s) else 1.0
-    return flight(layout.field_at(x), layout.state(x), times_s, layout.pushes(x, end))
+    """Follow the orbit of some unknowns, or take one of the last that were followed."""
+    key = (x.tobytes(), times_s.tobytes())
+    if key not in layout.flights:
+        end = float(times_s[-1]) if len(times_s) else 1.0
+        flown = flight(layout.field_at(x), layout.state(x), times_s, layout.pushes(x, end))
+        if len(layout.flights) == _FLIGHTS_KEPT:
+            del layout.flights[next(iter(layout.flights))]
+        layout.flights[key] = flown
+    return layout.flights[key]
 
 
 def motion_by_shared(layout: Layout, x: FloatArray, flown: Flight, rows: slice) -> FloatArray:

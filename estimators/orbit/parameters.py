@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +13,7 @@ from scipy.linalg import toeplitz
 from estimators.orbit.options import OrbitOptions
 from scenarios.orbits.data import Knowledge, OrbitData
 from scenarios.orbits.field import Field
-from scenarios.orbits.motion import Pushes
+from scenarios.orbits.motion import Flight, Pushes
 
 FloatArray = NDArray[np.float64]
 
@@ -36,6 +37,8 @@ class Layout:
         (2 + K,) of the field's parameters.
     bias_sigma_m
         Of the range bias; 0 where there is none.
+    flights
+        The last orbits that were followed, by unknowns and times: steps of the filter ask for the same again.
     """
 
     knowledge: Knowledge
@@ -43,6 +46,7 @@ class Layout:
     edges_s: FloatArray
     force_sigma: FloatArray
     bias_sigma_m: float
+    flights: dict[tuple[bytes, bytes], Flight] = dataclasses.field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, data: OrbitData, options: OrbitOptions) -> Layout:

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from estimators.orbit.arc import Arc, Solution
 from estimators.orbit.batch_filter import BatchFilter
 from estimators.orbit.contract import LandmarkFile, OrbitData, Pictures
-from estimators.orbit.model import Unknowns
+from estimators.orbit.model import Unknowns, fly
 from estimators.orbit.options import OrbitOptions
 from estimators.orbit.parameters import Layout
 from estimators.orbit.rays import agreeing
@@ -133,6 +133,18 @@ def test_the_same_data_give_the_same_bits(clean, solved):
     again = BatchFilter().determine(clean[1])
     assert np.array_equal(again.orbit.state, solved.orbit.state)
     assert np.array_equal(again.orbit.covariance, solved.orbit.covariance)
+
+
+def test_an_orbit_that_was_followed_is_taken_again_for_the_same_unknowns_alone(clean):
+    data = clean[1]
+    layout, times = Layout.of(data, OrbitOptions()), data.pictures.times_s
+    x, other = np.zeros(layout.size), np.full(layout.size, 1e-3)
+    first = fly(layout, x, times)
+    assert fly(layout, x.copy(), times.copy()) is first
+    for unknowns, wanted in ((other, times), (x, times[:-3]), (other, times[:-3]), (x, times)):
+        fresh = fly(Layout.of(data, OrbitOptions()), unknowns, wanted)
+        assert np.array_equal(fly(layout, unknowns, wanted).by_state, fresh.by_state)
+    assert len(layout.flights) == 2  # those of a whole solution would fill the memory
 
 
 def test_wrong_numbers_are_edited_and_shared_ones_split():
