@@ -57,12 +57,21 @@ def clusters_of(run: RunData, table: pd.DataFrame) -> NDArray[np.generic]:
 
     That is its set of images where sequences see one, its image where that is real, else its trial.
     """
-    images = run.rows.drop_duplicates(["scenario", "trial"]).set_index(["scenario", "trial"])["image"]
-    image = images.reindex(pd.MultiIndex.from_frame(table[["scenario", "trial"]])).fillna("").to_numpy(dtype=str)
+    trials = table["trial"].to_numpy().astype(str)
     sets = {name: image_set(spec) for name, spec in run.manifest.scenarios.items()}
-    seen = table["scenario"].map(sets).fillna("").to_numpy(dtype=str)
-    alone = np.where(image == "", table["trial"].to_numpy().astype(str), image)
-    return np.where(seen == "", alone, seen)
+    if any(sets.values()):
+        seen = table["scenario"].map(sets).fillna("").to_numpy(dtype=str)
+        return np.where(seen == "", _by_image(run, table, trials), seen)
+    return _by_image(run, table, trials)
+
+
+def _by_image(run: RunData, table: pd.DataFrame, trials: NDArray[np.str_]) -> NDArray[np.generic]:
+    """Name the real image of each row, or its trial."""
+    images = run.image_of_trial
+    if (images == "").all():
+        return trials
+    image = images.reindex(pd.MultiIndex.from_frame(table[["scenario", "trial"]])).fillna("").to_numpy(dtype=str)
+    return np.where(image == "", trials, image)
 
 
 def pools(run: RunData) -> tuple[Pool, ...]:

@@ -31,6 +31,44 @@ _ERRORS = {"error_after_1_ratio": "error_after_1_m", "error_after_2_ratio": "err
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _SideBySide:
+    """One error of all estimators in a group of scenarios, side by side.
+
+    Parameters
+    ----------
+    estimators
+        Their labels.
+    errors
+        (n, E) of n trials; NaN where there is none.
+    there
+        (n, E) whether the trial was run at all.
+    clusters
+        (n,) what of the trials is independent.
+    """
+
+    estimators: list[str]
+    errors: FloatArray
+    there: NDArray[np.bool_]
+    clusters: NDArray[np.generic]
+
+    @classmethod
+    def of(cls, run: RunData, rows: pd.DataFrame, error: str) -> _SideBySide:
+        """Lay out rows; lines are in their order."""
+        one_each = rows.assign(there=1.0).set_index(["trial", "scenario", "estimator"])[[error, "there"]]
+        laid = one_each.unstack()  # noqa: PD010  pivot_table would leave out lines without an error
+        clusters = clusters_of(run, laid.index.to_frame(index=False))
+        errors, there = (np.asarray(laid[name], dtype=np.float64) for name in (error, "there"))
+        return cls([str(label) for label in laid["there"]], errors, np.isfinite(there), clusters)
+
+    def both(self, one: str, other: str) -> _Both:
+        """Take the trials of two estimators."""
+        columns = [self.estimators.index(one), self.estimators.index(other)]
+        errors = self.errors[:, columns]
+        known = np.isfinite(errors).all(axis=1)
+        return _Both(errors[known], self.clusters[known], int(self.there[:, columns].all(axis=1).sum()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Both:
     """Two errors of the same trials.
 
@@ -49,9 +87,9 @@ class _Both:
     n: int
 
     @classmethod
-    def of(cls, run: RunData, one: pd.DataFrame, other: pd.DataFrame, error: str, key: list[str]) -> _Both:
-        """Join two tables of rows; ``key`` tells which trials are the same."""
-        both = one.merge(other[[*key, error]], on=key, suffixes=("", "_other"))
+    def of(cls, run: RunData, one: pd.DataFrame, other: pd.DataFrame, error: str) -> _Both:
+        """Join the rows of two scenarios by their trials."""
+        both = one.merge(other[["trial", error]], on="trial", suffixes=("", "_other"))
         known = both[[error, f"{error}_other"]].notna().all(axis=1)
         errors = both.loc[known, [error, f"{error}_other"]].to_numpy(dtype=np.float64)
         return cls(errors, clusters_of(run, both[known]), len(both))
@@ -75,11 +113,13 @@ def ratio_records(run: RunData) -> Iterator[Record]:
         return
     pooled = pooled_scenarios(run)
     for name, members in groups(run):
+        if name in pooled:
+            continue
         own = run.rows[run.rows["scenario"].isin(members)]
-        for one, other in permutations(dict.fromkeys(own["estimator"]), 2) if name not in pooled else ():
-            tables = own[own["estimator"] == one], own[own["estimator"] == other]
-            for ratio, error in _ERRORS.items():
-                both = _Both.of(run, *tables, error, ["scenario", "trial"])
+        sides = {ratio: _SideBySide.of(run, own, error) for ratio, error in _ERRORS.items()}
+        for one, other in permutations(dict.fromkeys(own["estimator"]), 2):
+            for ratio, side in sides.items():
+                both = side.both(one, other)
                 if len(both.errors):
                     yield from _ratio_records(both, (name, one, other, ratio))
 
@@ -124,7 +164,7 @@ def _contrasted(run: RunData, published: PublishedValue) -> Iterator[tuple[Pair,
 
 def _reduction_record(run: RunData, one: Pair, other: Pair, published: PublishedValue) -> Record:
     error = f"{published.measure.removesuffix('_reduction')}_m"
-    both = _Both.of(run, select(run.rows, *one), select(run.rows, *other), error, ["trial"])
+    both = _Both.of(run, select(run.rows, *one), select(run.rows, *other), error)
     measured = both.measured(_reduction)
     return Record(
         *one, REDUCTION, published.against, published.measure, unit_of(published.measure), MEAN.name,

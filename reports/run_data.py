@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -209,7 +210,7 @@ class Manifest(BaseModel):
         return scenarios
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RunData:
     """The tables of a run, sorted by trial, scenario and estimator; a table that was not stored is empty.
 
@@ -263,6 +264,11 @@ class RunData:
     navigated_landmarks: pd.DataFrame = field(default_factory=pd.DataFrame)
     surveyed_images: pd.DataFrame = field(default_factory=pd.DataFrame)
     surveyed_craters: pd.DataFrame = field(default_factory=pd.DataFrame)
+
+    @cached_property
+    def image_of_trial(self) -> pd.Series:
+        """Names of real images by scenario and trial, '' where the image was rendered."""
+        return self.rows.drop_duplicates(["scenario", "trial"]).set_index(["scenario", "trial"])["image"]
 
     def pairs(self) -> list[tuple[str, str]]:
         """List (scenario, estimator) in the order in which the rows name them."""

@@ -285,8 +285,8 @@ def _quantile_of_counted(ascending: FloatArray, cumulative: NDArray[np.int32], q
     """Quantiles, by numpy's linear rule, of samples given by the cumulative counts (b, n) of their sorted values."""
     position = (cumulative[:, -1] - 1) * quantile
     below = np.floor(position)
-    # Ranks of the type of the counts: searchsorted would copy each row to another type.
-    ranks = np.stack([below, np.ceil(position)], axis=1).astype(cumulative.dtype)
-    index = np.array([np.searchsorted(c, r, side="right") for c, r in zip(cumulative, ranks, strict=True)])
-    low, high = ascending[index].T
+    low, high = (
+        ascending[np.count_nonzero(cumulative <= rank.astype(cumulative.dtype)[:, None], axis=1)]
+        for rank in (below, np.ceil(position))
+    )
     return np.asarray(low + (high - low) * (position - below), dtype=np.float64)

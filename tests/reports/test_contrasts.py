@@ -1,5 +1,6 @@
 """Ratios of mean errors between estimators, and reductions between scenarios, against numbers worked out by hand."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.stats import binomtest
 from reports.contrasts import ratio_records, reduction_records
 from reports.paired import BETTER, SIGN_TEST
 from reports.published import Comparison, PublishedValue
+from reports.run_data import RunData
 
 RNG = np.random.default_rng(5)
 COMMON = RNG.gamma(3.0, 2.0, 200)
@@ -24,7 +26,7 @@ def run_of(errors):
         for (s, e), v in errors.items()
     ).assign(image="")
     manifest = SimpleNamespace(scenarios={s: {"name": s} for s, _ in errors}, grid=None)
-    return SimpleNamespace(rows=rows, epochs=rows, pairs=lambda: list(errors), manifest=manifest)
+    return RunData(Path("run"), manifest, rows, *[pd.DataFrame()] * 5, epochs=rows)
 
 
 def means(run):
