@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import MutableMapping
+from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from renderers.mitsuba3.variant import Variant, load_mitsuba
 from scenarios.geometry import TriangleMesh
 
 SHAPE_ID = "body"
@@ -36,3 +40,33 @@ def build_shape(mi: Any, mesh: TriangleMesh, bsdf: Any = None) -> Any:
     parameters["faces"] = mesh.faces.astype(np.uint32).ravel()
     parameters.update()
     return shape
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviceMesh:
+    """A mesh as a variant holds it: its scene, unit normals (3 F,), vertices of facets (3 F,), albedo (V,) or None."""
+
+    scene: Any
+    facet_normals: Any
+    faces: Any
+    albedo: Any
+
+
+_held: MutableMapping[TriangleMesh, dict[str, DeviceMesh]] = WeakKeyDictionary()
+
+
+def mesh_on_device(variant: Variant, mesh: TriangleMesh) -> DeviceMesh:
+    """Give a mesh to a variant, once for all reflectances, as long as the mesh is in use.
+
+    The tree of a body of some million facets takes longer than many images.
+    """
+    by_variant = _held.setdefault(mesh, {})
+    if variant.name not in by_variant:
+        mi = load_mitsuba(variant)
+        by_variant[variant.name] = DeviceMesh(
+            scene=mi.load_dict({"type": "scene", "body": build_shape(mi, mesh)}),
+            facet_normals=mi.Float(mesh.normals.astype(np.float32).ravel()),
+            faces=mi.UInt32(mesh.faces.astype(np.uint32).ravel()),
+            albedo=None if mesh.albedo is None else mi.Float(mesh.albedo.astype(np.float32)),
+        )
+    return by_variant[variant.name]

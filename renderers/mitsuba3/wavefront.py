@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from renderers.brdf import ArrayMath, brdf_value
 from renderers.mitsuba3.arguments import opaque
 from renderers.mitsuba3.rays import RayBundle, Window, grid_positions, ray_bundle
-from renderers.mitsuba3.scene import build_shape
+from renderers.mitsuba3.scene import mesh_on_device
 from renderers.mitsuba3.variant import Variant, load_mitsuba
 from scenarios.geometry import TriangleMesh, View
 from scenarios.spec.brdf import BrdfSpec
@@ -53,11 +53,8 @@ class WavefrontTracer:
         self.variant = variant
         self._brdf = brdf
         self.radius_m = mesh.radius_m
-        self._scene = mi.load_dict({"type": "scene", "body": build_shape(mi, mesh)})
-        self._facet_normals = mi.Float(mesh.normals.astype(np.float32).ravel())
+        self._mesh = mesh_on_device(variant, mesh)
         self._vertex_normals = None if vertex_normals is None else mi.Float(vertex_normals.astype(np.float32).ravel())
-        self._albedo = None if mesh.albedo is None else mi.Float(mesh.albedo.astype(np.float32))
-        self._faces = mi.UInt32(mesh.faces.astype(np.uint32).ravel())
         grid = grid_positions(samples_per_pixel)
         self.samples_per_pixel = samples_per_pixel
         self._grid_u, self._grid_v = (mi.Float(axis.astype(np.float32)) for axis in grid.T)
@@ -116,12 +113,12 @@ class WavefrontTracer:
         """First hits, normals of their facets, and whether the Sun shines on them."""
         import drjit as dr
 
-        hit = self._scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), coherent=True)
+        hit = self._mesh.scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), coherent=True)
         valid = hit.is_valid()
-        normal = dr.gather(mi.Vector3f, self._facet_normals, hit.prim_index, valid)
+        normal = dr.gather(mi.Vector3f, self._mesh.facet_normals, hit.prim_index, valid)
         facing = valid & (dr.dot(normal, sun) > 0.0)
         start = origin + direction * hit.t + normal * (_SHADOW_OFFSET * self.radius_m)
-        shadowed = self._scene.ray_test(mi.Ray3f(start, sun), coherent=True, active=facing)
+        shadowed = self._mesh.scene.ray_test(mi.Ray3f(start, sun), coherent=True, active=facing)
         return hit, normal, facing & ~shadowed
 
     def shading(self, mi: Any, hit: Any, normal: Any) -> tuple[Any, Any]:
@@ -130,7 +127,7 @@ class WavefrontTracer:
 
         if self._vertex_normals is not None:
             normal = dr.normalize(self._interpolate(mi, mi.Vector3f, self._vertex_normals, hit))
-        return normal, 1.0 if self._albedo is None else self._interpolate(mi, mi.Float, self._albedo, hit)
+        return normal, 1.0 if self._mesh.albedo is None else self._interpolate(mi, mi.Float, self._mesh.albedo, hit)
 
     def radiance_factor(self, normal: Any, direction: Any, sun: Any) -> Any:
         """I/F = pi f_r cos(i) where a ray of unit ``direction`` meets a surface of albedo factor 1."""
@@ -146,7 +143,7 @@ class WavefrontTracer:
         import drjit as dr
 
         valid = hit.is_valid()
-        corners = dr.gather(mi.Vector3u, self._faces, hit.prim_index, valid)
+        corners = dr.gather(mi.Vector3u, self._mesh.faces, hit.prim_index, valid)
         v0, v1, v2 = (dr.gather(kind, values, corner, valid) for corner in corners)
         w1, w2 = hit.prim_uv
         return v0 * (1.0 - w1 - w2) + v1 * w1 + v2 * w2

@@ -7,6 +7,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from scenarios.geometry import TriangleMesh
 from scenarios.spec.body import BodySpec
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, weakref_slot=True, eq=False)
 class Body:
     """A body ready for rendering.
 
@@ -48,8 +49,11 @@ class Body:
     notes: tuple[str, ...] = ()
 
 
+_in_use: WeakValueDictionary[tuple[object, ...], Body] = WeakValueDictionary()
+
+
 def load_body(spec: BodySpec, search_dirs: Sequence[Path] = (), cache: Cache | None = None) -> Body:
-    """Read or make the shape, check it, and add the detail.
+    """Read or make the shape, check it, and add the detail; a body that is in use in this process is lent again.
 
     Parameters
     ----------
@@ -65,8 +69,17 @@ def load_body(spec: BodySpec, search_dirs: Sequence[Path] = (), cache: Cache | N
     BoresightError
         The shape is not found or is not sound, or the spec says what has no meaning for it.
     """
-    path = _shape_path(spec, search_dirs)
     digest = body_digest(spec, search_dirs)
+    # What is checked of a shape and what it is called are no part of its digest.
+    key = (digest, _shape_path(spec, search_dirs), spec.expected_diameter_m, cache)
+    body = _in_use.get(key)
+    if body is None:
+        _in_use[key] = body = _loaded(spec, search_dirs, digest, cache)
+    return body
+
+
+def _loaded(spec: BodySpec, search_dirs: Sequence[Path], digest: str, cache: Cache | None) -> Body:
+    path = _shape_path(spec, search_dirs)
     source = "embedded" if path is None else str(path)
     name = spec.shape if path is None else path.name
     if spec.detail is None:

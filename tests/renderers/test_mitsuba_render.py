@@ -12,6 +12,7 @@ import pytest
 import trimesh
 
 from renderers.mitsuba3 import MitsubaRenderer, register_bsdfs
+from renderers.mitsuba3.scene import mesh_on_device
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View, look_at
 from scenarios.spec.brdf import HapkeSpec, LambertSpec, OrenNayarSpec
@@ -229,6 +230,17 @@ def test_the_same_call_gives_the_same_bits(variant, rock, looking):
     renderer.render(other)
     np.testing.assert_array_equal(renderer.render(view), first)
     np.testing.assert_array_equal(MitsubaRenderer(rock, HAPKE, 9, "smooth", variant).render(view), first)
+
+
+@pytest.mark.parametrize("brdf", BRDFS)
+def test_renderers_of_a_mesh_share_its_tree_and_nothing_of_their_reflectances(llvm, rock, looking, brdf):
+    others = [MitsubaRenderer(rock, one, variant=llvm) for one in BRDFS]
+    shared = MitsubaRenderer(rock, brdf, variant=llvm)
+    assert mesh_on_device(llvm, rock) is mesh_on_device(llvm, rock)
+    alone = MitsubaRenderer(TriangleMesh(rock.vertices_m, rock.faces, rock.albedo), brdf, variant=llvm)
+    for renderer in (*others, shared):
+        renderer.render(looking)
+    np.testing.assert_array_equal(shared.render(looking), alone.render(looking))
 
 
 def test_a_new_pose_compiles_no_new_kernel(llvm, rock, looking):

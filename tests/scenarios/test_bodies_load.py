@@ -1,8 +1,10 @@
 """Embedded bodies, loading by a spec, digests."""
 
+import gc
 import os
 import subprocess
 import sys
+import weakref
 
 import numpy as np
 import pytest
@@ -60,6 +62,20 @@ def test_contact_binary_is_like_itokawa():
 
 def test_sphere_has_the_volume_of_its_radius():
     assert EMBEDDED["sphere"]().volume_m3 == pytest.approx(4.0 / 3.0 * np.pi * 250.0**3, rel=3e-3)
+
+
+def test_a_body_in_use_is_lent_again_and_checked_as_every_spec_asks(shape, cache):
+    spec = BodySpec(shape=str(shape), unit="m", detail=DETAIL)
+    body = load_body(spec, cache=cache)
+    assert load_body(spec, cache=cache) is body
+    with pytest.raises(BoresightError, match="expected_diameter_m"):
+        load_body(spec.model_copy(update={"expected_diameter_m": (1.0, 2.0)}), cache=cache)
+    kept = weakref.ref(body)
+    del body
+    gc.collect()
+    assert kept() is None  # what nobody uses takes no memory
+    shape.write_text(shape.read_text().replace("v ", "v  "))
+    assert load_body(spec, cache=cache).sha256 == body_digest(spec)
 
 
 def test_another_process_makes_the_same_body_bit_for_bit():
