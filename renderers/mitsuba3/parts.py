@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scenarios.craters import CrateredSurface
 from scenarios.craters.facing import may_face
+from scenarios.craters.kernels import facet_normals
 from scenarios.geometry import View
 
 FloatArray = NDArray[np.float64]
@@ -54,11 +55,9 @@ class Part:
 
     def normals(self, facets: IndexArray) -> SingleArray:
         """Work out unit normals (N, 3) of facets (N,); 0 of one without area."""
-        a, b, c = np.moveaxis(self.corners_m[facets].astype(np.float64), 1, 0)
-        normal = np.cross(b - a, c - a)
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
-        normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
-        return np.asarray(normal, dtype=np.float32)
+        found = np.zeros((len(facets), 3), dtype=np.float32)
+        facet_normals(found, self.corners_m, facets)
+        return found
 
 
 def tiles_seen(ground: CrateredSurface, view: View) -> IndexArray:
