@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 Options = TypeVar("Options", bound=SpecModel)
 
-LEAST_TRIALS = 2
 LEAST_SETS = 2
 """Of sets of images, each of a body of its own, over which a campaign is pooled."""
 LEAST_DATABASE_IMAGES = 120
@@ -32,7 +31,7 @@ LEAST_ARC_IMAGES = 24
 """Of an arc that is imaged: with fewer, craters are not seen from enough places to solve for an orbit."""
 
 
-def kept(whole: int, share: float, least: int) -> int:
+def kept(whole: int, share: float, least: int = 1) -> int:
     """Return how much of a number a draft keeps: its share, but no less than ``least`` where there are so many."""
     return max(min(whole, least), math.ceil(round(share * whole, 9)))
 

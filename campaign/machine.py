@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 import platform
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -22,9 +25,23 @@ PACKAGES = (
 )  # fmt: skip
 
 
+_sharing: ContextVar[int] = ContextVar("_sharing", default=1)
+
+
 def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Return how many cores this process may use: its part, where it shares them."""
+    every = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, every // _sharing.get())
+
+
+@contextmanager
+def sharing_cores(among: int) -> Iterator[None]:
+    """Leave this process its part of the cores, for so many that work side by side."""
+    token = _sharing.set(among)
+    try:
+        yield
+    finally:
+        _sharing.reset(token)
 
 
 def workers(asked: int | None, variant: str) -> int:
@@ -39,14 +56,17 @@ def memory_gib() -> float:
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
 
 
-@lru_cache(maxsize=1)
 def use_threads(jobs: int) -> None:
     """Give this worker cores / jobs threads: two workers with two threads each on two cores are far slower.
 
     Matrices get one thread. They are small here, and the threads of OpenBLAS wait for each other at full load: on a
     busy machine that made recognition ten times slower.
     """
-    threads = max(1, cores() // max(1, jobs))
+    _limit_to(max(1, cores() // max(1, jobs)))
+
+
+@lru_cache(maxsize=1)
+def _limit_to(threads: int) -> None:
     limit_threads(threads)
     cv2.setNumThreads(threads)
     threadpool_limits(limits=1, user_api="blas")

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from campaign.cli.progress import ProgressListener
+from campaign.cli.missing import Wanted, run_missing
 from campaign.cli.runs import positive
 from campaign.cli.terminal import console
-from campaign.draft import LEAST_TRIALS, as_draft, kept
-from campaign.machine import workers
+from campaign.machine import sharing_cores, workers
 from campaign.paper import PAPERS
-from campaign.request import RunRequest
-from campaign.resolve import resolve
-from campaign.runner import run_campaign
+from campaign.parallel import in_order
 from campaign.start import RUNS
 from renderers.mitsuba3 import choose_variant
 from scenarios.atomic import explain
@@ -22,6 +22,8 @@ from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction
+
+    from reports.paper import PaperLine
 
 
 ALL = "all"
@@ -62,61 +64,81 @@ def _share(text: str) -> float:
 
 
 def _figures(arguments: argparse.Namespace) -> int:
+    scale = arguments.trials_scale
     if arguments.trials is not None and not arguments.run:
         raise BoresightError("--trials says how much is to be run: give --run too")
-    if arguments.runs != RUNS and not arguments.runs.is_dir() and not arguments.run and arguments.trials_scale == 1.0:
+    if arguments.runs != RUNS and not arguments.runs.is_dir() and not arguments.run and scale == 1.0:
         raise BoresightError(
             f"--runs {arguments.runs}: no such folder: give one that holds runs, or --run to make them"
         )
-    parent = Path("figures") if arguments.trials_scale == 1.0 else Path("figures") / f"draft-{arguments.trials_scale:g}"
+    parent = Path("figures") if scale == 1.0 else Path("figures") / f"draft-{scale:g}"
     if arguments.paper != ALL:
-        return _of_paper(arguments.paper, arguments.out or parent / arguments.paper, arguments)
-    return max(_of_paper(name, (arguments.out or parent) / name, arguments) for name in PAPERS)
+        return _of_papers({arguments.paper: arguments.out or parent / arguments.paper}, arguments)
+    folders = {name: (arguments.out or parent) / name for name in PAPERS}
+    if scale < 1.0:
+        return _of_papers(folders, arguments)
+    return max(_of_papers({name: folder}, arguments) for name, folder in folders.items())
 
 
-def _of_paper(name: str, folder: Path, arguments: argparse.Namespace) -> int:
-    """Write the page of a paper; return the exit code."""
-    # Imported here: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
-    from campaign.paper.page import gather, paper_called, paper_campaigns, paper_page
-    from reports.console import rich_table
-    from reports.paper import paper_grid, verdict_tally, write_paper
+def _of_papers(folders: Mapping[str, Path], arguments: argparse.Namespace) -> int:
+    """Run what papers are missing, where that is asked for, and write their pages; return the exit code."""
+    if arguments.run or arguments.trials_scale < 1.0:
+        wanted = Wanted(arguments.runs, arguments.trials_scale, arguments.trials, arguments.command)
+        run_missing(_missing(folders, arguments), wanted, arguments.jobs)
+    variant = choose_variant().name
+    among = min(workers(arguments.jobs, variant), len(folders))
+    jobs = arguments.jobs if among == 1 else 1
+    calls = ((name, folder, arguments.runs, jobs, arguments.trials_scale, among) for name, folder in folders.items())
+    return max(_told(written) for written in in_order(among, _written, calls))
 
-    out, scale = console(), arguments.trials_scale
-    paper = paper_called(name)
-    if arguments.run or scale < 1.0:
-        found = gather(paper, arguments.runs, scale).found
-        for missing in (campaign for campaign in paper_campaigns(paper) if campaign not in found):
-            run_or_finish(missing, arguments)
-    page = paper_page(paper, arguments.runs, arguments.jobs, scale)
+
+def _missing(papers: Iterable[str], arguments: argparse.Namespace) -> list[str]:
+    """List the campaigns of papers without a finished run, the papers by turns: those of one share what they build."""
+    # Imported here, as below: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
+    from campaign.paper.page import gather, paper_called, paper_campaigns
+
+    missing = []
+    for paper in map(paper_called, papers):
+        found = gather(paper, arguments.runs, arguments.trials_scale).found
+        missing.append([name for name in paper_campaigns(paper) if name not in found])
+    return list(dict.fromkeys(name for turn in zip_longest(*missing) for name in turn if name is not None))
+
+
+@dataclass(frozen=True, slots=True)
+class _Written:
+    """What is told of the page of a paper that has been written."""
+
+    page: Path
+    lines: Sequence[PaperLine]
+    figures: int
+    refused: Sequence[str]
+    missing: Sequence[str]
+
+
+def _written(name: str, folder: Path, runs: Path, jobs: int | None, scale: float, among: int) -> _Written:
+    """Write the page of a paper, beside the pages of others."""
+    from campaign.paper.page import paper_called, paper_page
+    from reports.paper import write_paper
+
+    with sharing_cores(among):
+        page = paper_page(paper_called(name), runs, jobs, scale)
     try:
-        written = write_paper(page, folder)
+        place = write_paper(page, folder)
     except OSError as error:
         raise BoresightError(explain(error.filename or folder, error)) from error
-    shown = ("campaign", "scenario", "quantity", "statistic", "paper", "ours [95 %]", "ok", "verdict")
-    out.print(rich_table(paper_grid(page.lines).keep(*shown)))
-    for line in (*page.refused, *page.missing):
-        out.print(line)
-    out.print(f"figures and tables drawn: {len(page.figures)}; verdicts: {verdict_tally(page.lines)}")
-    out.print(f"page: {written}")
-    return _IN_PART if page.refused else 0
+    return _Written(place, page.lines, len(page.figures), page.refused, page.missing)
 
 
-def run_or_finish(name: str, arguments: argparse.Namespace) -> None:
-    """Run a campaign, or go on with it; one that cannot be run, for want of its data, is told and left out."""
+def _told(written: _Written) -> int:
+    """Print what a page came to; return the exit code."""
+    from reports.console import rich_table
+    from reports.paper import paper_grid, verdict_tally
+
     out = console()
-    try:
-        variant = choose_variant().name
-        campaign = as_draft(resolve(name, variant=variant), arguments.trials_scale)
-        trials = _trials(campaign.spec.trials, arguments)
-        folder = arguments.runs / f"{campaign.spec.name}-{campaign.digest[:8]}"
-        out.print(f"{name}: {trials} trials into {folder}")
-        request = RunRequest(folder, trials, workers(arguments.jobs, variant), command=arguments.command)
-        with ProgressListener(out) as listener:
-            run_campaign(campaign, request, listener)
-    except BoresightError as error:
-        out.print(f"{name}: {error}")
-
-
-def _trials(whole: int, arguments: argparse.Namespace) -> int:
-    scaled = kept(whole, float(arguments.trials_scale), LEAST_TRIALS)
-    return scaled if arguments.trials is None else min(int(arguments.trials), scaled)
+    shown = ("campaign", "scenario", "quantity", "statistic", "paper", "ours [95 %]", "ok", "verdict")
+    out.print(rich_table(paper_grid(written.lines).keep(*shown)))
+    for line in (*written.refused, *written.missing):
+        out.print(line)
+    out.print(f"figures and tables drawn: {written.figures}; verdicts: {verdict_tally(written.lines)}")
+    out.print(f"page: {written.page}")
+    return _IN_PART if written.refused else 0

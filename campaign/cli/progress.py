@@ -38,6 +38,26 @@ class RunningMedian:
         return None
 
 
+class NamedLines:
+    """Prints the steps of one of several runs that go on side by side."""
+
+    def __init__(self, console: Console, name: str) -> None:
+        self._console = console
+        self._name = name
+
+    def message(self, text: str) -> None:
+        """Print a step."""
+        self._console.print(f"{self._name}: {text}")
+
+    def started(self, done: int, total: int) -> None:
+        """Tell how much is stored already."""
+        if done:
+            self.message(f"{done} of {total} trials are stored already; continuing")
+
+    def block(self, records: Records, trials: int) -> None:
+        """Print nothing of a stored block."""
+
+
 class ProgressListener:
     """Shows a run's progress: a live bar in a terminal, a line now and then elsewhere."""
 

@@ -17,7 +17,16 @@ from reports.run_data import read_run
 
 @pytest.mark.parametrize(
     ("whole", "share", "least", "wanted"),
-    [(1000, 0.05, 2, 50), (1, 0.05, 2, 1), (5, 0.05, 2, 2), (60, 0.05, 2, 3), (7, 0.5, 2, 4), (7, 1.0, 2, 7)],
+    [
+        (1000, 0.05, 1, 50),
+        (20, 0.05, 1, 1),
+        (5, 0.05, 1, 1),
+        (1, 0.05, 2, 1),
+        (5, 0.05, 2, 2),
+        (60, 0.05, 2, 3),
+        (7, 0.5, 2, 4),
+        (7, 1.0, 2, 7),
+    ],
 )
 def test_a_draft_keeps_a_share_and_no_less_than_a_method_needs(whole, share, least, wanted):
     assert kept(whole, share, least) == wanted
@@ -75,6 +84,6 @@ def test_all_of_it_is_no_draft():
 def test_a_draft_is_another_run_by_its_share_and_by_the_rule(monkeypatch):
     whole = resolve("rowell2015-simulated")
     told = {as_draft(whole, share).digest for share in (0.05, 0.1, 1.0)}
-    monkeypatch.setattr("campaign.resolve.DRAFT_VERSION", 3)
+    monkeypatch.setattr("campaign.resolve.DRAFT_VERSION", 4)
     assert len(told | {as_draft(whole, 0.05).digest}) == 4
     assert as_draft(whole, 1.0).digest in told

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from campaign.machine import cores
+from campaign.machine import cores, sharing_cores
 
 SCRIPT = """
 import sys
@@ -24,6 +24,15 @@ def test_a_worker_takes_its_share_of_threads(jobs):
     share = max(1, cores() // jobs)
     done = subprocess.run([sys.executable, "-c", SCRIPT, str(jobs)], capture_output=True, text=True, check=True)
     assert [int(word) for word in done.stdout.split()] == [share, share, 1]
+
+
+def test_what_works_side_by_side_shares_the_cores():
+    every = cores()
+    with sharing_cores(2):
+        assert cores() == max(1, every // 2)
+        with sharing_cores(10 * every):
+            assert cores() == 1
+    assert cores() == every
 
 
 AGAIN = """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 from dataclasses import replace
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 from tiny_campaign import SCENE, compute, write_campaign
 
 from campaign.cli import main
-from campaign.cli.figures import run_or_finish
+from campaign.cli.missing import Wanted, run_missing
 from campaign.paper.gather import newest_finished, run_folders
 from campaign.paper.kinds import PaperFigure
 from campaign.paper.page import drawn, gather, paper_called, paper_campaigns
@@ -135,8 +134,7 @@ def test_what_is_missing_is_run_on_request_with_no_more_trials_than_the_campaign
     name = "rowell2015-centroid"
     file = write_campaign(tmp_path / "files", f"name: {name}\ntitle: T\n{HEAD}{CAMPAIGNS[name]}", SCENE)
     for asked, stored in ((1, 1), (None, 4), (100, 4)):
-        asked_for = {"trials": asked, "trials_scale": 1.0, "jobs": 1, "command": "boresight figures"}
-        run_or_finish(str(file), argparse.Namespace(runs=tmp_path / "runs", **asked_for))
+        run_missing([str(file)], Wanted(tmp_path / "runs", 1.0, asked, "boresight figures"), 1)
         (folder,) = run_folders(tmp_path / "runs")
         assert RunFolder(folder).table("rows")["trial"].nunique() == stored
     assert newest_finished([folder], name) is not None
@@ -145,8 +143,7 @@ def test_what_is_missing_is_run_on_request_with_no_more_trials_than_the_campaign
 def test_a_draft_has_a_share_of_the_trials_and_is_never_taken_for_a_run(cache, tmp_path):
     name = "rowell2015-centroid"
     file = write_campaign(tmp_path / "files", f"name: {name}\ntitle: T\n{HEAD}{CAMPAIGNS[name]}", SCENE)
-    asked_for = {"trials": None, "trials_scale": 0.6, "jobs": 1, "command": "boresight figures"}
-    run_or_finish(str(file), argparse.Namespace(runs=tmp_path / "runs", **asked_for))
+    run_missing([str(file)], Wanted(tmp_path / "runs", 0.6, None, "boresight figures"), 1)
     folders = run_folders(tmp_path / "runs")
     assert newest_finished(folders, name) is None
     draft = newest_finished(folders, name, 0.6)
@@ -154,6 +151,29 @@ def test_a_draft_has_a_share_of_the_trials_and_is_never_taken_for_a_run(cache, t
     assert draft.folder.table("rows")["trial"].nunique() == 3
     assert any("draft of scale 0.6" in note for note in draft.content.notes)
     assert draft.campaign().draft == 0.6
+
+
+def test_drafts_side_by_side_are_those_of_one_after_another_and_one_without_data_stops_none(cache, tmp_path, capfd):
+    files = [
+        write_campaign(tmp_path / "files" / name, f"name: {name}\ntitle: T\n{HEAD}{CAMPAIGNS[name]}", SCENE)
+        for name in ("rowell2015-centroid", "rowell2015-simulated")
+    ]
+    names = [str(files[0]), str(tmp_path / "nowhere.yaml"), str(files[1])]
+    for jobs in (1, 2):
+        run_missing(names, Wanted(tmp_path / f"runs-{jobs}", 0.6, None, "boresight figures"), jobs)
+        said = capfd.readouterr().out
+        assert f"{names[1]}: " in said
+        assert all(f"{name}: " in said for name in names)
+    alone, beside = (sorted(run_folders(tmp_path / f"runs-{jobs}")) for jobs in (1, 2))
+    assert [folder.name for folder in alone] == [folder.name for folder in beside]
+    assert len(alone) == 2
+    for one, other in zip(alone, beside, strict=True):
+        pd.testing.assert_frame_equal(RunFolder(one).table("rows"), RunFolder(other).table("rows"), check_exact=True)
+        assert newest_finished([other], read_name(other), 0.6) is not None
+
+
+def read_name(folder):
+    return RunFolder(folder).read_manifest()["name"]
 
 
 @pytest.mark.parametrize("share", ["0", "1.5", "much"])

@@ -1,0 +1,90 @@
+"""Campaigns that figures are missing: each by all workers, or, of a draft, side by side with one worker each."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from campaign.cli.progress import NamedLines, ProgressListener
+from campaign.cli.terminal import console
+from campaign.draft import as_draft, kept
+from campaign.machine import sharing_cores, workers
+from campaign.parallel import in_order
+from campaign.request import RunRequest
+from campaign.resolve import ResolvedCampaign, resolve
+from campaign.runner import run_campaign
+from renderers.mitsuba3 import choose_variant
+from scenarios.errors import BoresightError
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """How much of campaigns is to be run, and where.
+
+    Parameters
+    ----------
+    runs
+        Where the run folders are.
+    share
+        Of the trials, and of all that a draft keeps a share of; 1 for runs that are meant.
+    trials
+        Of each scenario at most; None for as many as the campaign says.
+    command
+        The command line, for the manifest.
+    """
+
+    runs: Path
+    share: float
+    trials: int | None
+    command: str
+
+    def of(self, name: str, variant: str, jobs: int) -> tuple[ResolvedCampaign, RunRequest]:
+        """Resolve a campaign, and say how it is run."""
+        campaign = as_draft(resolve(name, variant=variant), self.share)
+        scaled = kept(campaign.spec.trials, self.share)
+        trials = scaled if self.trials is None else min(self.trials, scaled)
+        folder = self.runs / f"{campaign.spec.name}-{campaign.digest[:8]}"
+        return campaign, RunRequest(folder, trials, jobs, command=self.command)
+
+
+def run_missing(names: Sequence[str], wanted: Wanted, jobs: int | None) -> None:
+    """Run campaigns, or go on with them; those that cannot be run, for want of their data, are told and left out.
+
+    A draft has so few trials of each that most of its time is spent where one campaign alone keeps one core busy, with
+    what is built before trials, and behind its last ones; so campaigns are drafted side by side.
+    """
+    variant = choose_variant().name
+    among = workers(jobs, variant)
+    if wanted.share == 1.0 or among == 1 or len(names) < 2:
+        for name in names:
+            _run(name, wanted, variant, among)
+        return
+    lanes = min(among, len(names))
+    for _ in in_order(lanes, _run_beside, ((name, wanted, variant, lanes) for name in names)):
+        pass
+
+
+def _run(name: str, wanted: Wanted, variant: str, jobs: int) -> None:
+    out = console()
+    try:
+        campaign, request = wanted.of(name, variant, jobs)
+        out.print(f"{name}: {request.trials} trials into {request.out}")
+        with ProgressListener(out) as listener:
+            run_campaign(campaign, request, listener)
+    except BoresightError as error:
+        out.print(f"{name}: {error}")
+
+
+def _run_beside(name: str, wanted: Wanted, variant: str, lanes: int) -> None:
+    """Run a campaign in this worker, with its share of the cores."""
+    out, began = NamedLines(console(), name), time.monotonic()
+    try:
+        campaign, request = wanted.of(name, variant, 1)
+        out.message(f"{request.trials} trials into {request.out}")
+        with sharing_cores(lanes):
+            run_campaign(campaign, request, out)
+        out.message(f"done in {time.monotonic() - began:.0f} s")
+    except BoresightError as error:
+        out.message(str(error))
