@@ -123,7 +123,7 @@ def _areas(score: FloatArray, bad: BoolArray, counts: NDArray[np.int32]) -> Floa
     """Measure areas (b,) of samples in which solution i occurs ``counts[b, i]`` times; NaN where a class is empty."""
     order = np.argsort(score, kind="stable")
     ends = np.flatnonzero(np.append(np.diff(score[order]) != 0.0, True))
-    weights = counts[:, order].astype(np.int64)
+    weights = np.take(counts, order, axis=1).astype(np.int64)
     good_below = np.cumsum(weights * ~bad[order], axis=1)[:, ends]
     bad_below = np.cumsum(weights * bad[order], axis=1)[:, ends]
     good, wrong = (np.diff(below, axis=1, prepend=0) for below in (good_below, bad_below))

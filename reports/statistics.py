@@ -25,6 +25,7 @@ FloatArray = NDArray[np.float64]
 RESAMPLES = 2000
 LEVEL = 0.95
 LARGE = 10_000
+_FEW = 500  # values, among which all are looked through sooner than they are searched
 _CHUNK = 4_000_000  # numbers held at a time while resampling
 
 
@@ -224,7 +225,8 @@ def bootstrap(
 
 def draw_counts(n_clusters: int, resamples: int, rng: np.random.Generator) -> NDArray[np.int32]:
     """Draw (b, C) numbers of times that each cluster is in a resample of C clusters."""
-    drawn = rng.integers(0, n_clusters, size=(resamples, n_clusters)) + n_clusters * np.arange(resamples)[:, None]
+    drawn = rng.integers(0, n_clusters, size=(resamples, n_clusters))
+    drawn += n_clusters * np.arange(resamples)[:, None]
     counts = np.bincount(drawn.ravel(), minlength=resamples * n_clusters)
     return counts.reshape(resamples, n_clusters).astype(np.int32)
 
@@ -269,7 +271,8 @@ class ClusteredSample:
                 key = self._order_of[statistic.power]
                 order = self._orders[key]
                 if key not in cumulative:
-                    cumulative[key] = np.cumsum(counts[:, self._codes[order]], axis=1, dtype=np.int32)
+                    # An index in brackets would lay out columns, along which sums take three times as long.
+                    cumulative[key] = np.cumsum(np.take(counts, self._codes[order], axis=1), axis=1, dtype=np.int32)
                 ascending = self._values[order] ** statistic.power
                 reduced = _quantile_of_counted(ascending, cumulative[key], statistic.quantile)
             evaluated.append(reduced ** (1 / statistic.power))
@@ -278,15 +281,22 @@ class ClusteredSample:
     def _mean(self, counts: NDArray[np.int32], power: int) -> FloatArray:
         sums = np.bincount(self._codes, self._values**power, minlength=counts.shape[1])
         sizes = np.bincount(self._codes, minlength=counts.shape[1])
-        return np.asarray((counts @ sums) / (counts @ sizes), dtype=np.float64)
+        weights = counts.astype(np.float64)  # products of whole numbers of another type have no fast path
+        return np.asarray((weights @ sums) / (weights @ sizes.astype(np.float64)), dtype=np.float64)
 
 
 def _quantile_of_counted(ascending: FloatArray, cumulative: NDArray[np.int32], quantile: float) -> FloatArray:
     """Quantiles, by numpy's linear rule, of samples given by the cumulative counts (b, n) of their sorted values."""
     position = (cumulative[:, -1] - 1) * quantile
     below = np.floor(position)
-    low, high = (
-        ascending[np.count_nonzero(cumulative <= rank.astype(cumulative.dtype)[:, None], axis=1)]
-        for rank in (below, np.ceil(position))
-    )
+    low, high = (ascending[_rank_places(cumulative, rank)] for rank in (below, np.ceil(position)))
     return np.asarray(low + (high - low) * (position - below), dtype=np.float64)
+
+
+def _rank_places(cumulative: NDArray[np.int32], ranks: FloatArray) -> NDArray[np.intp]:
+    """Places (b,) of ranks (b,), from 0, in samples given by the cumulative counts (b, n) of their sorted values."""
+    # Of the type of the counts: searchsorted would copy each row to another type.
+    wanted = ranks.astype(cumulative.dtype)
+    if cumulative.shape[1] < _FEW:
+        return np.asarray(np.count_nonzero(cumulative <= wanted[:, None], axis=1))
+    return np.array([np.searchsorted(row, rank, side="right") for row, rank in zip(cumulative, wanted, strict=True)])

@@ -62,6 +62,16 @@ def test_resampled_statistics_equal_those_of_the_repeated_sample(pairs, counts, 
         assert ours == pytest.approx(statistic.of(repeated), rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.parametrize("size", [499, 500, 2000])
+def test_resampled_statistics_of_many_values_equal_those_of_the_repeated_sample(size):
+    rng = np.random.default_rng(size)
+    values, codes = rng.normal(size=size).round(1), rng.integers(0, 40, size)
+    counts = rng.integers(0, 4, (5, 40)).astype(np.int32)
+    found = ClusteredSample(values, codes).evaluate(counts, ALL)
+    for ours, statistic in zip(found, ALL, strict=True):
+        assert ours == pytest.approx([statistic.of(np.repeat(values, count[codes])) for count in counts], rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("statistic", "function"),
     [(MEDIAN, np.median), (MEAN, np.mean), (RMS, lambda x, axis: np.sqrt(np.mean(x**2, axis=axis)))],
