@@ -89,6 +89,11 @@ MEASURES = {
 }
 
 
+def count_of(number: int, noun: str) -> str:
+    """Say how many: '1 trial', '5,000 trials'."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
 def stage_label(stage: str, timed: bool = False) -> str:
     """Name a stage in plain words: as a state of the pose, or as a piece of work that takes time."""
     return (_TIMED if timed else _STAGES).get(stage, stage.replace("_", " "))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from reports.clusters import image_set
+from reports.labels import count_of
 from reports.published import Comparison
 from reports.run_data import RunData
 from reports.statistics import LARGE
@@ -56,7 +57,7 @@ def _set_lines(run: RunData) -> Iterator[str]:
         starts = len(seen[["scenario", "trial"]].drop_duplicates())
         sets = len({image_set(run.manifest.scenarios[name]) for name in scenarios})
         yield (
-            f"{sets} {'set' if sets == 1 else 'sets'} of images (one for each body and texture), {starts} starts."
+            f"{count_of(sets, 'set')} of images (one for each body and texture), {count_of(starts, 'start')}."
             " The starts on one set share the errors of its features: intervals and sign tests take the set for what"
             " is independent, and one set by itself has no interval."
         )

@@ -12,6 +12,7 @@ from reports.comparison_tables import comparison_grid
 from reports.consistency import consistency_grid
 from reports.figures.orbit import draw_orbit_errors, draw_residuals
 from reports.grid import Grid, value_of
+from reports.labels import count_of
 from reports.named_figure import NamedFigure, file_stem
 from reports.records import Record, find, unit_of
 from reports.run_data import RunData, select
@@ -115,8 +116,8 @@ def orbit_figures(run: RunData) -> Iterator[NamedFigure]:
             yield NamedFigure(
                 file_stem("orbit_errors", scenario),
                 draw_orbit_errors(errors, title),
-                f"{title}: median over {errors['trial'].nunique()} trials and the band of 5 to 95 % of them; dashed:"
-                " what the covariance foretells; behind the line the orbit is predicted.",
+                f"{title}: median over {count_of(errors['trial'].nunique(), 'trial')} and the band of 5 to 95 % of"
+                " them; dashed: what the covariance foretells; behind the line the orbit is predicted.",
                 "Position error against time for each estimator.",
             )
 

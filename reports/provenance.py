@@ -8,6 +8,7 @@ from dataclasses import replace
 from matplotlib.figure import Figure
 
 from reports.figures.style import add_footer
+from reports.labels import count_of
 from reports.named_figure import NamedFigure
 from reports.run_data import Manifest, RunData
 
@@ -17,8 +18,7 @@ _FEW = 6
 def made_by(manifest: Manifest) -> str:
     """Name a run: campaign, trials, seed and commit."""
     commit = f", commit {manifest.commit}" if manifest.commit else ""
-    trials = "1 trial" if manifest.trials == 1 else f"{manifest.trials} trials"
-    return f"boresight {manifest.name}, {trials}, seed {manifest.seed}{commit}"
+    return f"boresight {manifest.name}, {count_of(manifest.trials, 'trial')}, seed {manifest.seed}{commit}"
 
 
 def stamp(figure: Figure, runs: Sequence[RunData]) -> None:
@@ -44,4 +44,4 @@ def _counts(run: RunData) -> str:
         labels = sorted(map(str, solved.index), key=lambda label: order.get(label, len(order)))
         whose = ", ".join(f"{label} {solved[label]}" for label in labels)
     of = f" of {several} scenarios" if several > 1 else ""
-    return f"{trials} trial{'' if trials == 1 else 's'}{of}, solved: {whose}"
+    return f"{count_of(trials, 'trial')}{of}, solved: {whose}"

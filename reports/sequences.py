@@ -18,7 +18,7 @@ from reports.figures.revolutions import draw_revolutions
 from reports.figures.starts import draw_starts
 from reports.figures.traces import LANDMARKS, POSITION, draw_traces
 from reports.grid import NO_VALUE, Grid, counts, number, value_of
-from reports.labels import as_title, measure_label
+from reports.labels import as_title, count_of, measure_label
 from reports.paired import BETTER, SIGN_TEST
 from reports.records import SEQUENCE, Record, find
 from reports.run_data import RunData, select
@@ -154,8 +154,8 @@ def trace_figure(
     trials = here["trial"].nunique()
     return (
         draw_traces({name: here[here["estimator"] == name] for name in labels}, title, run.manifest.credits, panels),
-        f"{title}: median over {trials} trials, and the band of 5 to 95 % of them; a thin line: the first trial; a"
-        " trial that failed ends with its last good frame.",
+        f"{title}: median over {count_of(trials, 'trial')}, and the band of 5 to 95 % of them; a thin line: the"
+        " first trial; a trial that failed ends with its last good frame.",
         f"Position error and landmark error against the anomaly for {', '.join(labels)}.",
     )
 
@@ -163,7 +163,7 @@ def trace_figure(
 def start_figure(run: RunData, scenario: str, estimator: str) -> tuple[Figure, str, str]:
     """Draw the errors of every trial along the frames: the figure, its caption and its description."""
     epochs = select(run.epochs, scenario, estimator)
-    title = f"Position error from {epochs['trial'].nunique()} starts, {estimator}"
+    title = f"Position error from {count_of(epochs['trial'].nunique(), 'start')}, {estimator}"
     return (
         draw_starts(epochs, title),
         f"{title}, {scenario}: a line for each trial; a line that ends early is a trial that failed there.",

@@ -16,6 +16,7 @@ from campaign.request import RunRequest
 from campaign.resolve import ResolvedCampaign, resolve
 from campaign.runner import run_campaign
 from renderers.mitsuba3 import choose_variant
+from reports.labels import count_of
 from scenarios.errors import BoresightError
 
 
@@ -70,7 +71,7 @@ def _run(name: str, wanted: Wanted, variant: str, jobs: int) -> None:
     out = console()
     try:
         campaign, request = wanted.of(name, variant, jobs)
-        out.print(f"{name}: {request.trials} trials into {request.out}")
+        out.print(f"{name}: {count_of(request.trials, 'trial')} into {request.out}")
         with ProgressListener(out) as listener:
             run_campaign(campaign, request, listener)
     except BoresightError as error:
@@ -82,7 +83,7 @@ def _run_beside(name: str, wanted: Wanted, variant: str, lanes: int) -> None:
     out, began = NamedLines(console(), name), time.monotonic()
     try:
         campaign, request = wanted.of(name, variant, 1)
-        out.message(f"{request.trials} trials into {request.out}")
+        out.message(f"{count_of(request.trials, 'trial')} into {request.out}")
         with sharing_cores(lanes):
             run_campaign(campaign, request, out)
         out.message(f"done in {time.monotonic() - began:.0f} s")

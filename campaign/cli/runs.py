@@ -14,6 +14,7 @@ from campaign.newest import newest_first
 from campaign.request import Cluster
 from campaign.start import RUNS, start
 from campaign.store import RunFolder
+from reports.labels import count_of
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -103,7 +104,7 @@ def _run(arguments: argparse.Namespace) -> int:
     out = console()
     name, variant = campaign.spec.name, campaign.variant
     where = f"{request.jobs} job(s)" if request.cluster is None else _named(request.cluster)
-    out.print(f"{name}: {request.trials} trials into {request.out}, {where}, {variant}")
+    out.print(f"{name}: {count_of(request.trials, 'trial')} into {request.out}, {where}, {variant}")
     if begun.advice:
         out.print(begun.advice)
     with store_switched(store_is_on() and not arguments.no_store):

@@ -12,6 +12,7 @@ from campaign.paper.gather import FinishedRun, Gathered, gather_runs, run_folder
 from campaign.paper.kinds import Paper, PaperFigure
 from campaign.resolve import CATALOG, campaign_names
 from campaign.start import RUNS
+from reports.labels import count_of
 from reports.named_figure import NamedFigure
 from reports.paper import PaperLine, PaperPage, paper_lines
 from reports.paper_tables import lines_by_table, table_figure
@@ -140,4 +141,4 @@ def _how(run: FinishedRun) -> str:
 
 def _size(manifest: Mapping[str, Any]) -> str:
     draft = float(manifest.get("draft", 1.0))
-    return f"{manifest['trials']} trials" + (f" (a draft of scale {draft:g})" if draft < 1.0 else "")
+    return count_of(manifest["trials"], "trial") + (f" (a draft of scale {draft:g})" if draft < 1.0 else "")

@@ -29,6 +29,7 @@ from reports.figures import (
     draw_triangulation,
 )
 from reports.grid import Grid
+from reports.labels import count_of
 from reports.named_figure import NamedFigure
 from reports.published import load_published
 from reports.run_data import select
@@ -153,7 +154,7 @@ def _figure_5(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
         "",
         draw_method_errors(
             {title: methods for title, methods in groups.items() if methods},
-            f"Pose solvers on ten landmarks drawn from their covariances, {n:,} trials",
+            f"Pose solvers on ten landmarks drawn from their covariances, {count_of(n, 'trial')}",
         ),
         "Comparison of pose estimation methods on drawn landmarks, normalised to frequency per degree and per metre."
         " Above, the damping factor of equation (24) is held at 1 for 20 iterations; below, it adapts and the iteration"

@@ -5,6 +5,7 @@ from terminal_text import terminal_lines
 
 from reports.content import read_content
 from reports.grid import Grid, number, value_of
+from reports.labels import count_of
 from reports.records import Record
 from reports.tables import failure_grid, pose_grids, reference_grid, timing_grid
 
@@ -17,6 +18,13 @@ LINE = Record("s", "e", "recognition", "", "position_error_m", "m", "median", 20
 )
 def test_numbers_have_three_digits(value, printed):
     assert number(value) == printed
+
+
+@pytest.mark.parametrize(
+    ("many", "said"), [(0, "0 trials"), (1, "1 trial"), (2, "2 trials"), (100_000, "100,000 trials")]
+)
+def test_one_is_no_plural(many, said):
+    assert count_of(many, "trial") == said
 
 
 @pytest.mark.parametrize(
