@@ -10,11 +10,13 @@ from reports.compare.consistency import claims_grid, claims_table
 from reports.compare.figures import comparison_figures
 from reports.compare.grids import contrast_grid, contrast_table, subject_grid, subject_table
 from reports.compare.subjects import RunComparison
+from reports.compare.trials import is_pooled_control
 from reports.figures.style import save_figure
 from reports.grid import Grid
 from reports.labels import as_title
 from reports.named_figure import NamedFigure
 from reports.provenance import stamp
+from reports.records import CONTROL
 from scenarios.errors import BoresightError
 
 
@@ -75,9 +77,12 @@ def notes(found: RunComparison) -> Iterator[str]:
         made = f"{run.manifest.name}, seed {run.manifest.seed}, {done} of {total} trials"
         yield f"{run.folder}: {made}" + (", not finished" if done < total else "")
     n = sum(len(run.rows) for run in found.runs)
-    if len(found.trials) < n:
-        yield f"Left out: trials without a crater to go by, {n - len(found.trials)} of {n}."
-    named = [one for one in found.subjects if one.estimator != "prior"]
+    pooled = sum(int(is_pooled_control(run, found.factors).sum()) for run in found.runs)
+    if pooled:
+        yield f"Left out: the {CONTROL}, which is no estimator, as all estimators are pooled."
+    if len(found.trials) < n - pooled:
+        yield f"Left out: trials without a crater to go by, {n - pooled - len(found.trials)} of {n - pooled}."
+    named = [one for one in found.subjects if one.estimator != CONTROL]
     if len(named) > 1 and not found.contrasts:
         yield "No two subjects share views, priors or tracks, so no differences are given: --unpaired gives them."
     yield from (line for run in found.runs for line in run.manifest.credits)

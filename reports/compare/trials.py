@@ -7,11 +7,13 @@ from itertools import combinations
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from reports.clusters import clusters_of
-from reports.compare.factors import NAMED, RUN, difference, draws, level, remainder, short_levels
+from reports.compare.factors import ESTIMATOR, NAMED, RUN, difference, draws, level, remainder, short_levels
 from reports.compare.metrics import BORESIGHT, COMPONENTS, LATERAL, Metric, metric_values, nothing_to_find, prior_values
 from reports.paired import failures
+from reports.records import CONTROL
 from reports.run_data import POSE_COLUMNS, RunData
 from scenarios.errors import BoresightError
 
@@ -27,7 +29,8 @@ def tabulate_trials(runs: Sequence[RunData], metric: Metric, factors: Sequence[s
     Returns
     -------
     trials
-        A row for each trial, scenario and estimator of a run, without those in which there was nothing to find: the
+        A row for each trial, scenario and estimator of a run, without those in which there was nothing to find, and
+        without the prior where estimators are pooled, as it is none (`is_pooled_control`): the
         ``factors``, `KEY`, ``value`` of the metric (NaN without one), ``prior`` (the same of the prior, NaN where it
         has none), ``failed``, ``cluster`` (what is independent), and what is known of the trial's conditions.
     """
@@ -67,7 +70,13 @@ def _of_run(run: RunData, metric: Metric, factors: Sequence[str]) -> pd.DataFram
     for name in (LATERAL, BORESIGHT, POSE_COLUMNS[1]):
         known = all(column in rows for column in COMPONENTS.get(name, (name,)))
         table[name] = metric_values(run, Metric(name)) if known else np.nan
-    return table[~nothing_to_find(run, metric)]
+    return table[~(nothing_to_find(run, metric) | is_pooled_control(run, factors))]
+
+
+def is_pooled_control(run: RunData, factors: Sequence[str]) -> NDArray[np.bool_]:
+    """Tell the rows (n,) of the control, which estimates nothing, where it would be pooled with estimators."""
+    control = np.asarray(run.rows["estimator"] == CONTROL)
+    return np.asarray(control & (ESTIMATOR not in factors and not control.all()))
 
 
 def all_factors(factors: Sequence[str], trials: pd.DataFrame) -> tuple[str, ...]:

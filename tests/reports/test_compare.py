@@ -9,6 +9,7 @@ from scipy.stats import binomtest, bootstrap, mannwhitneyu
 from stored_runs import SCENARIO, RunBuilder, pose_error
 
 from reports.compare import compare_runs, write_comparison
+from reports.compare.build import notes
 from reports.compare.pairs import holm
 from reports.statistics import MEDIAN, P75, P99, RMS
 from scenarios.errors import BoresightError
@@ -101,6 +102,21 @@ def test_runs_of_other_reflectances_are_pairs_by_it(tmp_path):
     (contrast,) = found.contrasts
     assert (contrast.first, contrast.paired, contrast.median.value) == (("hapke",), True, 4.0)
     assert compare_runs(runs).factors[0] == "run", "the same estimator and scenario twice"
+
+
+def test_the_prior_is_no_estimator_where_estimators_are_pooled(tmp_path):
+    runs = [
+        store(tmp_path / kind, {"prior": [0, 0, 0], "one": lengths}, scenarios={SCENARIO: spec(brdf={"kind": kind})})
+        for kind, lengths in {"lambert": [10, 20, 30], "hapke": [12, 24, 36]}.items()
+    ]
+    found = compare_runs(runs, factors=["brdf"])
+    assert [(subject.n, subject.solved[0].value) for subject in found.subjects] == [(3, 20.0), (3, 24.0)]
+    assert sum("the prior, which is no estimator" in note for note in notes(found)) == 1
+    assert [one.names for one in compare_runs(runs[:1]).subjects] == [("prior", SCENARIO), ("one", SCENARIO)]
+    alone = store(tmp_path / "alone", {"prior": [5, 6, 7]}, scenarios={SCENARIO: spec(brdf={"kind": "lambert"})})
+    (subject,) = compare_runs([alone], factors=["brdf"]).subjects
+    assert subject.n == 3
+    assert not any("no estimator" in note for note in notes(compare_runs([alone], factors=["brdf"])))
 
 
 @pytest.mark.parametrize(
