@@ -14,10 +14,11 @@ from reports.statistics import MEDIAN
 Verdict = Literal["reproduced", "better", "differs", "undecided", "context", "not measured"]
 
 VERDICT_RULE = (
-    "reproduced: our value lies within the tolerance; better or differs: the whole 95 % interval lies outside it, on "
-    "the better or the worse side; undecided: the interval reaches into the tolerance from outside, is wider than "
-    "four tolerances or is none, so that more trials, or sets of images, are needed; context: no tolerance was set, "
-    "because the conditions differ. Where the paper says 'more than', or names an order, the intervals must keep it."
+    "better or differs: the whole 95 % interval lies outside the tolerance, on the better or the worse side; "
+    "reproduced: our value lies within it, and the interval is no wider than four tolerances; undecided: the interval "
+    "is wider or none, or reaches into the tolerance from outside, so that more trials, or sets of images, are needed; "
+    "context: no tolerance was set, because conditions differ. Where the paper says 'more than', or names an order, "
+    "the intervals must keep it."
 )
 
 
@@ -113,15 +114,14 @@ def judge(ours: Record | None, published: PublishedValue) -> Verdict:
         return _judge_above(ours, published.value)
     if published.tolerance is None:
         return "context"
-    if ours.low is None or ours.high is None or ours.high - ours.low > 4 * published.tolerance:
+    if ours.low is None or ours.high is None:
         return "undecided"
     lowest, highest = published.value - published.tolerance, published.value + published.tolerance
-    if lowest <= ours.value <= highest:
-        return "reproduced"
-    if ours.low <= highest and ours.high >= lowest:
-        return "undecided"
-    side = "lower" if ours.value < lowest else "higher"
-    return "better" if side == published.better else "differs"
+    if ours.high < lowest or ours.low > highest:
+        side = "lower" if ours.high < lowest else "higher"
+        return "better" if side == published.better else "differs"
+    narrow = ours.high - ours.low <= 4 * published.tolerance
+    return "reproduced" if narrow and lowest <= ours.value <= highest else "undecided"
 
 
 def _judge_above(ours: Record, bound: float) -> Verdict:

@@ -165,6 +165,8 @@ OURS = Record("s", "e", "recognition", "", "position_error_m", "m", "median", 20
         (26.0, 22.9, 28.0, "undecided"),  # the interval reaches the tolerance
         (16.0, 15.0, 17.1, "undecided"),
         (20.0, 13.9, 26.1, "undecided"),  # wider than four tolerances
+        (40.0, 30.0, 60.0, "differs"),  # wide, but wholly outside
+        (8.0, 1.0, 16.0, "better"),
         (20.0, None, None, "undecided"),
         (None, None, None, "not measured"),
     ],
