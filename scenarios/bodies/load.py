@@ -69,27 +69,26 @@ def load_body(spec: BodySpec, search_dirs: Sequence[Path] = (), cache: Cache | N
     BoresightError
         The shape is not found or is not sound, or the spec says what has no meaning for it.
     """
-    digest = body_digest(spec, search_dirs)
+    path, cache, digest = _shape_path(spec, search_dirs), cache or default_cache(), body_digest(spec, search_dirs)
     # What is checked of a shape and what it is called are no part of its digest.
-    key = (digest, _shape_path(spec, search_dirs), spec.expected_diameter_m, cache)
+    key = (digest, path, spec.expected_diameter_m, cache)
     body = _in_use.get(key)
     if body is None:
-        _in_use[key] = body = _loaded(spec, search_dirs, digest, cache)
+        mesh, notes = _mesh(spec, path, search_dirs, cache)
+        name, source = (spec.shape, "embedded") if path is None else (path.name, str(path))
+        _in_use[key] = body = Body(mesh, name, source, digest, notes)
     return body
 
 
-def _loaded(spec: BodySpec, search_dirs: Sequence[Path], digest: str, cache: Cache | None) -> Body:
-    path = _shape_path(spec, search_dirs)
-    source = "embedded" if path is None else str(path)
-    name = spec.shape if path is None else path.name
+def _mesh(
+    spec: BodySpec, path: Path | None, search_dirs: Sequence[Path], cache: Cache
+) -> tuple[TriangleMesh, tuple[str, ...]]:
     if spec.detail is None:
         mesh, notes = _coarse(spec, path)
     else:
         true_heights = spec.model_copy(update={"height_error": None})
-        mesh, notes = _detailed(spec, path, body_digest(true_heights, search_dirs), cache or default_cache())
-    if spec.height_error is not None:
-        mesh = with_height_error(mesh, spec.height_error)
-    return Body(mesh, name, source, digest, notes)
+        mesh, notes = _detailed(spec, path, body_digest(true_heights, search_dirs), cache)
+    return (mesh if spec.height_error is None else with_height_error(mesh, spec.height_error)), notes
 
 
 def body_digest(spec: BodySpec, search_dirs: Sequence[Path] = ()) -> str:
