@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -153,16 +155,23 @@ def test_a_draft_has_a_share_of_the_trials_and_is_never_taken_for_a_run(cache, t
     assert draft.campaign().draft == 0.6
 
 
-def test_drafts_side_by_side_are_those_of_one_after_another_and_one_without_data_stops_none(cache, tmp_path, capfd):
+SIDE_BY_SIDE = """
+import sys
+from pathlib import Path
+from campaign.cli.missing import Wanted, run_missing
+run_missing(sys.argv[3:], Wanted(Path(sys.argv[1]), 0.6, None, "boresight figures"), int(sys.argv[2]))
+"""
+
+
+def test_drafts_side_by_side_are_those_of_one_after_another_and_one_without_data_stops_none(cache, tmp_path):
     files = [
         write_campaign(tmp_path / "files" / name, f"name: {name}\ntitle: T\n{HEAD}{CAMPAIGNS[name]}", SCENE)
         for name in ("rowell2015-centroid", "rowell2015-simulated")
     ]
     names = [str(files[0]), str(tmp_path / "nowhere.yaml"), str(files[1])]
-    for jobs in (1, 2):
-        run_missing(names, Wanted(tmp_path / f"runs-{jobs}", 0.6, None, "boresight figures"), jobs)
-        said = capfd.readouterr().out
-        assert f"{names[1]}: " in said
+    for jobs in ("1", "2"):
+        words = [sys.executable, "-c", SIDE_BY_SIDE, str(tmp_path / f"runs-{jobs}"), jobs, *names]
+        said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
         assert all(f"{name}: " in said for name in names)
     alone, beside = (sorted(run_folders(tmp_path / f"runs-{jobs}")) for jobs in (1, 2))
     assert [folder.name for folder in alone] == [folder.name for folder in beside]

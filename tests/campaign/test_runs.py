@@ -39,7 +39,7 @@ from campaign.worker import run_block
 from campaign.world import open_world
 from renderers.mitsuba3 import choose_variant
 
-LONG = 60
+LONG = 100
 N_BLOCKS = LONG // SingleImage.block_trials
 
 
