@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
+import numpy as np
+from numpy.typing import NDArray
+
 from campaign.machine import cores
 from campaign.speed.blender import Cycles, cycles
 from campaign.speed.ratio import Absent, Ratio
@@ -34,10 +37,14 @@ def image_ratios(settings: Settings) -> Iterator[Ratio | Absent]:
     threads = cores()
     limit_threads(threads)
     scene = speed_scene(settings.facets, settings.views)
+    variant = choose_variant()
     try:
+        # Cycles keeps, with the body, the samples that it began with: who is timed must never have been asked for many.
         with cycles(settings.blender, scene, threads) as blender:
-            variant = choose_variant()
-            alike = _correlation(scene, scene.renderer(variant, _AGREEMENT_SAMPLES), blender)
+            many = blender.image(0, _AGREEMENT_SAMPLES)
+        alike = _correlation(scene.renderer(variant, _AGREEMENT_SAMPLES).render(scene.views[0]), many)
+        with cycles(settings.blender, scene, threads) as blender:
+            _check_samples(blender.image(0, SAMPLES), many)
             ours, theirs = _times(scene, scene.renderer(variant), blender, settings.rounds)
     except BoresightError as error:
         yield Absent(WORK, str(error))
@@ -49,8 +56,13 @@ def image_ratios(settings: Settings) -> Iterator[Ratio | Absent]:
     yield Ratio(WORK, "Blender Cycles", "wall", ours.wall / count, theirs.wall / count, AIM, f"{peer}; {note}")
 
 
-def _correlation(scene: SpeedScene, renderer: MitsubaRenderer, blender: Cycles) -> float:
-    alike = agreement(renderer.render(scene.views[0]), blender.image(0, _AGREEMENT_SAMPLES))
+def _check_samples(few: NDArray[np.float32], many: NDArray[np.float32]) -> None:
+    if np.array_equal(few, many):
+        raise BoresightError(f"Blender: {SAMPLES} samples a pixel are the same image as {_AGREEMENT_SAMPLES}")
+
+
+def _correlation(ours: NDArray[np.float32], theirs: NDArray[np.float32]) -> float:
+    alike = agreement(ours, theirs)
     if alike < LEAST_CORRELATION:
         raise BoresightError(f"the images correlate by {alike:.4f} only, so that their times say nothing")
     return alike

@@ -13,12 +13,14 @@ import pytest
 
 from campaign.cli.main import main
 from campaign.speed import blender as blender_module
-from campaign.speed import works
+from campaign.speed import images, works
 from campaign.speed.blender import cycles
 from campaign.speed.history import HISTORY, read_history, record, regressions, unrecorded
 from campaign.speed.ratio import Absent, Ratio, SpeedTable
 from campaign.speed.scene import SIZE_PX, SUN_DIR_BODY, SpeedScene
+from campaign.speed.settings import Settings
 from campaign.speed.timing import Seconds, in_turn, timed
+from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View, look_at
 
@@ -153,6 +155,22 @@ def test_blender_answers_in_its_own_process(tetrahedron, tmp_path):
         np.testing.assert_allclose(pose, [[0, 0, 1, 9], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], atol=1e-6)
         with pytest.raises(BoresightError, match="Blender: no such view; make a virtual"):
             blender.render(0, 9)
+
+
+def test_a_blender_that_ignores_how_many_samples_are_asked_for_is_not_timed(tetrahedron, tmp_path, monkeypatch):
+    """Cycles 5.0 keeps those that it began with: beside 64 samples of it we were eleven times too fast."""
+    python = tmp_path / "python"
+    renderer = tetrahedron.renderer(choose_variant(), 64)
+    np.save(tmp_path / "same.npy", renderer.render(tetrahedron.views[0]))
+    pose, image = 'stored["T_body_camera"][int(view)].astype(np.float32)', f'np.load("{tmp_path}/same.npy")'
+    assert pose in FAKE_BLENDER
+    same = FAKE_BLENDER.replace(pose, image)
+    python.write_text(textwrap.dedent(same).format(python=sys.executable).lstrip())
+    python.chmod(0o755)
+    monkeypatch.setattr(images, "speed_scene", lambda *_: tetrahedron)
+    (absent,) = images.image_ratios(Settings(rounds=1, blender=python))
+    assert isinstance(absent, Absent)
+    assert "4 samples a pixel are the same image as 64" in absent.why
 
 
 @pytest.mark.parametrize("python", [Path("/nowhere/python"), Path(sys.executable)])
