@@ -85,8 +85,7 @@ def _of_papers(folders: Mapping[str, Path], arguments: argparse.Namespace) -> in
     if arguments.run or arguments.trials_scale < 1.0:
         wanted = Wanted(arguments.runs, arguments.trials_scale, arguments.trials, arguments.command)
         run_missing(_missing(folders, arguments), wanted, arguments.jobs)
-    variant = choose_variant().name
-    among = min(workers(arguments.jobs, variant), len(folders))
+    among = 1 if len(folders) == 1 else min(workers(arguments.jobs, choose_variant().name), len(folders))
     jobs = arguments.jobs if among == 1 else 1
     calls = ((name, folder, arguments.runs, jobs, arguments.trials_scale, among) for name, folder in folders.items())
     return max(_told(written) for written in in_order(among, _written, calls))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,34 +59,23 @@ def run_missing(names: Sequence[str], wanted: Wanted, jobs: int | None) -> None:
     """
     variant = choose_variant().name
     among = workers(jobs, variant)
-    if wanted.share == 1.0 or among == 1 or len(names) < 2:
-        for name in names:
-            _run(name, wanted, variant, among)
-        return
-    lanes = min(among, len(names))
-    for _ in in_order(lanes, _run_beside, ((name, wanted, variant, lanes) for name in names)):
+    lanes = 1 if wanted.share == 1.0 else max(1, min(among, len(names)))
+    each = among if lanes == 1 else 1
+    for _ in in_order(lanes, _run, ((name, wanted, variant, each, lanes) for name in names)):
         pass
 
 
-def _run(name: str, wanted: Wanted, variant: str, jobs: int) -> None:
-    out = console()
+def _run(name: str, wanted: Wanted, variant: str, jobs: int, lanes: int) -> None:
+    """Run a campaign, with its share of the cores where others run beside it, which then show no progress but steps."""
+    lines, began = NamedLines(console(), name), time.monotonic()
     try:
         campaign, request = wanted.of(name, variant, jobs)
-        out.print(f"{name}: {count_of(request.trials, 'trial')} into {request.out}")
-        with ProgressListener(out) as listener:
+        lines.message(f"{count_of(request.trials, 'trial')} into {request.out}")
+        listening = ProgressListener(console()) if lanes == 1 else nullcontext(lines)
+        with sharing_cores(lanes), listening as listener:
             run_campaign(campaign, request, listener)
     except BoresightError as error:
-        out.print(f"{name}: {error}")
-
-
-def _run_beside(name: str, wanted: Wanted, variant: str, lanes: int) -> None:
-    """Run a campaign in this worker, with its share of the cores."""
-    out, began = NamedLines(console(), name), time.monotonic()
-    try:
-        campaign, request = wanted.of(name, variant, 1)
-        out.message(f"{count_of(request.trials, 'trial')} into {request.out}")
-        with sharing_cores(lanes):
-            run_campaign(campaign, request, out)
-        out.message(f"done in {time.monotonic() - began:.0f} s")
-    except BoresightError as error:
-        out.message(str(error))
+        lines.message(str(error))
+        return
+    if lanes > 1:
+        lines.message(f"done in {time.monotonic() - began:.0f} s")
