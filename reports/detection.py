@@ -141,7 +141,7 @@ def measured_area(detection: Detection) -> Measured:
     rng = content_rng(detection.score, detection.bad, codes)
     block = max(1, _CHUNK // len(codes))
     draws = [
-        _areas(detection.score, detection.bad, draw_counts(int(codes.max()) + 1, n, rng)[:, codes])
+        _areas(detection.score, detection.bad, np.take(draw_counts(int(codes.max()) + 1, n, rng), codes, axis=1))
         for n in (min(block, RESAMPLES - start) for start in range(0, RESAMPLES, block))
     ]
     tail = 50.0 * (1.0 - LEVEL)

@@ -289,14 +289,14 @@ def _quantile_of_counted(ascending: FloatArray, cumulative: NDArray[np.int32], q
     """Quantiles, by numpy's linear rule, of samples given by the cumulative counts (b, n) of their sorted values."""
     position = (cumulative[:, -1] - 1) * quantile
     below = np.floor(position)
-    low, high = (ascending[_rank_places(cumulative, rank)] for rank in (below, np.ceil(position)))
+    # Of the type of the counts: searchsorted would copy each row to another type.
+    ranks = np.stack([below, np.ceil(position)], axis=1).astype(cumulative.dtype)
+    low, high = ascending[_rank_places(cumulative, ranks)].T
     return np.asarray(low + (high - low) * (position - below), dtype=np.float64)
 
 
-def _rank_places(cumulative: NDArray[np.int32], ranks: FloatArray) -> NDArray[np.intp]:
-    """Places (b,) of ranks (b,), from 0, in samples given by the cumulative counts (b, n) of their sorted values."""
-    # Of the type of the counts: searchsorted would copy each row to another type.
-    wanted = ranks.astype(cumulative.dtype)
+def _rank_places(cumulative: NDArray[np.int32], ranks: NDArray[np.int32]) -> NDArray[np.intp]:
+    """Places (b, k) of ranks (b, k), from 0, in samples given by cumulative counts (b, n) of their sorted values."""
     if cumulative.shape[1] < _FEW:
-        return np.asarray(np.count_nonzero(cumulative <= wanted[:, None], axis=1))
-    return np.array([np.searchsorted(row, rank, side="right") for row, rank in zip(cumulative, wanted, strict=True)])
+        return np.asarray(np.count_nonzero(cumulative[:, None] <= ranks[..., None], axis=2))
+    return np.array([np.searchsorted(row, rank, side="right") for row, rank in zip(cumulative, ranks, strict=True)])
