@@ -71,3 +71,13 @@ def _normal(out: FloatArray, vertices: SingleArray, a: int, b: int, c: int) -> b
     for x in range(3):
         out[x] /= size
     return True
+
+
+@kernel
+def facet_normals(found: SingleArray, corners: SingleArray, facets: IndexArray) -> None:
+    """Write unit normals (N, 3) of facets (N,) with corners (F, 3, 3); those of no area are left as they are."""
+    normal = np.empty(3)
+    for k in range(len(facets)):
+        if _normal(normal, corners[facets[k]], 0, 1, 2):
+            for x in range(3):
+                found[k, x] = normal[x]

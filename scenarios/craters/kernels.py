@@ -316,17 +316,3 @@ def least_heights(
                     height += (np.float64(vertices[v, axis]) - origins[f, axis]) * normals[f, axis]
                 lowest = min(lowest, height)
         least[f] = lowest
-
-
-@kernel
-def facet_normals(found: SingleArray, corners: SingleArray, facets: IndexArray) -> None:
-    """Write unit normals (N, 3) of facets (N,) with corners (F, 3, 3); those of no area are left as they are."""
-    for k in range(len(facets)):
-        f = facets[k]
-        a, b, c = np.float64(corners[f, 0, 0]), np.float64(corners[f, 0, 1]), np.float64(corners[f, 0, 2])
-        p, q, r = corners[f, 1, 0] - a, corners[f, 1, 1] - b, corners[f, 1, 2] - c
-        u, v, w = corners[f, 2, 0] - a, corners[f, 2, 1] - b, corners[f, 2, 2] - c
-        x, y, z = q * w - r * v, r * u - p * w, p * v - q * u
-        length = np.sqrt(x * x + y * y + z * z)
-        if length > 0.0:
-            found[k, 0], found[k, 1], found[k, 2] = x / length, y / length, z / length
