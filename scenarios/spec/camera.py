@@ -10,14 +10,17 @@ from pydantic import Field, model_validator
 from scenarios.geometry import Camera, RadialDistortion
 from scenarios.spec.base import SpecModel
 
-Positive = Annotated[float, Field(gt=0)]
+# Wide of any camera; they keep what is worked out from them finite.
+FocalLength = Annotated[float, Field(ge=1, le=1e9)]
+Coefficient = Annotated[float, Field(ge=-1e20, le=1e20)]
+ImagePosition = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class DistortionSpec(SpecModel):
     """Radial distortion: ideal = seen (1 + k1 r^2 + k2 r^4), in x / z and y / z from the principal point."""
 
-    k1: float = Field(description="Coefficient of r^2; a kernel's constant in mm^-2 times (focal length in mm)^2")
-    k2: float = Field(0.0, description="Coefficient of r^4")
+    k1: Coefficient = Field(description="Coefficient of r^2; a kernel's constant in mm^-2 times (focal length in mm)^2")
+    k2: Coefficient = Field(0.0, description="Coefficient of r^4")
 
 
 class CameraSpec(SpecModel):
@@ -30,9 +33,11 @@ class CameraSpec(SpecModel):
 
     width_px: int = Field(512, ge=16, le=8192, description="Columns of the image")
     height_px: int = Field(512, ge=16, le=8192, description="Rows of the image")
-    fov_deg: float | None = Field(None, gt=0, lt=180, description="Full field of view across the width")
-    focal_px: tuple[Positive, Positive] | None = Field(None, description="Focal lengths [fx, fy]; instead of fov_deg")
-    principal_point_px: tuple[float, float] | None = Field(
+    fov_deg: float | None = Field(None, ge=1e-4, lt=180, description="Full field of view across the width")
+    focal_px: tuple[FocalLength, FocalLength] | None = Field(
+        None, description="Focal lengths [fx, fy]; instead of fov_deg"
+    )
+    principal_point_px: tuple[ImagePosition, ImagePosition] | None = Field(
         None, description="Principal point [cx, cy]; the middle of the image by default"
     )
     distortion: DistortionSpec | None = Field(

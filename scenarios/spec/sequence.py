@@ -10,6 +10,8 @@ from scenarios.spec.base import SpecModel
 from scenarios.spec.motion import BodyMotionSpec, ForcesSpec
 from scenarios.spec.vision import ImageVisionSpec
 
+MOST_FRAMES = 1_000_000
+
 
 class OrbitSpec(SpecModel):
     """An orbit about the body's origin; the boresight stays on the origin and x along the velocity.
@@ -25,7 +27,7 @@ class OrbitSpec(SpecModel):
         (0.0, 0.0, 1.0), description="Normal of the orbit, inertial axes; over the terminator it points to the Sun"
     )
     start_deg: float = Field(0.0, description="Anomaly of the first frame, from where the orbit comes nearest body x")
-    step_deg: float = Field(2.0, gt=0, le=90, description="Anomaly between frames")
+    step_deg: float = Field(2.0, ge=0.01, le=90, description="Anomaly between frames")
     revolutions: float = Field(2.0, gt=0, le=1000)
     gm_m3_s2: float = Field(3.54, gt=0, description="Gravity of the body, which sets the times; 5.3e10 kg by default")
     forces: ForcesSpec = ForcesSpec()
@@ -36,6 +38,8 @@ class OrbitSpec(SpecModel):
             raise ValueError("normal_body is zero: give the direction of the orbit's normal")
         if self.frames < 2:
             raise ValueError(f"{self.revolutions:g} revolutions in steps of {self.step_deg:g} deg are less than a step")
+        if self.frames > MOST_FRAMES:
+            raise ValueError(f"{self.frames} frames are more than {MOST_FRAMES}: take longer steps")
         return self
 
     @model_validator(mode="after")

@@ -139,7 +139,7 @@ def test_file_kind_goes_by_the_keys(here, tmp_path):
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("camera: {width_px: 512,\n  fov_deg: 190}\n", "x.yaml:2: camera.fov_deg: 190 is not in (0, 180)"),
+        ("camera: {width_px: 512,\n  fov_deg: 190}\n", "x.yaml:2: camera.fov_deg: 190 is not in [0.0001, 180)"),
         ("camera:\n  fov_dg: 20\n", "x.yaml:2: camera.fov_dg: unknown key; did you mean fov_deg?"),
         (
             "brdf: {kind: hapke, albedo: 0.1}",
@@ -159,7 +159,7 @@ def test_file_kind_goes_by_the_keys(here, tmp_path):
         ("camera: {width_px: 64}", "x.yaml:1: camera: give either fov_deg or focal_px"),
         ("camera: {focal_px: [9]}", "x.yaml:1: camera.focal_px[1]: this value of the list is missing"),
         ("camera: {focal_px: [9, 9, 9]}", "x.yaml:1: camera.focal_px: has 3 values, not at most 2"),
-        ("camera: {focal_px: [9, -9]}", "x.yaml:1: camera.focal_px[1]: -9 is not above 0"),
+        ("camera: {focal_px: [9, -9]}", "x.yaml:1: camera.focal_px[1]: -9 is not at least 1"),
         ("camera: 5", "x.yaml:1: camera: 5 is not a section of keys"),
         ("detector: {shot_noise: 1}", "x.yaml:1: detector.shot_noise: 1 is not true or false"),
         ("detector: {bits: 3}", "x.yaml:1: detector: offset_dn 10 is not below 7, the largest number of 3 bits"),
@@ -202,7 +202,7 @@ def test_a_fault_is_a_line_with_file_line_key_value_and_what_is_allowed(here, te
 def test_several_faults_give_several_lines(here):
     here("x.yaml", "camera: {fov_deg: 190}\nviewpoint: {range_m: -1}\nbrdff: 1\n")
     assert fault("x.yaml").splitlines() == [
-        "x.yaml:1: camera.fov_deg: 190 is not in (0, 180)",
+        "x.yaml:1: camera.fov_deg: 190 is not in [0.0001, 180)",
         "x.yaml:2: viewpoint.range_m: -1 is not above 0",
         "x.yaml:3: brdff: unknown key; did you mean brdf?",
     ]
@@ -298,7 +298,7 @@ def test_a_file_may_be_extended_twice_by_two_parents(here):
 def test_a_fault_in_a_parent_is_named_at_the_parent(here):
     here("parent.yaml", "viewpoint: {range_m: 1000}\ncamera:\n  fov_deg: 190\n")
     here("child.yaml", "extends: parent.yaml\n")
-    assert fault("child.yaml") == "parent.yaml:3: camera.fov_deg: 190 is not in (0, 180)"
+    assert fault("child.yaml") == "parent.yaml:3: camera.fov_deg: 190 is not in [0.0001, 180)"
 
 
 # --- what replaces and what merges -----------------------------------------------------------------------------------
@@ -372,7 +372,7 @@ def test_the_order_is_defaults_extends_file_campaign_command_line(here):
 @pytest.mark.parametrize(
     ("override", "line"),
     [
-        ("camera.fov_deg=190", "--set camera.fov_deg=190: camera.fov_deg: 190 is not in (0, 180)"),
+        ("camera.fov_deg=190", "--set camera.fov_deg=190: camera.fov_deg: 190 is not in [0.0001, 180)"),
         ("camera.fov=20", "--set camera.fov=20: camera.fov: unknown key; did you mean fov_deg?"),
         ("camera.fov_deg", "--set camera.fov_deg: write it as key=value"),
         ("=3", "--set =3: write it as key=value"),

@@ -60,7 +60,12 @@ FOUND: dict[str, tuple[bytes, ...]] = {
     # A name of nothing, or of the folder above.
     "data-set": (b"title: a\nfolder: a\ncredit: a\nlicence: a\nfiles: [{url: 'http://h/..'}]\n",),
     # What is asked for came back with what steers a terminal.
-    "override": (b"\x1b[31m", b"a\nb"),
+    "override": (
+        b"\x1b[31m",
+        b"a\nb",
+        # Overflow: a focal length that no number holds.
+        b"camera.fov_deg=1e-320",
+    ),
     # Complaints of several lines; RecursionError.
     "published": (b"source: a\nsource: a\n", b"source: " + b"{a: " * 2000),
     # Overflow in the edges of seams.
