@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -168,7 +167,6 @@ def test_a_wrong_command(tmp_path, monkeypatch, capsys, arguments, expected):
 
 @pytest.mark.parametrize("place", ["file", "file/below", "/proc/boresight/run"])
 def test_a_folder_that_cannot_be_written(tiny_run, tmp_path, monkeypatch, capsys, place):
-    # As root no permission is ever denied; these places refuse everyone.
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("mine")
     assert run(tiny_run.file, Path(place), "--trials", 2) == 2
@@ -178,11 +176,41 @@ def test_a_folder_that_cannot_be_written(tiny_run, tmp_path, monkeypatch, capsys
     assert (tmp_path / "file").read_text() == "mine"
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_without_permission(tiny_run, tmp_path, capsys):
-    (tmp_path / "locked").mkdir(mode=0o555)
-    assert run(tiny_run.file, tmp_path / "locked" / "run", "--trials", 2) == 2
-    assert "--out" in the_one_line(capsys)
+def started_by(preparation: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a process that is prepared before, and whose workers inherit that."""
+    started = "import os, sys; os.execv(sys.executable, [sys.executable, '-m', 'campaign.cli', *sys.argv[1:]])"
+    words = [sys.executable, "-c", f"{preparation}; {started}", *map(str, arguments)]
+    return subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
+
+
+# Root writes everywhere: it starts the command without CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH. Nobody else has them.
+AS_A_USER = "import ctypes; [ctypes.CDLL(None).prctl(24, capability) for capability in (1, 2)]"
+
+
+def test_a_new_run_in_a_read_only_folder(tiny_run, tmp_path):
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o555)
+    done = started_by(AS_A_USER, "run", tiny_run.file, "--trials", 2, "--out", locked / "run")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert str(locked / "run") in done.stderr
+    assert "--out" in done.stderr
+    assert not list(locked.iterdir())
+
+
+def test_a_run_that_became_read_only_is_left_alone(tiny_run, tmp_path):
+    out = tmp_path / "run"
+    compute(tiny_run.file, out, 10)
+    before = files(out)
+    folders = [out, *(path for path in out.rglob("*") if path.is_dir())]
+    for path in folders:
+        path.chmod(0o555)
+    for words in (("run", tiny_run.file, "--trials", 15, "--out", out), ("report", out)):
+        done = started_by(AS_A_USER, *words)
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+        assert str(out) in done.stderr
+        assert files(out) == before
+    for path in folders:
+        path.chmod(0o755)
 
 
 @pytest.mark.parametrize("name", ["landmarks", "products"])
@@ -208,14 +236,11 @@ def with_file_size_limit(limit: int, *arguments: object) -> subprocess.Completed
 
     The limit is inherited by the workers.
     """
-    code = (
-        "import os, resource, signal, sys;"
-        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
-        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}));"
-        "os.execv(sys.executable, [sys.executable, '-m', 'campaign.cli', *sys.argv[1:]])"
+    preparation = (
+        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))"
     )
-    words = [sys.executable, "-c", code, *map(str, arguments)]
-    return subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
+    return started_by(preparation, *arguments)
 
 
 @pytest.mark.parametrize(
