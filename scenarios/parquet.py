@@ -51,20 +51,27 @@ def read_frame(folder: Path, layout: Layout) -> pd.DataFrame:
         If one is damaged, has not the layout, or would unfold to far more than its size.
     """
     with _explained(folder):
-        frame: pd.DataFrame = _table(folder, layout).to_pandas(ignore_metadata=True)
+        frame: pd.DataFrame = _table(folder, sorted(folder.glob("*.parquet")), layout).to_pandas(ignore_metadata=True)
         return frame
 
 
-def read_where(folder: Path, layout: Layout, values: Mapping[str, object]) -> pa.Table:
-    """Read the rows of a folder of files whose keys have some values.
+def read_where(path: Path, layout: Layout, values: Mapping[str, object]) -> pa.Table:
+    """Read the rows of a file whose keys have some values.
+
+    All are read and then chosen from: pyarrow chooses by what a file says of its columns, and ends the process where
+    that is damaged.
 
     Raises
     ------
     BoresightError
         As `read_frame`.
     """
-    with _explained(folder):
-        return _table(folder, layout, [(name, "==", value) for name, value in values.items() if name in layout.keys])
+    with _explained(path):
+        table = _table(path, [path], layout)
+        for name, value in values.items():
+            if name in layout.keys:
+                table = table.filter(pc.equal(table.column(name), value))
+        return table
 
 
 def read_column(path: Path, name: str) -> list[Any]:
@@ -89,15 +96,15 @@ def _explained(place: Path) -> Iterator[None]:
         raise unreadable(place, "a stored table", error) from error
 
 
-def _table(folder: Path, layout: Layout, wanted: Sequence[tuple[str, str, object]] | None = None) -> pa.Table:
-    files = sorted(folder.glob("*.parquet"))
+def _table(place: Path, files: Sequence[Path], layout: Layout) -> pa.Table:
     _check(files)
-    table = pq.read_table([str(path) for path in files], filters=wanted, partitioning=None)
+    table = pq.read_table([str(path) for path in files], partitioning=None)
+    table.validate(full=True)  # texts that are none, for one, are noticed by nobody before they are printed
     missing = [name for name in layout.keys if name not in table.column_names]
     if missing:
-        raise BoresightError(f"{folder}: columns {', '.join(missing)} are missing: no such table of boresight")
+        raise BoresightError(f"{place}: columns {', '.join(missing)} are missing: no such table of boresight")
     for name, column in zip(table.column_names, table.columns, strict=True):
-        _check_column(f"{folder}: column {name}", column, layout.is_text(name), name in layout.keys)
+        _check_column(f"{place}: column {name}", column, layout.is_text(name), name in layout.keys)
     return table
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -76,6 +77,10 @@ def _parquet(table: str, records: Records) -> bytes:
     sink = pa.BufferOutputStream()
     pq.write_table(found, sink)
     return bytes(sink.getvalue())
+
+
+def _first_trial(path: Path, otherwise: int) -> int:
+    return min((trial for trial in read_column(path, "trial") if isinstance(trial, int)), default=otherwise)
 
 
 def _write_bytes(path: Path, content: bytes) -> None:
@@ -177,10 +182,17 @@ class RunFolder:
         BoresightError
             If the table is damaged.
         """
-        folder = self.path / name
-        if not any(folder.glob("*.parquet")):
+        path = self._file_of(name, scenario, trial)
+        if path is None:
             return schema(name).empty_table()
-        return read_where(folder, layout(name), {"scenario": scenario, "trial": trial, "estimator": estimator})
+        return read_where(path, layout(name), {"scenario": scenario, "trial": trial, "estimator": estimator})
+
+    def _file_of(self, name: str, scenario: str, trial: int) -> Path | None:
+        """Find the file that holds a trial where one does: names sort in the order of trials, and files may be many."""
+        files = [path for path in (self.path / name).glob("*.parquet") if path.stem.rpartition("-")[0] == scenario]
+        files.sort()
+        later = bisect_right(files, trial, key=lambda path: _first_trial(path, trial))
+        return files[later - 1] if later else None
 
     @staticmethod
     def table_names() -> tuple[str, ...]:

@@ -57,6 +57,22 @@ def test_a_stored_block_reads_back_in_the_order_of_trials(tmp_path):
     assert list(rows.columns) == [c.name for c in TABLES["rows"]]
 
 
+def test_a_trial_is_found_in_the_one_file_that_holds_it(tmp_path):
+    folder, methods = RunFolder(tmp_path), ("prior", "other")
+    for block in blocks(["a", "a-0000001"], 35, 10):
+        rows = [record(t, m) | {"scenario": block.scenario} for t in range(block.first, block.last) for m in methods]
+        folder.write_block(block, {"rows": rows})
+    (tmp_path / "rows" / "a-0000001.parquet").unlink()  # a detail table has no file where a block has nothing for it
+    for scenario in ("a", "a-0000001"):
+        for trial in range(36):
+            found = folder.of_trial("rows", scenario, "other", trial).to_pylist()
+            there = trial < 35 and (scenario != "a" or not 10 <= trial < 20)
+            assert [(r["scenario"], r["trial"], r["estimator"]) for r in found] == [(scenario, trial, "other")] * there
+    (tmp_path / "rows" / "a-0000000.parquet").write_bytes(b"")
+    with pytest.raises(BoresightError, match=r"a-0000000\.parquet"):
+        folder.of_trial("rows", "a", "prior", 3)
+
+
 def test_a_block_is_whole_only_when_its_rows_are(tmp_path):
     folder, block = RunFolder(tmp_path), Block("a", 0, 10, 0)
     assert folder.state(block, 1) is BlockState.ABSENT

@@ -31,7 +31,7 @@ def test_the_frame_is_that_of_pandas(tmp_path):
     store(tmp_path, sound(range(3)))
     store(tmp_path, sound(range(3, 5)), "b.parquet")
     pd.testing.assert_frame_equal(read_frame(tmp_path, LAYOUT), pd.read_parquet(tmp_path))
-    assert read_where(tmp_path, LAYOUT, {"trial": 4, "name": "a", "other": 1}).num_rows == 1
+    assert read_where(tmp_path / "b.parquet", LAYOUT, {"trial": 4, "name": "a", "other": 1}).num_rows == 1
     assert read_column(tmp_path / "b.parquet", "trial") == [3, 4]
 
 
@@ -85,11 +85,21 @@ def test_no_bit_of_a_footer_ends_the_process(tmp_path):
     for place in range(len(content) - 8 - footer, len(content) - 8):
         for bit in (0, 1, 4):
             file.write_bytes(content[:place] + bytes([content[place] ^ 1 << bit]) + content[place + 1 :])
-            try:
-                read_frame(tmp_path, layout)
-            except BoresightError:
-                refused += 1
-    assert refused > footer
+            for read in (lambda: read_frame(tmp_path, layout), lambda: read_where(file, layout, {"trial": 0})):
+                try:
+                    read()
+                except BoresightError:
+                    refused += 1
+    assert refused > 2 * footer
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path):
+    """Nobody else notices them before they are printed."""
+    wrong = pa.Array.from_buffers(pa.string(), 1, pa.array([b"\xff"], pa.binary()).buffers())
+    store(tmp_path, sound([0]) | {"name": wrong})
+    for read in (lambda: read_frame(tmp_path, LAYOUT), lambda: read_where(tmp_path / "a.parquet", LAYOUT, {})):
+        with pytest.raises(BoresightError, match="UTF8"):
+            read()
 
 
 def test_what_has_no_end_is_not_read(tmp_path):
