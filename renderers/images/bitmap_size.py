@@ -1,4 +1,4 @@
-"""The size that a PNG or TIFF states: known before memory is taken for its pixels."""
+"""What a PNG or TIFF states of its size: known before memory is taken for its pixels."""
 
 from __future__ import annotations
 
@@ -25,6 +25,19 @@ def bitmap_size(content: bytes) -> tuple[int, int, int]:
         return (0, 0, 1) if order is None else _tiff_size(content, order)
     except (struct.error, OverflowError):
         return 0, 0, 1
+
+
+def is_cut_short(content: bytes) -> bool:
+    """Tell whether a chunk of a PNG is longer than what is left of the file; others are never."""
+    place = len(_PNG)
+    while content.startswith(_PNG) and place + 12 <= len(content):
+        length, kind = struct.unpack_from(">I4s", content, place)
+        place += 12 + length
+        if place > len(content):
+            return True
+        if kind == b"IEND":
+            break
+    return False
 
 
 def _tiff_size(content: bytes, order: str) -> tuple[int, int, int]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scenarios.errors import BoresightError, one_line
 from scenarios.limits import MOST_PIXELS
 
-_AXIS = re.compile(rb"(Z?NAXIS[0-9]*) *= *([0-9]+)")
+_COUNT = re.compile(rb"(Z?NAXIS[0-9]*|TFIELDS) *= *([0-9]+)")
 _MOST_AXES, _LONGEST_AXIS = 999, 1 << 31
 # What astropy raises for damaged headers and data beside its own.
 _FAULTS = (
@@ -47,9 +47,9 @@ def read_fits_header(content: bytes, path: Path) -> dict[str, object]:
 
 
 def _check_axes(content: bytes, path: Path) -> None:
-    """Refuse headers that promise too much: astropy counts all axes, and a compressed image unfolds to any size."""
+    """Refuse headers that promise too much: astropy counts axes and fields, and a packed image unfolds to any size."""
     packed = 1
-    for card in _AXIS.finditer(content):
+    for card in _COUNT.finditer(content):
         name, value = card.group(1), int(card.group(2)[:30])
         packed = packed * max(value, 1) if name.startswith(b"Z") and name != b"ZNAXIS" else packed
         if value > (_MOST_AXES if name.endswith(b"S") else _LONGEST_AXIS) or packed > MOST_PIXELS:

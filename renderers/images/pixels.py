@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.images.bitmap_size import bitmap_size
+from renderers.images.bitmap_size import bitmap_size, is_cut_short
 from renderers.images.fits import read_fits
 from scenarios.errors import BoresightError, one_line
 from scenarios.limits import MOST_PIXELS
@@ -81,6 +81,8 @@ def _bitmap(content: bytes, path: Path) -> NDArray[np.generic]:
         raise BoresightError(
             f"{path}: {width} x {height} pixels of {channels} channels are more than the {MOST_PIXELS} that are read"
         )
+    if is_cut_short(content):  # OpenCV takes memory for as much as a chunk says that it holds
+        raise BoresightError(f"{path}: not a readable {path.suffix[1:].upper()} image: it is cut short")
     try:
         with _quiet():
             image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
