@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tokenize
+import warnings
 import zipfile
 import zlib
 from pathlib import Path
@@ -110,7 +111,8 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         names = [member.filename for member in members]
         if len(set(names)) < len(names) or not may_unfold(size, sum(member.file_size for member in members)):
             raise ValueError("an array is there twice, or much more is packed in it than a sound file holds")
-        with np.load(path, allow_pickle=False) as stored:
+        # What NumPy warns of in a header is nothing that a user could mend.
+        with warnings.catch_warnings(action="ignore"), np.load(path, allow_pickle=False) as stored:
             return {name: _sound(stored[name]) for name in stored.files}
     except _ARCHIVE_FAULTS as error:
         raise ValueError(one_line(error) or type(error).__name__) from error

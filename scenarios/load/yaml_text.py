@@ -60,8 +60,9 @@ def parse_yaml(text: str, source: str, *, place: str | None = None) -> Entry:
         mark = error.problem_mark or error.context_mark
         line = f":{mark.line + 1}" if mark is not None else ""
         raise _invalid(place or source + line, error.problem or error.context) from error
-    except (YAMLError, ValueError) as error:
-        # An escape beyond Unicode ("\\U00110000") leaves the parser as chr()'s own ValueError.
+    except (YAMLError, ValueError, AssertionError) as error:
+        # An escape beyond Unicode ("\\U00110000") leaves the parser as chr()'s own ValueError, a version that it does
+        # not know ("%YAML 1.9") as an assertion.
         raise _invalid(place or source, error) from error
 
 
