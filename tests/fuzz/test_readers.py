@@ -23,6 +23,7 @@ from scenarios.errors import BoresightError
 # Inputs are files: told of in full where they are the fault, however long.
 pytestmark = pytest.mark.filterwarnings("ignore:Generating overly large repr")
 
+ROOT = Path(__file__).parents[2]
 FEW, MANY = 200, 10_000
 _SHOWN = 2000
 
@@ -44,6 +45,16 @@ def fuzz(name: str, inputs: int, folder: Path) -> None:
         suppress_health_check=list(HealthCheck),
     )
     checks(seed(2003)(trial))()
+
+
+def python(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run Python with what is here to be imported."""
+    places = os.pathsep.join([str(ROOT), str(ROOT / "tests" / "helpers"), os.environ.get("PYTHONPATH", "")])
+    return subprocess.run(
+        [sys.executable, *map(str, words)],
+        capture_output=True, text=True, errors="replace", check=False, cwd=cwd,
+        env={**os.environ, "PYTHONPATH": places},
+    )  # fmt: skip
 
 
 def test_what_is_found_belongs_to_a_reader():
@@ -77,13 +88,7 @@ def test_very_many_damaged_files_give_a_value_or_lines(tmp_path, name):
 def test_inputs_that_follow_the_code_give_a_value_or_lines(tmp_path):
     """Atheris: edits that reach new lines of ours and of the parsers in Python are edited further."""
     pytest.importorskip("atheris", reason="atheris is absent: pip install 'boresight[fuzz]'")
-    root = Path(__file__).parents[2]
-    places = os.pathsep.join([str(root), str(root / "tests" / "helpers"), os.environ.get("PYTHONPATH", "")])
-    done = subprocess.run(
-        [sys.executable, "-m", "hostile.atheris_run", "--runs", str(MANY)],
-        capture_output=True, text=True, errors="replace", check=False, cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": places},
-    )  # fmt: skip
+    done = python("-m", "hostile.atheris_run", "--runs", MANY, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
     assert [line.partition(":")[0] for line in done.stdout.splitlines()] == list(TARGETS)
 
@@ -108,6 +113,18 @@ def test_the_guard_sees_what_a_reader_must_not_do(tmp_path, harm):
     target = Target(lambda _content, _folder: act(), lambda: (b"",))
     if raised is None:
         assert str(fed(target, b"", tmp_path)) == "\\x1b[31mred"
-    else:
+        return
+    for _ in range(2):  # what one input took hides nothing that the next one takes
         with pytest.raises(raised):
             fed(target, b"", tmp_path)
+
+
+def test_who_waits_for_ever_is_ended():
+    waiting = (
+        "import threading; from pathlib import Path; from hostile import guard; from hostile.target import Target;"
+        "guard.LONGEST_WAIT_S = 0.5;"
+        "guard.fed(Target(lambda *_: threading.Event().wait(), lambda: (b'',)), b'', Path())"
+    )
+    done = python("-c", waiting)
+    assert done.returncode != 0
+    assert "Timeout" in done.stderr

@@ -52,7 +52,7 @@ _MAPLETS = b"head |u1 2 {}\ncentres_m <f8 %s 1.0"
 
 FOUND: dict[str, tuple[bytes, ...]] = {
     # Errors of the parser that have no mark.
-    "yaml": (b"%YAML 9.9\n--- a", b"%TAG ! tag:x,2000:\n--- !y z", b"&a &b c", b'"\\U00110000"'),
+    "yaml": (b"%YAML 9.9\n--- a", b"%YAML 1.9\n--- a", b"%TAG ! tag:x,2000:\n--- !y z", b"&a &b c", b'"\\U00110000"'),
     # A pipe or a device has no size, and no end.
     "scenario": (b"extends: /dev/zero\n", b"extends: /dev/stdin\n"),
     # JSON has no infinities: the digest raised ValueError.
@@ -71,12 +71,17 @@ FOUND: dict[str, tuple[bytes, ...]] = {
     # Overflow in the edges of seams.
     "icq": (b"1\n" + b"1e308 0 0\n-1e308 0 0\n" * 12,),
     "pds-plates": (b"v 1e308 0 0\nv -1e308 0 0\nv 0 1e308 0\nf 1 2 3\n",),
+    # OpenCV took the 4 GiB that a chunk said it holds.
+    "png": (
+        b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x06\0\0\0\x05\x08\0\0\0\0C3\xc2:\xff\xff\xff\xffIDAT\x08\xff\x7f\0\0\0\0\0\0",
+    ),
     # astropy: OverflowError, AttributeError, a loop over a thousand million axes, cfitsio's exception, a bomb.
     "fits": (
         _FITS % (b"-9223372036854775808", b"0"),
         _FITS % (b"8", b"0") + b"\nunit\nNAME    = 'x'",
         _FITS % (b"8", b"1000000000"),
         _PACKED % (b"30", b"1", b"30"),
+        _PACKED.replace(b"TFIELDS =                    1", b"TFIELDS =            999999999") % (b"1", b"1", b"1"),
         _PACKED % (b"60000", b"60000", b"60000"),
     ),
     # pvl mends a keyword with two values for ever; RecursionError; numbers beyond those of an array, or of any.

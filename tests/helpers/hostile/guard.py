@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import faulthandler
+import re
 import resource
 import signal
 import time
@@ -14,6 +16,7 @@ from hostile.target import Target
 from scenarios.errors import BoresightError
 
 LIMIT_S = 5.0
+LONGEST_WAIT_S = 60.0
 LIMIT_BYTES = 1 << 30
 
 
@@ -49,14 +52,20 @@ def fed(target: Target, content: bytes, folder: Path) -> BoresightError | None:
 
 @contextmanager
 def _limited() -> Iterator[None]:
-    """Hold what is within to the limits: time of this process, as the machine may be busy, and resident memory."""
+    """Hold what is within to the limits: time of this process, as the machine may be busy, and resident memory.
+
+    Who waits for ever takes no time: the process ends, and says where it was, after a minute by the clock.
+    """
+    _forget_peak()
     allowed = max(_peak_bytes(), _resident_bytes() + LIMIT_BYTES)
     before = signal.signal(signal.SIGPROF, _late)
     signal.setitimer(signal.ITIMER_PROF, LIMIT_S)
+    faulthandler.dump_traceback_later(LONGEST_WAIT_S, exit=True)
     started = time.process_time()
     try:
         yield
     finally:
+        faulthandler.cancel_dump_traceback_later()
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.signal(signal.SIGPROF, before)
     if time.process_time() - started > LIMIT_S:  # in compiled code, which no signal interrupts
@@ -69,8 +78,13 @@ def _late(_signal: int, _frame: FrameType | None) -> None:
     raise TooSlowError(f"more than {LIMIT_S:g} s")
 
 
+def _forget_peak() -> None:
+    """Begin the peak of resident memory anew, which else is that of all that the process ever did."""
+    Path("/proc/self/clear_refs").write_text("5")
+
+
 def _peak_bytes() -> int:
-    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return 1024 * int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1])
 
 
 def _resident_bytes() -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import struct
+import warnings
 import zipfile
 import zlib
 
@@ -45,7 +46,7 @@ def _data(dtype: str, values: str) -> bytes:
     if values.startswith("{"):
         return values.encode("latin-1")
     try:
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
             numbers = np.array([float(word[:30]) for word in values.split()[:_MOST_VALUES]])
             return numbers.astype(np.dtype(dtype)).tobytes()
     except (TypeError, ValueError, SyntaxError, OverflowError):
