@@ -1,0 +1,53 @@
+"""Rows of one variant of Mitsuba beside another's: rounding moves them, and by no more than README says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from rounding import round_rays_otherwise
+from tiny_campaign import run
+
+from campaign.store import RunFolder
+from renderers.mitsuba3 import choose_variant
+from renderers.mitsuba3.variant import CUDA, LLVM
+from scenarios.errors import BoresightError
+
+
+def rows_of(file, folder, variant) -> pd.DataFrame:
+    assert run(file, folder, "--variant", variant) == 0
+    rows = RunFolder(folder).table("rows")
+    return rows[rows["estimator"] != "prior"].set_index("trial")
+
+
+def assert_within_the_tolerance(rows: pd.DataFrame, others: pd.DataFrame) -> None:
+    """The same trials solved, nine of ten positions within 5 % of the median error, and that within 10 %."""
+    error, other = rows["position_error_m"], others["position_error_m"]
+    assert (rows["status"] == others["status"]).all()
+    assert not np.array_equal(error, other), "another variant"
+    assert np.quantile(np.abs(error - other), 0.9) < 0.05 * error.median()
+    assert other.median() == pytest.approx(error.median(), rel=0.1)
+
+
+@pytest.fixture
+def llvm_rows(tiny_run, tmp_path) -> pd.DataFrame:
+    try:
+        choose_variant(LLVM)
+    except BoresightError as error:
+        pytest.skip(str(error))
+    return rows_of(tiny_run.file, tmp_path / "llvm", LLVM)
+
+
+def test_rows_of_a_gpu_agree_with_those_of_the_processor(tiny_run, llvm_rows, tmp_path):
+    try:
+        choose_variant(CUDA)
+    except BoresightError as error:
+        pytest.skip(str(error))
+    assert_within_the_tolerance(llvm_rows, rows_of(tiny_run.file, tmp_path / "cuda", CUDA))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_rounding_of_rays_moves_rows_within_the_tolerance(tiny_run, llvm_rows, tmp_path, monkeypatch, sign):
+    round_rays_otherwise(monkeypatch, sign)
+    monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "cache"))  # images and landmarks of its own
+    assert_within_the_tolerance(llvm_rows, rows_of(tiny_run.file, tmp_path / "other", LLVM))
