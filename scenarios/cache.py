@@ -23,7 +23,6 @@ import shutil
 import tempfile
 import time
 import uuid
-import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,8 +37,9 @@ FOREIGN = frozenset({"kernels"})
 
 _MANIFEST = "manifest.json"
 _STALE_S = 24 * 3600.0
-# One put in so many looks at the whole cache, which takes longer than a small write.
-_PUTS_PER_EVICTION = 8
+# Who looks at the whole cache, which takes longer than a small write, puts a share of what was free before the next
+# look, as others put at the same time; and no less than a share of all, or a full cache would be looked at always.
+_SHARE_OF_FREE, _SHARE_OF_ALL = 1 / 4, 1 / 50
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
@@ -118,6 +118,7 @@ class Cache:
             aside = self._aside()
             try:
                 write(aside)
+                size = sum(file.stat().st_size for file in _files(aside))
                 _write_manifest(aside)
                 _discard(final)
                 self._publish(aside, final)
@@ -126,7 +127,8 @@ class Cache:
         except OSError as error:
             _log.warning("%s cannot be written (%s): nothing is kept there", self.root, error.strerror or error)
             return False
-        if zlib.crc32(key.encode()) % _PUTS_PER_EVICTION == 0:
+        _UNSEEN_BYTES[self] = _UNSEEN_BYTES.get(self, 0.0) - size
+        if _UNSEEN_BYTES[self] < 0.0:
             self._evict(keep=final)
         return True
 
@@ -213,10 +215,16 @@ class Cache:
         total = sum(entry.size_bytes for entry in entries)
         for entry in sorted(entries, key=lambda entry: -entry.size_bytes * max(now_s - entry.used_s, 1.0)):
             if total <= self.limit_bytes:
-                return
+                break
             if entry.path != keep:
                 _discard(entry.path)
                 total -= entry.size_bytes
+        free = self.limit_bytes - total
+        _UNSEEN_BYTES[self] = max(_SHARE_OF_FREE * free, _SHARE_OF_ALL * self.limit_bytes)
+
+
+# What this process may still put into each cache before it looks at all of it again.
+_UNSEEN_BYTES: dict[Cache, float] = {}
 
 
 def default_cache() -> Cache:

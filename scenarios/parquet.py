@@ -84,7 +84,8 @@ def read_column(path: Path, name: str) -> list[Any]:
     """
     with _explained(path):
         _check([path])
-        values: list[Any] = pq.read_table(path, columns=[name], partitioning=None).column(name).to_pylist()
+        with pq.ParquetFile(path) as file:
+            values: list[Any] = file.read(columns=[name]).column(name).to_pylist()
         return values
 
 
