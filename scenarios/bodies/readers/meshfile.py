@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import struct
+import warnings
 
 import numpy as np
 
@@ -53,7 +54,7 @@ def _parse(source: ShapeFile, data: bytes, file_type: str) -> RawShape:
 
     options = {"skip_materials": True} if file_type == "obj" else {}
     try:
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
             mesh = trimesh.load_mesh(
                 io.BytesIO(data), file_type=file_type, process=False, maintain_order=True, **options
             )

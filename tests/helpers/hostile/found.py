@@ -68,6 +68,8 @@ FOUND: dict[str, tuple[bytes, ...]] = {
     ),
     # Complaints of several lines; RecursionError.
     "published": (b"source: a\nsource: a\n", b"source: " + b"{a: " * 2000),
+    # A warning of NumPy's: corners with and without a place on a texture.
+    "obj": (b"v 0 0 372\nf 1/2/3 2/1 -1/1 -1",),
     # Overflow in the edges of seams.
     "icq": (b"1\n" + b"1e308 0 0\n-1e308 0 0\n" * 12,),
     "pds-plates": (b"v 1e308 0 0\nv -1e308 0 0\nv 0 1e308 0\nf 1 2 3\n",),
