@@ -7,11 +7,10 @@ import pandas as pd
 import pytest
 from rounding import round_rays_otherwise
 from tiny_campaign import run
+from variants import variant_or_skip
 
 from campaign.store import RunFolder
-from renderers.mitsuba3 import choose_variant
 from renderers.mitsuba3.variant import CUDA, LLVM
-from scenarios.errors import BoresightError
 
 
 def rows_of(file, folder, variant) -> pd.DataFrame:
@@ -31,19 +30,12 @@ def assert_within_the_tolerance(rows: pd.DataFrame, others: pd.DataFrame) -> Non
 
 @pytest.fixture
 def llvm_rows(tiny_run, tmp_path) -> pd.DataFrame:
-    try:
-        choose_variant(LLVM)
-    except BoresightError as error:
-        pytest.skip(str(error))
-    return rows_of(tiny_run.file, tmp_path / "llvm", LLVM)
+    return rows_of(tiny_run.file, tmp_path / "llvm", variant_or_skip(LLVM).name)
 
 
 def test_rows_of_a_gpu_agree_with_those_of_the_processor(tiny_run, llvm_rows, tmp_path):
-    try:
-        choose_variant(CUDA)
-    except BoresightError as error:
-        pytest.skip(str(error))
-    assert_within_the_tolerance(llvm_rows, rows_of(tiny_run.file, tmp_path / "cuda", CUDA))
+    rows = rows_of(tiny_run.file, tmp_path / "cuda", variant_or_skip(CUDA).name)
+    assert_within_the_tolerance(llvm_rows, rows)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import trimesh
+from variants import variant_or_skip
 
 from renderers.mitsuba3 import Variant, choose_variant
-from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View, look_at
 
 
@@ -18,10 +18,12 @@ def scalar() -> Variant:
 
 @pytest.fixture(scope="session")
 def llvm() -> Variant:
-    try:
-        return choose_variant("llvm_ad_mono")
-    except BoresightError as error:
-        pytest.skip(str(error))
+    return variant_or_skip("llvm_ad_mono")
+
+
+@pytest.fixture(scope="session")
+def cuda() -> Variant:
+    return variant_or_skip("cuda_ad_mono")
 
 
 @pytest.fixture(scope="session")

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from rounding import round_rays_otherwise
 
-from renderers.mitsuba3 import MitsubaRenderer, Variant, choose_variant
-from scenarios.errors import BoresightError
+from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.geometry import Camera
 from scenarios.spec.brdf import HapkeSpec
 
@@ -23,14 +22,6 @@ def assert_the_same_but_for_rounding(image: np.ndarray, other: np.ndarray) -> No
     assert difference.any(), "another tracer"
     assert (difference < 1e-4).mean() > 0.999
     assert other.sum() == pytest.approx(image.sum(), rel=1e-4)
-
-
-@pytest.fixture(scope="module")
-def cuda() -> Variant:
-    try:
-        return choose_variant("cuda_ad_mono")
-    except BoresightError as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture
