@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -23,6 +23,8 @@ PARQUET_FAULTS = (
     ValueError,
 )  # fmt: skip
 """What pyarrow and pandas raise for damaged files: a wrong byte may be in a name, a type, a length or a page."""
+
+_AT_ONCE = 500
 
 
 class Layout(NamedTuple):
@@ -83,9 +85,8 @@ def read_column(path: Path, name: str) -> list[Any]:
         As `read_frame`.
     """
     with _explained(path):
-        _check([path])
-        with pq.ParquetFile(path) as file:
-            values: list[Any] = file.read(columns=[name]).column(name).to_pylist()
+        (table,) = _tables([path], [name])
+        values: list[Any] = table.column(name).to_pylist()
         return values
 
 
@@ -98,8 +99,7 @@ def _explained(place: Path) -> Iterator[None]:
 
 
 def _table(place: Path, files: Sequence[Path], layout: Layout) -> pa.Table:
-    _check(files)
-    table = pq.read_table([str(path) for path in files], partitioning=None)
+    table = _joined(_tables(files))
     table.validate(full=True)  # texts that are none, for one, are noticed by nobody before they are printed
     missing = [name for name in layout.keys if name not in table.column_names]
     if missing:
@@ -117,8 +117,22 @@ def _check_column(what: str, column: pa.ChunkedArray, is_text: bool | None, is_k
         raise BoresightError(f"{what} does not tell of every row which it is: no table of boresight")
 
 
-def _check(files: Sequence[Path]) -> None:
-    """Refuse files that hold what no table of boresight does, or far more than they seem to: repetition is packed."""
+def _joined(tables: Iterable[pa.Table]) -> pa.Table:
+    """Lay tables one below the other; what a small one takes beside its values is given back in between."""
+    joined, few = [], []
+    for table in tables:
+        few.append(table)
+        if len(few) == _AT_ONCE:
+            joined.append(pa.concat_tables(few, promote_options="default").combine_chunks())
+            few = []
+    return pa.concat_tables([*joined, *few], promote_options="default")
+
+
+def _tables(files: Sequence[Path], columns: list[str] | None = None) -> Iterator[pa.Table]:
+    """Read files one by one: pyarrow holds ten times their values in memory where it reads very many at once.
+
+    Refused are those that hold what no table of boresight does, or far more than they seem to: repetition is packed.
+    """
     size = unfolded = 0
     for path in files:
         if not path.is_file():
@@ -129,8 +143,11 @@ def _check(files: Sequence[Path]) -> None:
                 raise BoresightError(f"{path}: a column is there twice, or holds neither numbers nor texts")
             size += path.stat().st_size
             unfolded += _unfolded_bytes(file, path)
-        if not may_unfold(size, unfolded):
-            raise BoresightError(f"{path}: {size} bytes that would unfold to {unfolded}: no table of boresight does")
+            if not may_unfold(size, unfolded):
+                raise BoresightError(
+                    f"{path}: {size} bytes that would unfold to {unfolded}: no table of boresight does"
+                )
+            yield file.read(columns=columns, use_threads=False)
 
 
 def _is_plain(kind: pa.DataType) -> bool:

@@ -35,6 +35,16 @@ def test_the_frame_is_that_of_pandas(tmp_path):
     assert read_column(tmp_path / "b.parquet", "trial") == [3, 4]
 
 
+def test_very_many_files_are_one_table_in_the_order_of_their_names(tmp_path):
+    store(tmp_path, sound([0]), "0000.parquet")
+    for number in range(1, 1101):
+        store(tmp_path, sound([number]) | {"later": [number / 2]}, f"{number:04d}.parquet")
+    frame = read_frame(tmp_path, LAYOUT)
+    assert frame["trial"].tolist() == list(range(1101))
+    assert frame["later"].isna().tolist() == [True] + [False] * 1100, "a column that the first file has not"
+    assert frame["later"].tolist()[1:] == [number / 2 for number in range(1, 1101)]
+
+
 def test_an_index_of_pandas_is_not_heeded(tmp_path):
     pd.DataFrame(sound([5, 2, 3])).set_index("trial").to_parquet(tmp_path / "a.parquet")
     assert read_frame(tmp_path, LAYOUT)["trial"].tolist() == [5, 2, 3]
