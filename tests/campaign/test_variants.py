@@ -28,9 +28,9 @@ def assert_within_the_tolerance(rows: pd.DataFrame, others: pd.DataFrame) -> Non
     assert other.median() == pytest.approx(error.median(), rel=0.1)
 
 
-@pytest.fixture
-def llvm_rows(tiny_run, tmp_path) -> pd.DataFrame:
-    return rows_of(tiny_run.file, tmp_path / "llvm", variant_or_skip(LLVM).name)
+@pytest.fixture(scope="module")
+def llvm_rows(tiny_run, tmp_path_factory) -> pd.DataFrame:
+    return rows_of(tiny_run.file, tmp_path_factory.mktemp("llvm"), variant_or_skip(LLVM).name)
 
 
 def test_rows_of_a_gpu_agree_with_those_of_the_processor(tiny_run, llvm_rows, tmp_path):
