@@ -198,11 +198,13 @@ class Leaks(Base):
     def break_down(self):
         import resource
         limits = resource.getrlimit(resource.RLIMIT_AS)
-        resource.setrlimit(resource.RLIMIT_AS, (16 << 30, limits[1]))
+        with open("/proc/self/statm") as pages:
+            taken = int(pages.read().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (taken + (1 << 30), limits[1]))
         kept = []
         try:
             while True:
-                kept.append(bytearray(1 << 28))
+                kept.append(bytearray(1 << 26))
         finally:
             resource.setrlimit(resource.RLIMIT_AS, limits)
 """
