@@ -18,6 +18,10 @@ class _Lost:
 class ClusterBackend(DaskDistributedBackend):  # type: ignore[misc]
     """Spreads calls over the workers of a Dask client."""
 
+    def effective_n_jobs(self, n_jobs: int) -> int:
+        """Count the cores of the workers, and two where they have one: joblib would then work here, and not there."""
+        return max(2, int(super().effective_n_jobs(n_jobs)))
+
     async def _collect(self) -> None:
         """Hand every result on as it comes, and every failure: joblib 1.6 drops the latter."""
         while self._continue:

@@ -111,8 +111,7 @@ def test_a_worker_that_is_killed_and_one_that_comes_late_change_nothing(cluster,
     assert files(tmp_path / "there", *RESULTS) == files(tmp_path / "here", *RESULTS)
 
 
-@pytest.mark.long
-def test_a_run_goes_on_where_a_cluster_left_it(cluster, tmp_path):
+def test_a_run_goes_on_where_a_cluster_of_one_worker_left_it(cluster, tmp_path):
     cluster.add_worker()
     file = write_campaign(tmp_path)
     compute(file, tmp_path / "here", LONG)
