@@ -121,6 +121,8 @@ def started(*arguments: object) -> Iterator[subprocess.Popen[str]]:
     finally:
         if members(process.pid):
             stop(process)
+        for pipe in (process.stdout, process.stderr):
+            pipe.close()  # or it is told as a fault of whichever test comes next
 
 
 def wait_for_blocks(process: subprocess.Popen[str], run: Path, count: int) -> None:
