@@ -22,9 +22,7 @@ def test_two_dozen_rendered_images_come_to_an_orbit(tmp_path):
         assert chain["n_false"] < 0.05 * chain["n_detections"]
         assert chain["n_wrong"] < 0.05 * chain["n_correct"]
     hybrid, vote, optical = records["orbits"]
-    # The a priori orbit is 1 km off. Fourteen hours of images alone foretell no better than 1.1 km a day later.
-    assert max(hybrid["arc_rms_m"], vote["arc_rms_m"]) < 500.0
-    assert optical["arc_rms_m"] < 1000.0
-    assert vote["predicted_sigma_m"] < hybrid["predicted_sigma_m"] < optical["predicted_sigma_m"]
+    # The a priori orbit is 1 km off.
+    assert max(hybrid["arc_rms_m"], vote["arc_rms_m"], optical["arc_rms_m"]) < 500.0
     assert max(hybrid["epoch_nees"], vote["epoch_nees"], optical["epoch_nees"]) < 4.0
     assert len(list(tmp_path.glob("chain/*/*/detections-*/*.txt"))) == 24
