@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.archive import Archive
 from estimators.descriptors.features import DESCRIPTOR_BYTES, Kind
 from scenarios.errors import BoresightError
 from scenarios.limits import LARGEST_NUMBER
-from scenarios.reading import CONTENT_FAULTS, read_arrays
 
 FloatArray = NDArray[np.float64]
 
-FORMAT = "boresight-descriptors"
-FORMAT_VERSION = 1
 FILE = "descriptors.npz"
 
+_ARCHIVE = Archive(FILE, "descriptors", "boresight-descriptors", version=1)
 _UNIT = 1e-6
 
 
@@ -97,17 +95,14 @@ class DescriptorDatabase:
 
     def save(self, folder: Path) -> None:
         """Write ``descriptors.npz`` into ``folder``, which is made if absent; points in single precision."""
-        folder.mkdir(parents=True, exist_ok=True)
-        head = {"format": FORMAT, "version": FORMAT_VERSION, "kind": self.kind, "provenance": dict(self.provenance)}
         arrays: dict[str, NDArray[np.generic]] = {
-            "head": np.frombuffer(json.dumps(head).encode(), dtype=np.uint8),
             "counts": np.array([len(view.points_m) for view in self.views], dtype=np.int32),
             "camera_dirs_body": np.stack([view.camera_dir_body for view in self.views]),
             "sun_dirs_body": np.stack([view.sun_dir_body for view in self.views]),
             "points_m": np.concatenate([view.points_m for view in self.views]).astype(np.float32),
             "descriptors": np.concatenate([view.descriptors for view in self.views]),
         }
-        np.savez_compressed(folder / FILE, **arrays)  # type: ignore[arg-type]
+        _ARCHIVE.save(folder, {"kind": self.kind, "provenance": dict(self.provenance)}, arrays)
 
     @classmethod
     def load(cls, folder: Path) -> DescriptorDatabase:
@@ -118,21 +113,16 @@ class DescriptorDatabase:
         BoresightError
             If the file is missing or its content is wrong; the message names it.
         """
-        path = folder / FILE
-        try:
-            arrays = read_arrays(path)
-            head = json.loads(bytes(arrays["head"]).decode())
-            if (head["format"], head["version"]) == (FORMAT, FORMAT_VERSION):
-                ends = np.cumsum(arrays["counts"])[:-1]
-                points, descriptors = (np.split(arrays[name], ends) for name in ("points_m", "descriptors"))
-                directions = (arrays["camera_dirs_body"], arrays["sun_dirs_body"])
-                columns = zip(*directions, points, descriptors, strict=True)
-                views = tuple(ViewFeatures(c, s, p.astype(np.float64), d) for c, s, p, d in columns)
-                return cls(cast("Kind", head["kind"]), views, head["provenance"])
-            fault = f"it is not format {FORMAT!r} version {FORMAT_VERSION}"
-        except CONTENT_FAULTS as error:
-            fault = str(error)
-        raise BoresightError(f"{path}: cannot be read as a data base of descriptors: {fault}; build it again")
+        return _ARCHIVE.load(folder, cls._made)
+
+    @classmethod
+    def _made(cls, head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> DescriptorDatabase:
+        ends = np.cumsum(arrays["counts"])[:-1]
+        points, descriptors = (np.split(arrays[name], ends) for name in ("points_m", "descriptors"))
+        directions = (arrays["camera_dirs_body"], arrays["sun_dirs_body"])
+        columns = zip(*directions, points, descriptors, strict=True)
+        views = tuple(ViewFeatures(c, s, p.astype(np.float64), d) for c, s, p, d in columns)
+        return cls(cast("Kind", head["kind"]), views, head["provenance"])
 
 
 def _angle(units: FloatArray, unit: FloatArray) -> FloatArray:

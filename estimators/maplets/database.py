@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from estimators.archive import Archive
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
 from scenarios.limits import LARGEST_NUMBER
-from scenarios.reading import CONTENT_FAULTS, read_arrays
 
 FloatArray = NDArray[np.float64]
 
-FORMAT = "boresight-maplets"
-FORMAT_VERSION = 1
 FILE = "maplets.npz"
 
+_ARCHIVE = Archive(FILE, "maplets", "boresight-maplets", version=1)
 _HEIGHT_STEP_M = 0.01
 _NOTHING = np.iinfo(np.int16).min
 _ALBEDO_STEPS = np.iinfo(np.uint16).max
@@ -168,7 +167,6 @@ class MapletDatabase:
         Heights are whole centimetres in 16 bits, attitudes quaternions (w, x, y, z), albedo 16 bits of its greatest
         value.
         """
-        folder.mkdir(parents=True, exist_ok=True)
         steps = np.round(self.heights_m / _HEIGHT_STEP_M)
         if np.nanmax(np.abs(steps)) >= -int(_NOTHING):
             raise BoresightError(f"heights beyond {-int(_NOTHING) * _HEIGHT_STEP_M:g} m do not fit the format")
@@ -178,8 +176,6 @@ class MapletDatabase:
             "heights": np.where(np.isfinite(steps), steps, _NOTHING).astype(np.int16),
         }
         head = {
-            "format": FORMAT,
-            "version": FORMAT_VERSION,
             "spacing_m": self.spacing_m,
             "height_step_m": _HEIGHT_STEP_M,
             "provenance": dict(self.provenance),
@@ -187,8 +183,7 @@ class MapletDatabase:
         if self.albedo is not None:
             head["albedo_max"] = greatest = float(np.nanmax(self.albedo))
             arrays["albedo"] = np.round(np.nan_to_num(self.albedo) / greatest * _ALBEDO_STEPS).astype(np.uint16)
-        arrays["head"] = np.frombuffer(json.dumps(head).encode(), dtype=np.uint8)
-        np.savez_compressed(folder / FILE, **arrays)  # type: ignore[arg-type]
+        _ARCHIVE.save(folder, head, arrays)
 
     @classmethod
     def load(cls, folder: Path) -> MapletDatabase:
@@ -199,22 +194,12 @@ class MapletDatabase:
         BoresightError
             If the file is missing or its content is wrong; the message names it.
         """
-        path = folder / FILE
-        try:
-            arrays = read_arrays(path)
-            head = json.loads(bytes(arrays["head"]).decode())
-            _check_format(head)
-            stored = arrays["heights"]
-            heights_m = np.where(stored == _NOTHING, np.nan, stored * float(head["height_step_m"]))
-            albedo = arrays["albedo"] * (head["albedo_max"] / _ALBEDO_STEPS) if "albedo" in arrays else None
-            axes = Rotation.from_quat(arrays["quat_wxyz"], scalar_first=True).as_matrix()
-            return cls(arrays["centres_m"], axes, heights_m, float(head["spacing_m"]), albedo, head["provenance"])
-        except CONTENT_FAULTS as error:
-            raise BoresightError(
-                f"{path}: cannot be read as a data base of maplets: {error}; build it again"
-            ) from error
+        return _ARCHIVE.load(folder, cls._made)
 
-
-def _check_format(head: Mapping[str, object]) -> None:
-    if (head.get("format"), head.get("version")) != (FORMAT, FORMAT_VERSION):
-        raise BoresightError(f"is not format {FORMAT!r} version {FORMAT_VERSION}")
+    @classmethod
+    def _made(cls, head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> MapletDatabase:
+        stored = arrays["heights"]
+        heights_m = np.where(stored == _NOTHING, np.nan, stored * float(head["height_step_m"]))
+        albedo = arrays["albedo"] * (head["albedo_max"] / _ALBEDO_STEPS) if "albedo" in arrays else None
+        axes = Rotation.from_quat(arrays["quat_wxyz"], scalar_first=True).as_matrix()
+        return cls(arrays["centres_m"], axes, heights_m, float(head["spacing_m"]), albedo, head["provenance"])

@@ -1,0 +1,63 @@
+"""The NumPy archive, with a head in JSON, that a data base of landmarks is stored in."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenarios.errors import BoresightError
+from scenarios.reading import CONTENT_FAULTS, read_arrays
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Archive:
+    """What the archives of one kind of data base are called.
+
+    Parameters
+    ----------
+    file
+        Its name in the folder of the data base.
+    what
+        What it holds, for errors.
+    format, version
+        What its head says that it is.
+    """
+
+    file: str
+    what: str
+    format: str
+    version: int
+
+    def save(self, folder: Path, head: Mapping[str, object], arrays: Mapping[str, NDArray[np.generic]]) -> None:
+        """Write a data base into ``folder``, which is made if absent."""
+        folder.mkdir(parents=True, exist_ok=True)
+        text = json.dumps({"format": self.format, "version": self.version, **head})
+        np.savez_compressed(folder / self.file, head=np.frombuffer(text.encode(), dtype=np.uint8), **arrays)  # type: ignore[arg-type]
+
+    def load(self, folder: Path, make: Callable[[dict[str, Any], dict[str, NDArray[Any]]], T]) -> T:
+        """Make a data base of the head and the arrays that ``save`` wrote.
+
+        Raises
+        ------
+        BoresightError
+            If the file is missing, is another or its content is wrong; the message names it.
+        """
+        path = folder / self.file
+        try:
+            arrays = read_arrays(path)
+            head = json.loads(bytes(arrays["head"]).decode())
+            if (head.get("format"), head.get("version")) != (self.format, self.version):
+                raise BoresightError(f"it is not format {self.format!r} version {self.version}")
+            return make(head, arrays)
+        except CONTENT_FAULTS as error:
+            raise BoresightError(
+                f"{path}: cannot be read as a data base of {self.what}: {error}; build it again"
+            ) from error
