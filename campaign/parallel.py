@@ -188,7 +188,7 @@ class _Hand:
     def _started(self) -> ProcessPoolExecutor:
         if self._executor is None:
             self._executor = ProcessPoolExecutor(
-                max_workers=1, timeout=_IDLE_S, initializer=_follow_parent, initargs=(os.getpid(),),
+                max_workers=1, timeout=_IDLE_S, initializer=_follow_parent, initargs=(os.getpid(), self.note),
                 env=gpu_of_worker(self.place),
             )  # fmt: skip
         return self._executor
@@ -262,12 +262,16 @@ def _made(images_kept: bool, note: Path, function: Callable[..., T], call: Call)
         return time.perf_counter() - start, answer
 
 
-def _follow_parent(parent: int) -> None:
-    """End this worker soon after its parent: a killed run that goes on would take cores from the next start of it."""
+def _follow_parent(parent: int, note: Path) -> None:
+    """End this worker soon after its parent: a killed run that goes on would take cores from the next start of it.
+
+    Nobody else is left then to remove the worker's note.
+    """
 
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(1.0)
+        note.unlink(missing_ok=True)
         os._exit(1)
 
     threading.Thread(target=watch, name="follow-parent", daemon=True).start()

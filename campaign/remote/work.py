@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import json
 import pickle
 import shutil
@@ -46,8 +45,9 @@ def run_block_there(bundle: str, block: Block, images_kept: bool, limit_s: float
         where the method does not stop, while the worker stays.
     """
     with _ALONE, store_switched(images_kept):
-        campaign, folder = opened(bundle, from_scheduler)
-        workers = max(1, cores() // max(1, get_worker().state.nthreads))
+        this = get_worker()
+        campaign, folder = opened(bundle, from_scheduler, Path(this.local_directory))
+        workers = max(1, cores() // max(1, this.state.nthreads))
         bench = Bench(folder / RUN, workers, keep_images=False, limit_s=limit_s)
         if limit_s is None:
             return run_block(campaign, block, bench)
@@ -59,10 +59,12 @@ def run_block_there(bundle: str, block: Block, images_kept: bool, limit_s: float
 
 
 @lru_cache(maxsize=1)
-def opened(bundle: str, fetch: Fetch) -> tuple[ResolvedCampaign, Path]:
-    """Lay out a bundle in a folder of this process, and read the campaign so that it finds its data there."""
-    folder = Path(tempfile.mkdtemp(prefix="boresight-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+def opened(bundle: str, fetch: Fetch, below: Path) -> tuple[ResolvedCampaign, Path]:
+    """Lay out a bundle in a folder of this process, and read the campaign so that it finds its data there.
+
+    The folder lies below that of the worker, which Dask removes with it, or later where the worker was killed.
+    """
+    folder = Path(tempfile.mkdtemp(prefix="boresight-", dir=below))
     index = json.loads(asset_file(bundle, fetch).read_bytes())
     for name, sha256 in index.items():
         target = folder / name

@@ -163,13 +163,13 @@ def test_a_bundle_holds_what_a_scenario_reads_and_is_opened_elsewhere(bundled, t
     campaign, bundle = bundled
     monkeypatch.setenv("BORESIGHT_CACHE", str(tmp_path / "cache"))
     (tmp_path / "rock.obj").unlink()
-    there, folder = opened(bundle.digest, bundle.assets.__getitem__)
+    there, folder = opened(bundle.digest, bundle.assets.__getitem__, tmp_path)
     assert there.digest == campaign.digest
     assert (folder / "data" / "rock.obj").read_text().startswith("v 100 0 0")
     assert there.scenarios[0].search_dirs == (folder / "data",)
     asked = []
     opened.cache_clear()
-    opened(bundle.digest, lambda sha256: asked.append(sha256))
+    opened(bundle.digest, lambda sha256: asked.append(sha256), tmp_path)
     assert asked == [], "all of it is in the cache by now"
 
 

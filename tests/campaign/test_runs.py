@@ -100,6 +100,18 @@ def test_an_interrupted_run_says_so_and_continues(tiny_run, long_run, tmp_path):
     assert_same_results(long_run, out)
 
 
+def test_workers_of_a_killed_parent_end_and_leave_nothing_behind(tiny_run, tmp_path, monkeypatch):
+    out, temporary = tmp_path / "run", tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    with started(*asked(tiny_run, out)) as process:
+        wait_for_blocks(process, out, 1)
+        assert len(list(temporary.glob("boresight-worker-*"))) == 2
+        stop(process, signal.SIGKILL, workers_too=False)
+        assert gone(process.pid)
+    assert not list(temporary.glob("boresight-*"))
+
+
 def test_a_second_process_is_refused_and_the_first_goes_on(tiny_run, long_run, tmp_path, capsys):
     out = tmp_path / "run"
     with started(*asked(tiny_run, out, 1)) as process:
