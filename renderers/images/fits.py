@@ -8,12 +8,16 @@ import warnings
 import zlib
 from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError, one_line
 from scenarios.limits import MOST_PIXELS
+
+if TYPE_CHECKING:
+    from astropy.io import fits
 
 _COUNT = re.compile(rb"(Z?NAXIS[0-9]*|TFIELDS) *= *([0-9]+)")
 _MOST_AXES, _LONGEST_AXIS = 999, 1 << 31
@@ -58,6 +62,14 @@ def _check_axes(content: bytes, path: Path) -> None:
             )
 
 
+def _keywords(header: fits.Header) -> dict[str, object]:
+    """List the values of a header, of a keyword that is there twice the first.
+
+    It is not asked for them by name, as astropy takes a damaged name that holds an asterisk for a pattern.
+    """
+    return dict(reversed(list(header.items())))
+
+
 def _fits(content: bytes, path: Path) -> tuple[NDArray[np.generic], dict[str, object]]:
     """Read from memory, as astropy leaves a damaged file open."""
     # Imported here: astropy takes an eighth of the start-up, and most runs read no FITS file.
@@ -68,7 +80,7 @@ def _fits(content: bytes, path: Path) -> tuple[NDArray[np.generic], dict[str, ob
     try:
         with warnings.catch_warnings(action="ignore"), fits.open(BytesIO(content)) as units:
             unit = next((unit for unit in units if unit.is_image and unit.data is not None), None)
-            header = {} if unit is None else {**dict(units[0].header), **dict(unit.header)}
+            header = {} if unit is None else {**_keywords(units[0].header), **_keywords(unit.header)}
             image = None if unit is None else unit.data
     except (*_FAULTS, fits.VerifyError, CfitsioException) as error:
         raise BoresightError(f"{path}: not a readable FITS file: {one_line(error) or type(error).__name__}") from error

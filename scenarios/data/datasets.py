@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path, PurePosixPath
 from typing import Annotated, ClassVar, Self
 
@@ -51,8 +52,10 @@ class ListingSpec(SpecModel):
     @model_validator(mode="after")
     def _is_an_expression(self) -> Self:
         try:
-            re.compile(self.pattern)
-        except (re.error, OverflowError, RecursionError) as error:
+            # What is warned of is written otherwise by who means it.
+            with warnings.catch_warnings(action="error"):
+                re.compile(self.pattern)
+        except (re.error, OverflowError, RecursionError, Warning) as error:
             raise ValueError(f"pattern: {self.pattern!r} is no regular expression: {error}") from error
         return self
 

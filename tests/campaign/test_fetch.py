@@ -282,6 +282,10 @@ def test_a_listing_cannot_lead_out_of_its_folder(tmp_path, link):
         ("folder: a\nfiles: [{url: 'http://h/.boresight-fetched.json'}]", "ends in no plain file name"),
         ("folder: a\nfiles: [{url: 'file:///etc/passwd', name: b}]", "url: 'file:///etc/passwd' does not match"),
         ("folder: a\nlisting: {url: 'http://h/', pattern: '('}", "is no regular expression"),
+        (
+            "folder: a\nlisting: {url: 'http://h/', pattern: '[a--b]'}",
+            "is no regular expression: Possible set difference",
+        ),
     ],
 )
 def test_a_data_set_cannot_lead_out_of_its_folder(tmp_path, keys, line):

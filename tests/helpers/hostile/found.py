@@ -12,6 +12,14 @@ _POSES = (
     b"a.png,0,%s,0,0,0,0,0,2000,%s,0,0\n"
 )
 _FITS = b"SIMPLE  = T\nBITPIX  = %s\nNAXIS   = %s\ndata\n"
+_GREY = b"""SIMPLE  =                    T
+BITPIX  =                    8
+NAXIS   =                    2
+NAXIS1  =                    2
+NAXIS2  =                    1
+%s
+data
+0102"""
 _PACKED = b"""SIMPLE  =                    T
 BITPIX  =                    8
 NAXIS   =                    0
@@ -57,8 +65,11 @@ FOUND: dict[str, tuple[bytes, ...]] = {
     "scenario": (b"extends: /dev/zero\n", b"extends: /dev/stdin\n"),
     # JSON has no infinities: the digest raised ValueError.
     "campaign": (b"scenarios: [a]\nestimators: [prior: {b: .inf}]\ntrials: 1\nseed: 1\nset: {a: {b: [.nan]}}\n",),
-    # A name of nothing, or of the folder above.
-    "data-set": (b"title: a\nfolder: a\ncredit: a\nlicence: a\nfiles: [{url: 'http://h/..'}]\n",),
+    # A name of nothing, or of the folder above; a warning of re's.
+    "data-set": (
+        b"title: a\nfolder: a\ncredit: a\nlicence: a\nfiles: [{url: 'http://h/..'}]\n",
+        b"title: a\nfolder: a\ncredit: a\nlicence: a\nlisting: {url: 'http://h/', pattern: '[a--b]'}\n",
+    ),
     # What is asked for came back with what steers a terminal.
     "override": (
         b"\x1b[31m",
@@ -77,7 +88,8 @@ FOUND: dict[str, tuple[bytes, ...]] = {
     "png": (
         b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x06\0\0\0\x05\x08\0\0\0\0C3\xc2:\xff\xff\xff\xffIDAT\x08\xff\x7f\0\0\0\0\0\0",
     ),
-    # astropy: OverflowError, AttributeError, a loop over a thousand million axes, cfitsio's exception, a bomb.
+    # astropy: OverflowError, AttributeError, a loop over a thousand million axes, cfitsio's exception, a bomb; a name
+    # that is taken for a pattern.
     "fits": (
         _FITS % (b"-9223372036854775808", b"0"),
         _FITS % (b"8", b"0") + b"\nunit\nNAME    = 'x'",
@@ -85,6 +97,7 @@ FOUND: dict[str, tuple[bytes, ...]] = {
         _PACKED % (b"30", b"1", b"30"),
         _PACKED.replace(b"TFIELDS =                    1", b"TFIELDS =            999999999") % (b"1", b"1", b"1"),
         _PACKED % (b"60000", b"60000", b"60000"),
+        _GREY % b"(*      =                    1",
     ),
     # pvl mends a keyword with two values for ever; RecursionError; numbers beyond those of an array, or of any.
     "pds-label": (
