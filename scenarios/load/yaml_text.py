@@ -25,6 +25,10 @@ from scenarios.load.entry import Entry, Scalar
 MAX_VALUES = 20_000
 MAX_DEPTH = 40
 
+# What the parser raises beside its own: a version that it does not know ("%YAML 1.9") is an assertion of it, an escape
+# beyond Unicode ("\\U00110000") chr()'s own error.
+_FAULTS = (ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
+
 # The tag resolution of YAML 1.2's core schema, section 10.3.2.
 _NULL = frozenset({"", "~", "null", "Null", "NULL"})
 _BOOL = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
@@ -60,10 +64,16 @@ def parse_yaml(text: str, source: str, *, place: str | None = None) -> Entry:
         mark = error.problem_mark or error.context_mark
         line = f":{mark.line + 1}" if mark is not None else ""
         raise _invalid(place or source + line, error.problem or error.context) from error
-    except (YAMLError, ValueError, AssertionError) as error:
-        # An escape beyond Unicode ("\\U00110000") leaves the parser as chr()'s own ValueError, a version that it does
-        # not know ("%YAML 1.9") as an assertion.
+    except YAMLError as error:
         raise _invalid(place or source, error) from error
+
+
+def _events_of(text: str) -> Iterator[Any]:
+    """Parse a text, and let what else the parser raises for a wrong one be errors of YAML."""
+    try:
+        yield from YAML(typ="safe", pure=True).parse(text)
+    except _FAULTS as error:
+        raise YAMLError(one_line(error) or type(error).__name__) from error
 
 
 def _invalid(place: str, what: object) -> BoresightError:
@@ -91,7 +101,7 @@ class _Builder:
     """Builds entries from the parser's events; the alias of an anchor shares its entry."""
 
     def __init__(self, text: str, source: str, place: str | None) -> None:
-        self._events: Iterator[Any] = YAML(typ="safe", pure=True).parse(text)
+        self._events = _events_of(text)
         self._source = source
         self._place = place
         self._anchors: dict[str, tuple[Entry, int]] = {}

@@ -60,7 +60,14 @@ _MAPLETS = b"head |u1 2 {}\ncentres_m <f8 %s 1.0"
 
 FOUND: dict[str, tuple[bytes, ...]] = {
     # Errors of the parser that have no mark.
-    "yaml": (b"%YAML 9.9\n--- a", b"%YAML 1.9\n--- a", b"%TAG ! tag:x,2000:\n--- !y z", b"&a &b c", b'"\\U00110000"'),
+    "yaml": (
+        b"%YAML 9.9\n--- a",
+        b"%YAML 1.9\n--- a",
+        b"%TAG ! tag:x,2000:\n--- !y z",
+        b"&a &b c",
+        b'"\\U00110000"',
+        b'"\\UFFFFFFFF"',
+    ),
     # A pipe or a device has no size, and no end.
     "scenario": (b"extends: /dev/zero\n", b"extends: /dev/stdin\n"),
     # JSON has no infinities: the digest raised ValueError.
