@@ -135,6 +135,7 @@ def _made_good(hand: _Hand, after_death: AfterDeath) -> list[tuple[int, Call]]:
     if not lost:
         return []
     instead = after_death([call for _, call in lost], hand.note)
+    hand.note.unlink(missing_ok=True)  # the next process may end before any method is at work, which is not to blame
     return [(index, call) for (index, _), call in zip(lost, instead, strict=True)]
 
 

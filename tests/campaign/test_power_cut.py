@@ -18,12 +18,14 @@ from tiny_campaign import (
     command,
     members,
     started,
+    stop,
     wait_for_blocks,
     workers,
     write_campaign,
 )
 from tiny_sequences import write_sequences
 
+from campaign import parallel
 from campaign.experiments.sequence import SequenceTrials
 from campaign.request import RunRequest
 from campaign.resolve import resolve
@@ -197,22 +199,39 @@ def test_kills_at_random_instants_change_nothing(tmp_path, instants):
 
 
 @pytest.mark.long
-def test_workers_that_are_killed_again_and_again_are_replaced(tmp_path):
+def test_workers_that_are_killed_again_and_again_are_replaced(tmp_path, monkeypatch):
     """Each kill ends what a worker does at a random instant; only a method that is hit twice is stored as an error."""
-    text = "scenarios: [scene]\nestimators: [prior]\ntrials: 1000\nseed: 5\n"
+    text, kills = "scenarios: [scene]\nestimators: [prior]\ntrials: 3000\nseed: 5\n", 10
     file, rng = write_campaign(tmp_path, text), np.random.default_rng(3)
+    notes = tmp_path / "notes"
+    notes.mkdir()
+    monkeypatch.setenv("TMPDIR", str(notes))
     with started("run", file, "--jobs", 2, "--out", tmp_path / "run") as process:
-        for _ in range(10):
-            # More than there are now: so both workers are there again, which a burst of stored blocks does not tell.
-            wait_for_blocks(process, tmp_path / "run", 3 + len(list((tmp_path / "run" / "rows").glob("*.parquet"))))
+        for _ in range(kills):
+            wait_for_work(process, tmp_path / "run", notes)
             time.sleep(rng.uniform(0.0, 0.2))
             os.kill(int(rng.choice(workers(process.pid))), signal.SIGKILL)
         said, errors = process.communicate(timeout=600)
         assert process.returncode == 0, errors
-        assert " ".join(said.split()).count("tried again") == 10
+        assert " ".join(said.split()).count("tried again") == kills
     done = subprocess.run(command("run", file, "--jobs", 1, "--out", tmp_path / "whole"), check=False)
     assert done.returncode == 0
     assert_same_results(tmp_path / "whole", tmp_path / "run")
+
+
+def wait_for_work(process: subprocess.Popen[str], run: Path, notes: Path) -> None:
+    """Wait until both workers have been at a method since now, and what was lost before is stored.
+
+    A block that loses its process three times before any method is at work ends the run, as it should, and a worker
+    without a block has nothing to lose.
+    """
+    now, limit = time.time() + 0.02, time.monotonic() + 120.0
+    while len(fresh := [note for note in notes.glob("boresight-worker-*") if note.stat().st_mtime > now]) < 2:
+        if process.poll() is not None or time.monotonic() > limit:
+            raise RuntimeError(f"only {len(fresh)} workers were at work: {stop(process)}")
+        time.sleep(0.001)
+    # Blocks are stored in order, so none that is stored later was under way.
+    wait_for_blocks(process, run, len(list(run.glob("rows/*.parquet"))) + 2 * parallel._AHEAD + 1)
 
 
 @pytest.mark.long

@@ -150,6 +150,29 @@ def test_a_process_that_hangs_in_compiled_code_is_replaced_and_the_others_go_on(
     assert os.getpid() not in pids
 
 
+def unlucky_block(folder, block, _bench, _lost):
+    """Stand for ``run_block``: its process ends under a method, the next one before any, the third does not."""
+    tries = len(list(folder.iterdir()))
+    (folder / str(tries)).touch()
+    if tries == 0:
+        guarded(CALL, lambda: os._exit(1))
+    if tries == 1:
+        os._exit(1)
+    return [guarded(Call(block.scenario, trial, "mine"), os.getpid) for trial in range(block.first, block.last)]
+
+
+def test_a_method_is_not_to_blame_for_a_process_that_ends_before_it(tmp_path):
+    told, folder = [], tmp_path / "tries"
+    folder.mkdir()
+    calls = [(folder, *arguments(2)[1:])]
+    (pids,) = in_order(1, unlucky_block, calls, apart=True, after_death=Losses(told.append).after)
+    assert len(pids) == 2
+    assert told == [
+        "trial 3 of scene, mine: its process ended (killed, or crashed): tried again in another",
+        "trials 2 to 3 of scene: their process ended: tried again",
+    ]
+
+
 def told_its_process(number):
     return number, os.getpid()
 
