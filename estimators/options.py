@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from scenarios.errors import BoresightError
+from scenarios.errors import BoresightError, printable
 from scenarios.spec.base import SpecModel
 
 Model = TypeVar("Model", bound=SpecModel)
@@ -25,8 +25,10 @@ def parse_options(model: type[Model], options: Mapping[str, object], estimator: 
         return model.model_validate(dict(options))
     except ValidationError as error:
         lines = [
-            f"estimator {estimator}: {'.'.join(str(part) for part in item['loc']) or 'options'}:"
-            f" {item['msg']} (got {item['input']!r})"
+            printable(
+                f"estimator {estimator}: {'.'.join(str(part) for part in item['loc']) or 'options'}:"
+                f" {item['msg']} (got {item['input']!r})"
+            )
             for item in error.errors(include_url=False)
         ]
         raise BoresightError("\n".join(lines)) from error

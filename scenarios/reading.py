@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from scenarios.errors import BoresightError, one_line
+from scenarios.errors import BoresightError, one_line, printable
 from scenarios.limits import may_unfold
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -83,7 +83,7 @@ def held_to(model: type[Model], plain: object) -> Model:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise ValueError(f"{place}: {first['msg']}" if place else first["msg"]) from error
+        raise ValueError(printable(f"{place}: {first['msg']}" if place else first["msg"])) from error
 
 
 def unreadable(path: Path, what: str, error: Exception) -> BoresightError:

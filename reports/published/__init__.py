@@ -6,11 +6,12 @@ import re
 from importlib import resources
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from reports.records import DERIVED, DIAGNOSTICS, REDUCTION, UNITS, unit_of
 from scenarios.errors import BoresightError
 from scenarios.load.yaml_text import parse_yaml
+from scenarios.reading import held_to
 
 _FILES = ("cheng2003.yaml", "delpech2015.yaml", "rowell2015.yaml")
 _SCALE = {
@@ -190,8 +191,6 @@ def parse(text: str, file: str) -> _Document:
         If the text is not YAML or does not fit the schema.
     """
     try:
-        return _Document.model_validate(parse_yaml(text, file).plain())
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise BoresightError(f"{file}: {place}: {first['msg']}") from error
+        return held_to(_Document, parse_yaml(text, file).plain())
+    except ValueError as error:
+        raise BoresightError(f"{file}: {error}") from error

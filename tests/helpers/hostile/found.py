@@ -84,6 +84,8 @@ FOUND: dict[str, tuple[bytes, ...]] = {
         # Overflow: a focal length that no number holds.
         b"camera.fov_deg=1e-320",
     ),
+    # The name of a key of several lines.
+    "options": (b'"a\\n\\nb": 1\n',),
     # Complaints of several lines; RecursionError.
     "published": (b"source: a\nsource: a\n", b"source: " + b"{a: " * 2000),
     # A warning of NumPy's: corners with and without a place on a texture.
