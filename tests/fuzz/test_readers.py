@@ -5,13 +5,15 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from hostile.found import FOUND
 from hostile.guard import LIMIT_BYTES, TooMuchError, TooSlowError, fed
 from hostile.mutations import drawn, mutated
-from hostile.process import python
 from hostile.target import Target
 from hostile.targets import TARGETS
 from hypothesis import HealthCheck, Phase, example, given, seed, settings
@@ -21,6 +23,7 @@ from scenarios.errors import BoresightError
 # Inputs are files: told of in full where they are the fault, however long.
 pytestmark = pytest.mark.filterwarnings("ignore:Generating overly large repr")
 
+ROOT = Path(__file__).parents[2]
 FEW, MANY = 200, 10_000
 _SHOWN = 2000
 
@@ -42,6 +45,16 @@ def fuzz(name: str, inputs: int, folder: Path) -> None:
         suppress_health_check=list(HealthCheck),
     )
     checks(seed(2003)(trial))()
+
+
+def python(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run Python with what is here to be imported."""
+    places = os.pathsep.join([str(ROOT), str(ROOT / "tests" / "helpers"), os.environ.get("PYTHONPATH", "")])
+    return subprocess.run(
+        [sys.executable, *map(str, words)],
+        capture_output=True, text=True, errors="replace", check=False, cwd=cwd,
+        env={**os.environ, "PYTHONPATH": places},
+    )  # fmt: skip
 
 
 def test_what_is_found_belongs_to_a_reader():
@@ -69,6 +82,15 @@ def test_damaged_files_give_a_value_or_lines(tmp_path, name):
 @pytest.mark.parametrize("name", TARGETS)
 def test_very_many_damaged_files_give_a_value_or_lines(tmp_path, name):
     fuzz(name, MANY, tmp_path)
+
+
+@pytest.mark.long
+def test_inputs_that_follow_the_code_give_a_value_or_lines(tmp_path):
+    """Atheris: edits that reach new lines of ours and of the parsers in Python are edited further."""
+    pytest.importorskip("atheris", reason="atheris is absent: pip install 'boresight[fuzz]'")
+    done = python("-m", "hostile.atheris_run", "--runs", MANY, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
+    assert [line.partition(":")[0] for line in done.stdout.splitlines()] == list(TARGETS)
 
 
 HARMFUL = {
