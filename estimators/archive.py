@@ -40,7 +40,8 @@ class Archive:
         """Write a data base into ``folder``, which is made if absent."""
         folder.mkdir(parents=True, exist_ok=True)
         text = json.dumps({"format": self.format, "version": self.version, **head})
-        np.savez_compressed(folder / self.file, head=np.frombuffer(text.encode(), dtype=np.uint8), **arrays)  # type: ignore[arg-type]
+        every = {"head": np.frombuffer(text.encode(), dtype=np.uint8), **arrays}
+        np.savez_compressed(folder / self.file, allow_pickle=False, **every)
 
     def load(self, folder: Path, make: Callable[[dict[str, Any], dict[str, NDArray[Any]]], T]) -> T:
         """Make a data base of the head and the arrays that ``save`` wrote.
