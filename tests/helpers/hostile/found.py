@@ -12,14 +12,6 @@ _POSES = (
     b"a.png,0,%s,0,0,0,0,0,2000,%s,0,0\n"
 )
 _FITS = b"SIMPLE  = T\nBITPIX  = %s\nNAXIS   = %s\ndata\n"
-_GREY = b"""SIMPLE  =                    T
-BITPIX  =                    8
-NAXIS   =                    2
-NAXIS1  =                    2
-NAXIS2  =                    1
-%s
-data
-0102"""
 _PACKED = b"""SIMPLE  =                    T
 BITPIX  =                    8
 NAXIS   =                    0
@@ -106,7 +98,7 @@ FOUND: dict[str, tuple[bytes, ...]] = {
         _PACKED % (b"30", b"1", b"30"),
         _PACKED.replace(b"TFIELDS =                    1", b"TFIELDS =            999999999") % (b"1", b"1", b"1"),
         _PACKED % (b"60000", b"60000", b"60000"),
-        _GREY % b"(*      =                    1",
+        _FITS % (b"8", b"2\nNAXIS1  = 2\nNAXIS2  = 1\n(*      = 1") + b"0102",
     ),
     # pvl mends a keyword with two values for ever; RecursionError; numbers beyond those of an array, or of any.
     "pds-label": (
