@@ -40,12 +40,16 @@ class Fit:
         Of the two images over the pixels that were compared; NaN where the rendering is empty.
     steps
         Steps taken in all.
+    masked_share
+        Share of the pixels to compare that were left out because the rendering or a derivative of it is not finite
+        there.
     """
 
     T_cam_body: Pose
     information: FloatArray
     correlation: float
     steps: int
+    masked_share: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,23 +92,28 @@ def fit_level(
     gradient = available_gradient(options.gradient, view.renderer)
     target = band(reduced_image(observed, level.reduction), level)
     steps = parameter_steps(start, camera.pixel_angle_rad, size_m, options.difference_px)
-    pose, fit, jacobian, moved_px = start, None, None, 0.0
+    pose, fit, jacobian, moved_px, sound = start, None, None, 0.0, np.ones(target.shape, dtype=np.bool_)
     for count in range(1, level.iterations + 1):
         if jacobian is None or moved_px > _STALE_PX:
             image, derivatives = linearised(reduced, pose, gradient, steps)
-            jacobian, moved_px = [band(derivative, level) for derivative in derivatives], 0.0
+            sound = np.isfinite(derivatives).all(axis=0)
+            jacobian, moved_px = [band(_finite(derivative), level) for derivative in derivatives], 0.0
         else:
             image = reduced.render(pose)
-        rendered = band(image, level)
+        usable = sound & np.isfinite(image)
+        rendered = band(_finite(image), level)
         if not rendered.any():
             return Fit(pose, prior.information, float("nan"), count)
-        compared = _compared(target, rendered)
+        lit = _compared(target, rendered)
+        compared = lit & usable
+        if not compared.any():
+            return Fit(pose, prior.information, float("nan"), count, 1.0)
         normal, vector, correlation = _normal_equations(target, rendered, jacobian, compared, options)
         normal += prior.information
         vector -= prior.information @ prior.error(pose)
         step = _solve(normal, vector)
         pose = pose.perturbed(step[:3], step[3:])
-        fit = Fit(pose, normal, correlation, count)
+        fit = Fit(pose, normal, correlation, count, float(1.0 - compared.sum() / lit.sum()))
         step_px = float(np.abs(step / steps).max()) * options.difference_px
         moved_px += step_px
         if step_px < options.tolerance_px:
@@ -112,6 +121,11 @@ def fit_level(
     if fit is None:
         raise ValueError("a level has at least one iteration")
     return fit
+
+
+def _finite(image: Image) -> Image:
+    """Replace what is not finite by 0, which filters would spread; such pixels are not compared."""
+    return np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
 
 
 def _compared(target: Image, rendered: Image) -> NDArray[np.bool_]:

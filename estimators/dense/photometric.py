@@ -26,7 +26,7 @@ class PhotometricEstimator:
     """Aligns renderings of the onboard shape with the image, coarse to fine, maximum a posteriori."""
 
     name: ClassVar[str] = "photometric"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
     def __init__(self, renderer: ImageRenderer, size_m: float, options: PhotometricOptions) -> None:
         self._renderer = renderer
@@ -66,7 +66,11 @@ class PhotometricEstimator:
             covariances=bounds,
             bounds=bounds,
             stages=self._stages(found[-1]),
-            diagnostics={"correlation": fits[-1].correlation, "steps": sum(fit.steps for fit in found[-1].fits)},
+            diagnostics={
+                "correlation": fits[-1].correlation,
+                "steps": sum(fit.steps for fit in found[-1].fits),
+                "masked_share": fits[-1].masked_share,
+            },
             timings_s=clock.seconds,
         )
 

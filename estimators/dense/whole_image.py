@@ -50,7 +50,7 @@ class WholeImageRecognizer(LandmarkRecognizer):
     """
 
     name: ClassVar[str] = "whole-image"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:

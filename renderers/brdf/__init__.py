@@ -1,6 +1,6 @@
 """The reflectance models: each formula written once, for NumPy arrays and Dr.Jit arrays alike."""
 
-from renderers.brdf.arrays import NUMPY, ArrayMath
+from renderers.brdf.arrays import NUMPY, ArrayMath, phase_angle, phase_of_rays
 from renderers.brdf.evaluate import brdf_value
 from renderers.brdf.hapke import HapkeParameters, hapke
 from renderers.brdf.lambert import lambert
@@ -24,4 +24,6 @@ __all__ = [
     "lommel_seeliger",
     "mcewen",
     "oren_nayar",
+    "phase_angle",
+    "phase_of_rays",
 ]

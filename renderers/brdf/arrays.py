@@ -21,7 +21,7 @@ class ArrayMath:
     log: Callable[[Array], Array]
     sin: Callable[[Array], Array]
     cos: Callable[[Array], Array]
-    acos: Callable[[Array], Array]
+    atan2: Callable[[Array, Array], Array]
     maximum: Callable[[Array, Array], Array]
     minimum: Callable[[Array, Array], Array]
     where: Callable[[Array, Array, Array], Array]
@@ -33,7 +33,7 @@ NUMPY = ArrayMath(
     log=np.log,
     sin=np.sin,
     cos=np.cos,
-    acos=np.arccos,
+    atan2=np.arctan2,
     maximum=np.maximum,
     minimum=np.minimum,
     where=np.where,
@@ -49,18 +49,66 @@ def grazing_safe(cosine: Array, xp: ArrayMath) -> Array:
     return xp.minimum(xp.maximum(cosine, COS_MIN), 1.0)
 
 
-def sine(cosine: Array, xp: ArrayMath) -> Array:
-    """Sine of an angle in [0, pi] from its cosine."""
-    return xp.sqrt(xp.maximum(1.0 - cosine * cosine, 0.0))
+# Square roots are taken of this at least: an angle of 1e-6 rad. It is below the rounding of single precision, where
+# the sine of the smallest angle that a cosine can tell from zero is 2.4e-4.
+_SQUARE_MIN = 1e-12
+# Directions closer to the normal than this have no azimuth.
+_SINE_MIN = 1e-5
 
 
-def azimuth_haversine(cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> Array:
-    """sin^2(psi / 2) of the azimuth psi between the planes of incidence and emission.
+def root(square: Array, xp: ArrayMath) -> Array:
+    """Square root with a finite derivative everywhere.
 
-    It follows from the spherical law of haversines ``hav g = hav(i - e) + sin i sin e hav psi``, which keeps its
-    digits in single precision towards opposition, where the law of cosines loses them. Where one of the
-    directions is the normal the azimuth is undefined; any value in [0, 1] then gives the same reflectance.
+    The derivative of sqrt is infinite at zero, and times a zero change (of a clipped argument) not a number. Sines of
+    angles that are roots of zero have a kink there, of which 0 is the mean slope, and 0 is what comes out.
     """
-    half_g, half_difference = xp.sin(0.5 * phase_rad), xp.sin(0.5 * (xp.acos(cos_i) - xp.acos(cos_e)))
-    sines = xp.maximum(sine(cos_i, xp) * sine(cos_e, xp), 1e-9)
-    return xp.minimum(xp.maximum((half_g * half_g - half_difference * half_difference) / sines, 0.0), 1.0)
+    return xp.sqrt(xp.maximum(square, _SQUARE_MIN))
+
+
+def sine(cosine: Array, xp: ArrayMath) -> Array:
+    """Sine of an angle in [0, pi] from its cosine, 1e-6 at least."""
+    return root((1.0 - cosine) * (1.0 + cosine), xp)
+
+
+def phase_angle(sum_squared: Array, difference_squared: Array, xp: ArrayMath) -> Array:
+    """Phase angle, rad, from the squared lengths of the sum and of the difference of two unit vectors.
+
+    The vectors are the direction to the light and the *negative* of that to the viewer, so that the sum vanishes at
+    opposition.
+    """
+    return 2.0 * xp.atan2(root(sum_squared, xp), root(difference_squared, xp))
+
+
+def phase_of_rays(sun: Array, directions: Array) -> Array:
+    """Phase angles (N,), rad, of the unit direction to the Sun (3,) and unit rays (N, 3) from the viewer: NumPy."""
+    return phase_angle(((sun + directions) ** 2).sum(axis=1), ((sun - directions) ** 2).sum(axis=1), NUMPY)
+
+
+def smaller_and_larger_angle(cos_i: Array, cos_e: Array, xp: ArrayMath) -> tuple[Array, Array]:
+    """Cosines of the smaller and of the larger of two angles, with the mean derivative of both where they are equal.
+
+    Laws that are written in these have a kink there; maximum and minimum would both take the derivative of one angle.
+    """
+    mean = 0.5 * (cos_i + cos_e)
+    smaller = xp.where(cos_i > cos_e, cos_i, xp.where(cos_i < cos_e, cos_e, mean))
+    return smaller, xp.where(cos_i > cos_e, cos_e, xp.where(cos_i < cos_e, cos_i, mean))
+
+
+def azimuth_squares(cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath) -> tuple[Array, Array]:
+    """sin^2(psi / 2) and cos^2(psi / 2) of the azimuth psi between the planes of incidence and emission.
+
+    They follow from the spherical law of haversines, ``sin^2(g/2) = sin^2((i - e)/2) + sin i sin e sin^2(psi/2)`` and
+    ``cos^2(g/2) = cos^2((i + e)/2) + sin i sin e cos^2(psi/2)``, of which the one with the smaller square keeps its
+    digits in single precision, where the law of cosines loses them. Where one of the directions is the normal the
+    azimuth is undefined and any value gives the same reflectance: 1/2 is returned for both.
+    """
+    sin_i, sin_e = sine(cos_i, xp), sine(cos_e, xp)
+    i, e = xp.atan2(sin_i, cos_i), xp.atan2(sin_e, cos_e)
+    defined, sines = xp.minimum(sin_i, sin_e) > _SINE_MIN, sin_i * sin_e
+    sin_g, sin_apart = xp.sin(0.5 * phase_rad), xp.sin(0.5 * (i - e))
+    cos_g, cos_mean = xp.cos(0.5 * phase_rad), xp.cos(0.5 * (i + e))
+    sine_square, cosine_square = sin_g * sin_g - sin_apart * sin_apart, cos_g * cos_g - cos_mean * cos_mean
+    near = sine_square < cosine_square
+    smaller = xp.where(near, sine_square, cosine_square) / sines
+    smaller = xp.where(defined, xp.minimum(xp.maximum(smaller, 0.0), 0.5), 0.5)
+    return xp.where(near, smaller, 1.0 - smaller), xp.where(near, 1.0 - smaller, smaller)

@@ -12,10 +12,8 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any, Literal
 
-from renderers.brdf.arrays import Array, ArrayMath, azimuth_haversine, grazing_safe, sine
+from renderers.brdf.arrays import Array, ArrayMath, azimuth_squares, grazing_safe, root, sine, smaller_and_larger_angle
 from renderers.brdf.phase import henyey_greenstein
-
-_TINY = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +68,9 @@ def hapke(p: HapkeParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: 
         The array library of the angles.
     """
     cos_i, cos_e = grazing_safe(cos_i, xp), grazing_safe(cos_e, xp)
-    half = azimuth_haversine(cos_i, cos_e, phase_rad, xp)
-    cos_a, cos_b = xp.maximum(cos_i, cos_e), xp.minimum(cos_i, cos_e)
-    mu_a, mu_b, shadowing = _rough_surface(p.theta_bar_rad, cos_a, cos_b, half, xp)
+    cos_a, cos_b = smaller_and_larger_angle(cos_i, cos_e, xp)
+    azimuth = azimuth_squares(cos_i, cos_e, phase_rad, xp)
+    mu_a, mu_b, shadowing = _rough_surface(p.theta_bar_rad, cos_a, cos_b, azimuth, xp)
     single = (1.0 + opposition_surge(p, phase_rad, xp)) * henyey_greenstein(p.b, p.c, xp.cos(phase_rad), xp)
     multiple = h_function(p, mu_a, xp) * h_function(p, mu_b, xp) - 1.0
     return p.w / (4.0 * pi) / (mu_a + mu_b) * (single + multiple) * shadowing
@@ -94,11 +92,11 @@ def h_function(p: HapkeParameters, x: Array, xp: ArrayMath) -> Array:
 
 
 def _rough_surface(
-    theta_bar_rad: Array, cos_a: Array, cos_b: Array, half: Array, xp: ArrayMath
+    theta_bar_rad: Array, cos_a: Array, cos_b: Array, azimuth: tuple[Array, Array], xp: ArrayMath
 ) -> tuple[Array, Array, Array]:
     """Effective cosines of the angles a <= b, and the shadowing S mu_a mu_b / (mu_a0 mu_b0) of the BRDF.
 
-    ``half`` is sin^2(psi / 2) of the azimuth psi. A slope of zero is a smooth surface; it is approached to
+    ``azimuth`` is sin^2 and cos^2 of half the azimuth psi. A slope of zero is a smooth surface; it is approached to
     1e-5 rad, so that its cotangent stays finite.
     """
     tan_t = xp.maximum(xp.sin(theta_bar_rad) / xp.cos(theta_bar_rad), 1e-5)
@@ -106,19 +104,21 @@ def _rough_surface(
     sin_a, sin_b = sine(cos_a, xp), sine(cos_b, xp)
     e1_a, e2_a = _roughness_exponentials(cos_a, sin_a, tan_t, xp)
     e1_b, e2_b = _roughness_exponentials(cos_b, sin_b, tan_t, xp)
-    cos_psi = 1.0 - 2.0 * half
-    tilt = tan_t / (2.0 - e1_b - xp.acos(cos_psi) / pi * e1_a)
+    half, cos_psi = azimuth[0], azimuth[1] - azimuth[0]
+    sin_half_psi, cos_half_psi = root(azimuth[0], xp), root(azimuth[1], xp)
+    psi = 2.0 * xp.atan2(sin_half_psi, cos_half_psi)
+    tilt = tan_t / (2.0 - e1_b - psi / pi * e1_a)
     mu_a = chi * (cos_a + sin_a * tilt * (cos_psi * e2_b + half * e2_a))
     mu_b = chi * (cos_b + sin_b * tilt * (e2_b - half * e2_a))
     mu_a0 = chi * (cos_a + sin_a * tan_t * e2_a / (2.0 - e1_a))
     mu_b0 = chi * (cos_b + sin_b * tan_t * e2_b / (2.0 - e1_b))
     mu_a, mu_b = xp.maximum(mu_a, 1e-6), xp.maximum(mu_b, 1e-6)
-    f = xp.exp(-2.0 * xp.sqrt(half / xp.maximum(1.0 - half, _TINY)))  # exp(-2 tan(psi / 2))
+    f = xp.exp(-2.0 * sin_half_psi / cos_half_psi)
     visible = chi / (1.0 - f + f * chi * cos_a / mu_a0)
     return mu_a, mu_b, mu_a / mu_a0 * mu_b / mu_b0 * visible
 
 
 def _roughness_exponentials(cosine: Array, sin: Array, tan_t: Array, xp: ArrayMath) -> tuple[Array, Array]:
     """E1 and E2 of the 1984 paper for one angle."""
-    k = cosine / (xp.maximum(sin, 1e-9) * tan_t)  # cot(theta_bar) cot(x)
+    k = cosine / (sin * tan_t)  # cot(theta_bar) cot(x)
     return xp.exp(-2.0 / pi * k), xp.exp(-1.0 / pi * k * k)

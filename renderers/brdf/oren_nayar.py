@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any, Literal
 
-from renderers.brdf.arrays import Array, ArrayMath, azimuth_haversine, grazing_safe, sine
+from renderers.brdf.arrays import Array, ArrayMath, azimuth_squares, grazing_safe, sine, smaller_and_larger_angle
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,33 +56,39 @@ def oren_nayar(p: OrenNayarParameters, cos_i: Array, cos_e: Array, phase_rad: Ar
         The array library of the angles.
     """
     cos_i, cos_e = grazing_safe(cos_i, xp), grazing_safe(cos_e, xp)
-    cos_phi = 1.0 - 2.0 * azimuth_haversine(cos_i, cos_e, phase_rad, xp)
-    cos_alpha, cos_beta = xp.minimum(cos_i, cos_e), xp.maximum(cos_i, cos_e)
+    cos_beta, cos_alpha = smaller_and_larger_angle(cos_i, cos_e, xp)
     model = _full if p.form == "full" else _qualitative
-    return xp.maximum(model(p, cos_alpha, cos_beta, cos_phi, xp), 0.0)
+    return xp.maximum(model(p, cos_alpha, cos_beta, azimuth_squares(cos_i, cos_e, phase_rad, xp), xp), 0.0)
 
 
-def _full(p: OrenNayarParameters, cos_alpha: Array, cos_beta: Array, cos_phi: Array, xp: ArrayMath) -> Array:
-    """Single scattering plus one interreflection; alpha is the larger of the two angles, beta the smaller."""
-    alpha, beta = xp.acos(cos_alpha), xp.acos(cos_beta)
+def _full(
+    p: OrenNayarParameters, cos_alpha: Array, cos_beta: Array, azimuth: tuple[Array, Array], xp: ArrayMath
+) -> Array:
+    """Single scattering plus one interreflection; alpha is the larger of the two angles, beta the smaller.
+
+    ``azimuth`` is sin^2 and cos^2 of half the azimuth phi.
+    """
+    cos_phi = azimuth[1] - azimuth[0]
     sin_alpha, sin_beta = sine(cos_alpha, xp), sine(cos_beta, xp)
+    alpha, beta = xp.atan2(sin_alpha, cos_alpha), xp.atan2(sin_beta, cos_beta)
     s2 = p.sigma_rad * p.sigma_rad
     beta_cubed = (2.0 * beta / pi) * (2.0 * beta / pi) * (2.0 * beta / pi)
     product = 4.0 * alpha * beta / (pi * pi)
     c1 = 1.0 - 0.5 * s2 / (s2 + 0.33)
     c2 = 0.45 * s2 / (s2 + 0.09) * (sin_alpha - xp.where(cos_phi >= 0.0, 0.0, beta_cubed))
     c3 = 0.125 * s2 / (s2 + 0.09) * product * product
-    abs_phi = xp.maximum(cos_phi, -cos_phi)
     tan_mean = (sin_alpha + sin_beta) / (cos_alpha + cos_beta)  # tan((alpha + beta) / 2)
-    first = c1 + cos_phi * c2 * sin_beta / cos_beta + (1.0 - abs_phi) * c3 * tan_mean  # L_r^1
+    first = c1 + cos_phi * c2 * sin_beta / cos_beta + 2.0 * xp.minimum(*azimuth) * c3 * tan_mean  # L_r^1
     second = 0.17 * s2 / (s2 + 0.13) * (1.0 - cos_phi * (2.0 * beta / pi) * (2.0 * beta / pi))  # L_r^2
     return p.albedo / pi * (first + p.albedo * second)
 
 
-def _qualitative(p: OrenNayarParameters, cos_alpha: Array, cos_beta: Array, cos_phi: Array, xp: ArrayMath) -> Array:
+def _qualitative(
+    p: OrenNayarParameters, cos_alpha: Array, cos_beta: Array, azimuth: tuple[Array, Array], xp: ArrayMath
+) -> Array:
     """Return the simplified model: the paper's A and B, without C3 and interreflection."""
     s2 = p.sigma_rad * p.sigma_rad
     a = 1.0 - 0.5 * s2 / (s2 + 0.33)
     b = 0.45 * s2 / (s2 + 0.09)
     tan_beta = sine(cos_beta, xp) / cos_beta
-    return p.albedo / pi * (a + b * xp.maximum(cos_phi, 0.0) * sine(cos_alpha, xp) * tan_beta)
+    return p.albedo / pi * (a + b * xp.maximum(azimuth[1] - azimuth[0], 0.0) * sine(cos_alpha, xp) * tan_beta)

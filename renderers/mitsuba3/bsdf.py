@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from renderers.brdf import MODELS, ReflectanceModel
+from renderers.brdf import MODELS, ReflectanceModel, phase_angle
 from renderers.mitsuba3.variant import Variant, load_mitsuba
 from renderers.mitsuba3.wavefront import drjit_math
 from scenarios.errors import BoresightError
@@ -89,7 +89,7 @@ def _plugin_class(mi: Any, plugin: _Plugin) -> Any:
 
         def eval(self, context: Any, si: Any, wo: Any, active: Any = True) -> Any:
             cos_i, cos_e = mi.Frame3f.cos_theta(wo), mi.Frame3f.cos_theta(si.wi)
-            phase_rad = 2.0 * dr.atan2(dr.norm(si.wi - wo), dr.norm(si.wi + wo))
+            phase_rad = phase_angle(dr.squared_norm(wo - si.wi), dr.squared_norm(wo + si.wi), math)
             value = plugin.model.formula(self.values, cos_i, cos_e, phase_rad, math) * cos_i
             lit = active & (cos_i > 0.0) & (cos_e > 0.0) & context.is_enabled(mi.BSDFFlags.DiffuseReflection)
             return mi.depolarizer(self.factor.eval(si, active) * dr.select(lit, value, 0.0))

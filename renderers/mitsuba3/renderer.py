@@ -46,7 +46,7 @@ class MitsubaRenderer:
     """
 
     name: ClassVar[str] = "mitsuba"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     def __init__(
         self,

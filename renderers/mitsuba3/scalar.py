@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.brdf import brdf_value
+from renderers.brdf import brdf_value, phase_of_rays
 from renderers.mitsuba3.rays import Window, ray_bundle
 from renderers.mitsuba3.scene import SHAPE_ID, SUN_ID, build_shape
 from renderers.mitsuba3.surface import corner_weights, interpolate
@@ -128,8 +128,9 @@ class ScalarTracer:
                 factor = interpolate(mesh, mesh.albedo, facets, weights)
         cos_i = np.maximum(normals @ sun, 0.0)
         cos_e = -np.einsum("ni,ni->n", normals, directions)
-        phase_rad = np.arccos(np.clip(-directions @ sun, -1.0, 1.0))
-        value: FloatArray = np.pi * brdf_value(self._brdf, cos_i, cos_e, phase_rad) * cos_i * factor
+        value: FloatArray = (
+            np.pi * brdf_value(self._brdf, cos_i, cos_e, phase_of_rays(sun, directions)) * cos_i * factor
+        )
         return value
 
 

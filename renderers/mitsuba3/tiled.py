@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.brdf import brdf_value
+from renderers.brdf import brdf_value, phase_of_rays
 from renderers.mitsuba3.parts import Part, tiles_casting, tiles_seen
 from renderers.mitsuba3.rays import Window, body_window, grid_positions, outline_points, ray_bundle
 from renderers.mitsuba3.renderer import MitsubaRenderer
@@ -76,7 +76,7 @@ class TiledRenderer:
     """
 
     name: ClassVar[str] = "mitsuba-tiled"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
     ground: CrateredSurface
     brdf: BrdfSpec
@@ -205,8 +205,8 @@ class TiledRenderer:
         mi, sun = self._mi, view.sun_dir_body
         cos_i = np.maximum(normals @ sun, 0.0)
         cos_e = -np.einsum("ni,ni->n", normals, directions)
-        phase = 2.0 * np.arctan2(np.linalg.norm(sun + directions, axis=1), np.linalg.norm(sun - directions, axis=1))
-        mu0, mu, g = (mi.Float(x.astype(np.float32)) for x in (cos_i, cos_e, phase))
+        angles = (cos_i, cos_e, phase_of_rays(sun, directions))
+        mu0, mu, g = (mi.Float(x.astype(np.float32)) for x in angles)
         value = np.pi * brdf_value(self.brdf, mu0, mu, g, drjit_math(dr))
         return np.asarray(np.broadcast_to(np.asarray(value, dtype=np.float32), cos_i.shape) * cos_i, dtype=np.float32)
 

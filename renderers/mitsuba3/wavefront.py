@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.brdf import ArrayMath, brdf_value
+from renderers.brdf import ArrayMath, brdf_value, phase_angle
 from renderers.mitsuba3.arguments import opaque
 from renderers.mitsuba3.rays import RayBundle, Window, grid_positions, ray_bundle
 from renderers.mitsuba3.scene import mesh_on_device
@@ -27,7 +27,7 @@ def drjit_math(drjit: Any) -> ArrayMath:
         log=drjit.log,
         sin=drjit.sin,
         cos=drjit.cos,
-        acos=drjit.acos,
+        atan2=drjit.atan2,
         maximum=drjit.maximum,
         minimum=drjit.minimum,
         where=drjit.select,
@@ -135,8 +135,9 @@ class WavefrontTracer:
 
         cos_i = dr.maximum(dr.dot(normal, sun), 0.0)
         cos_e = -dr.dot(normal, direction)
-        phase_rad = 2.0 * dr.atan2(dr.norm(sun + direction), dr.norm(sun - direction))
-        return dr.pi * brdf_value(self._brdf, cos_i, cos_e, phase_rad, drjit_math(dr)) * cos_i
+        xp = drjit_math(dr)
+        phase_rad = phase_angle(dr.squared_norm(sun + direction), dr.squared_norm(sun - direction), xp)
+        return dr.pi * brdf_value(self._brdf, cos_i, cos_e, phase_rad, xp) * cos_i
 
     def _interpolate(self, mi: Any, kind: Any, values: Any, hit: Any) -> Any:
         """Values of the vertices at the hits."""

@@ -64,6 +64,37 @@ def test_the_true_shape_gives_the_true_pose(renderer, image, seed):
     assert found.diagnostics["correlation"] > 0.99
 
 
+class Holed:
+    """A renderer whose derivatives are not finite in a tenth of the columns."""
+
+    differentiable = True
+
+    def __init__(self, renderer):
+        self.renderer = renderer
+
+    def render(self, view):
+        return self.renderer.render(view)
+
+    def render_with_derivatives(self, view):
+        image, derivatives = self.renderer.render_with_derivatives(view)
+        size = image.shape[1]
+        derivatives[3, :, int(0.45 * size) : int(0.55 * size)] = np.inf
+        return image, derivatives
+
+
+@pytest.mark.skipif(
+    not choose_variant().is_wavefront, reason="the Mitsuba variant of this machine gives no derivatives"
+)
+def test_pixels_that_are_not_finite_are_left_out_and_counted(renderer, image):
+    found = estimate(Holed(renderer), frame(image))
+    assert found.status == "ok"
+    assert 0.05 < found.diagnostics["masked_share"] < 0.4
+    shift_m, turn_deg = errors(found.poses[0])
+    assert shift_m < 2.5
+    assert turn_deg < 0.15
+    assert estimate(renderer, frame(image)).diagnostics["masked_share"] == 0.0
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_mesh_is_brought_into_place_for_recognition(renderer, image, seed):
     """Shift and turn, and the point that the shift begins with for drawing."""
