@@ -4,13 +4,17 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 STAMP = $(VENV)/.installed
 
-.PHONY: quickstart test test-long lint clean
+.PHONY: quickstart test test-data test-long lint clean
 
 quickstart: $(STAMP)
 	$(BIN)/boresight run quickstart
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+# The tests alone that are skipped without mission data (BORESIGHT_DATA).
+test-data: $(STAMP)
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "data and not long"
 
 test-long: $(STAMP)
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m ""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from shape_files import shape_file
+from mission_data import needs_data
 from tiny_campaign import Heard
 
 from campaign.draft import as_draft, drafted, kept
@@ -44,9 +44,9 @@ def test_landmarks_of_a_draft_are_asked_to_be_seen_in_as_large_a_share_of_the_im
     assert drafted(DatabaseOptions(images=500, min_observations=24), share).min_observations == wanted
 
 
+@needs_data("shapes/itokawa_gaskell_q64.ply")
 @pytest.mark.long
 def test_a_data_base_of_a_draft_of_the_paper_has_landmarks(tmp_path):
-    shape_file("itokawa_gaskell_q64.ply")
     variant = choose_variant().name
     run_campaign(as_draft(resolve("rowell2015-simulated", variant=variant), 0.05), RunRequest(tmp_path, 2, 2), Heard())
     (product,) = read_run(tmp_path).manifest.products
@@ -82,7 +82,7 @@ def test_all_of_it_is_no_draft():
 
 
 def test_a_draft_is_another_run_by_its_share_and_by_the_rule(monkeypatch):
-    whole = resolve("rowell2015-simulated")
+    whole = resolve("quickstart")
     told = {as_draft(whole, share).digest for share in (0.05, 0.1, 1.0)}
     monkeypatch.setattr("campaign.resolve.DRAFT_VERSION", 4)
     assert len(told | {as_draft(whole, 0.05).digest}) == 4

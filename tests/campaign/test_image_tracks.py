@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from shape_files import shape_file
+from mission_data import data_file, needs_data
 
 from campaign.experiments.sequence import ground_of
 from campaign.image_tracks import ImageTracks
@@ -114,9 +114,10 @@ SHAPES = {
 }
 
 
+@needs_data()
 @pytest.mark.parametrize("shape", SHAPES)
 def test_landmarks_of_a_shape_are_where_the_line_of_sight_meets_its_first_facet(tmp_path, shape):
-    shape_file(shape)
+    data_file(f"shapes/{shape}")
     file = tmp_path / "scene.yaml"
     body = f"body: {{shape: {shape}, unit: km, {SHAPES[shape]}}}"
     file.write_text("\n".join([body, *SCENE.splitlines()[2:]]).replace("{step_deg", "{radius_m: 1150, step_deg"))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import csv
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from mission_data import needs_data
 
 from campaign.cli import main
 from campaign.real.msi_image import open_msi, square_pixels
@@ -16,11 +15,7 @@ from campaign.real.named_craters import NamedCrater, predict, read_gazetteer
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View, look_at
 
-DATA = Path(os.environ.get("BORESIGHT_DATA", "/nonexistent"))
-NEEDED = [DATA / "images" / "near_msi", DATA / "spice" / "near_msi_m0126888978", DATA / "craters"]
-needs_data = pytest.mark.skipif(
-    not all(path.exists() for path in NEEDED), reason="the MSI image is absent: set BORESIGHT_DATA"
-)
+needs_eros = needs_data("images/near_msi", "spice/near_msi_m0126888978", "craters")
 
 
 def test_a_crater_of_a_sphere_is_predicted_where_closed_forms_put_it():
@@ -56,7 +51,7 @@ def test_square_pixels_show_the_same_directions():
     np.testing.assert_allclose(image[12:-12], expected[12:-12], atol=1e-5)
 
 
-@needs_data
+@needs_eros
 def test_the_sun_of_the_real_image_stands_where_its_label_says():
     """Phase angle 96.45 deg, and SUN_SC_POSITION_VECTOR runs from the Sun to the spacecraft."""
     real = open_msi()
@@ -65,7 +60,7 @@ def test_the_sun_of_the_real_image_stands_where_its_label_says():
     assert np.degrees(np.arccos(cosine)) == pytest.approx(96.45, abs=1.5)
 
 
-@needs_data
+@needs_eros
 @pytest.mark.parametrize(
     ("detector", "certain"),
     [("crater-classic", {"Valentine", "Leander"}), ("crater-learned", {"Cupid", "Valentine", "Leander", "Casanova"})],
@@ -83,7 +78,7 @@ def test_named_craters_are_found_in_the_real_image(detector, certain, tmp_path, 
     assert ("stages.png" in written) == (detector == "crater-classic")
 
 
-@needs_data
+@needs_eros
 def test_the_gazetteer_is_read():
     table = {crater.name: crater for crater in read_gazetteer()}
     assert len(table) == 37

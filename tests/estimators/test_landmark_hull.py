@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import trimesh
+from mission_data import data_file, needs_data
 from scipy.spatial import ConvexHull, cKDTree
-from shape_files import shape_file
 
 from estimators.landmark.hull import circumspheres, concave_hull
 from scenarios.errors import BoresightError
@@ -129,9 +129,10 @@ def test_circumspheres_touch_all_four_corners():
     assert np.isinf(circumspheres(flat)[1]).all()
 
 
+@needs_data()
 @pytest.mark.parametrize(("name", "tolerance"), [("67p-4k.obj", 0.04), ("itokawa_gaskell_q16.obj", 0.04)])
 def test_real_shapes(name, tolerance):
-    body = trimesh.load(shape_file(name))
+    body = trimesh.load(data_file(f"shapes/{name}"))
     points, _ = trimesh.sample.sample_surface_even(body, 320, seed=1)
     hull = concave_hull(np.asarray(points))
     mesh = check_closed(np.asarray(points), hull)

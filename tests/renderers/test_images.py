@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 import re
 import struct
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from astropy.io import fits
+from mission_data import data_path, needs_data
 from scipy.spatial.transform import Rotation
 
 from renderers.images import PosedImageSet, read_image
@@ -22,14 +22,8 @@ from scenarios.load import load_scenario
 from scenarios.spec.images import ImageSetSpec
 
 CAMERA = Camera.from_fov(24, 16, 0.1)
-DATA = Path(os.environ.get("BORESIGHT_DATA", "/nonexistent"))
-NAVCAM = DATA / "images" / "rosetta_navcam_67p"
-SHAPE = DATA / "shapes" / "67p-16k.obj"
-MSI = DATA / "images" / "near_msi" / "m0126865998f4_2p_iof.fit"
-
-
-def needs(path: Path) -> pytest.MarkDecorator:
-    return pytest.mark.skipif(not path.exists(), reason=f"{path.name} is absent: set BORESIGHT_DATA")
+NAVCAM, SHAPE = "images/rosetta_navcam_67p", "shapes/67p-16k.obj"
+MSI = "images/near_msi/m0126865998f4_2p_iof.fit"
 
 
 def row(name, **changes):
@@ -274,8 +268,7 @@ def test_a_header_that_claims_a_huge_image_is_refused(tmp_path):
 # --- real data -------------------------------------------------------------------------------------------------------
 
 
-@needs(NAVCAM)
-@needs(SHAPE)
+@needs_data(NAVCAM, SHAPE)
 def test_the_conventions_hold_on_real_images():
     """The shape, projected with OpenCV from the poses of the table, lies on the comet without a flip or a shift.
 
@@ -284,7 +277,7 @@ def test_the_conventions_hold_on_real_images():
     """
     spec = load_scenario("navcam67p-real").spec
     images = PosedImageSet.open(spec.images, spec.camera.camera(), ())
-    shape = trimesh.load(SHAPE, process=False)
+    shape = trimesh.load(data_path(SHAPE), process=False)
     rendered = {"right": [], "mirrored": [], "upside down": []}
     shifts = []
     for index in range(0, len(images), 3):
@@ -329,7 +322,7 @@ def _peak(left, middle, right):
     return 0.5 * (left - right) / (left - 2 * middle + right)
 
 
-@needs(NAVCAM)
+@needs_data(NAVCAM)
 def test_the_navcam_set_is_what_its_notes_say():
     spec = load_scenario("navcam67p-real").spec
     images = PosedImageSet.open(spec.images, spec.camera.camera(), ())
@@ -342,8 +335,8 @@ def test_the_navcam_set_is_what_its_notes_say():
     assert [round(phases_deg.min()), round(phases_deg.max())] == [30, 55]
 
 
-@needs(MSI)
+@needs_data(MSI)
 def test_a_near_msi_image_is_read():
-    image = read_image(MSI)
+    image = read_image(data_path(MSI))
     assert image.ndim == 2
     assert image.max() > 0

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 from astropy.io import fits
+from mission_data import data_path, needs_data
 
 from renderers.images import open_product
 from scenarios.errors import BoresightError
 
-MSI = Path(os.environ.get("BORESIGHT_DATA", "/nonexistent")) / "images" / "near_msi" / "m0126865998f4_2p_iof.lbl"
+MSI = data_path("images/near_msi/m0126865998f4_2p_iof.lbl")
 LINES, SAMPLES = 5, 7
 
 LABEL = """PDS_VERSION_ID = PDS3
@@ -212,7 +212,7 @@ def test_a_date_that_looks_like_a_time_zone_is_refused_in_one_line(tmp_path):
         open_product(tmp_path / "a.lbl")
 
 
-@pytest.mark.skipif(not MSI.is_file(), reason=f"{MSI.name} is absent: set BORESIGHT_DATA")
+@needs_data("images/near_msi")
 def test_a_near_label_describes_the_same_pixels_as_astropy_reads(tmp_path):
     """The label points into the FITS file by records; astropy follows the FITS header."""
     fits_file = MSI.with_suffix(".fit")
@@ -223,7 +223,7 @@ def test_a_near_label_describes_the_same_pixels_as_astropy_reads(tmp_path):
     np.testing.assert_array_equal(open_product(tmp_path / "raw.lbl").pixels(), theirs)
 
 
-@pytest.mark.skipif(not MSI.is_file(), reason=f"{MSI.name} is absent: set BORESIGHT_DATA")
+@needs_data("images/near_msi")
 def test_a_near_label_tells_what_the_header_tells():
     told = open_product(MSI).metadata()
     header = open_product(MSI.with_suffix(".fit")).keywords

@@ -1,13 +1,12 @@
 """De-projection against analytic bodies, brute force in double precision and golden rays."""
 
 import json
-import os
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import trimesh
+from mission_data import data_path, needs_data
 
 from renderers.mitsuba3 import MitsubaRenderer, check_outside
 from renderers.mitsuba3.rays import Window, body_window, outline_points
@@ -15,7 +14,7 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at
 from scenarios.spec.brdf import LambertSpec
 
-GOLDEN = Path(os.environ.get("BORESIGHT_DATA", "")) / "golden" / "itokawa_q64_rays.json"
+GOLDEN, ITOKAWA = "golden/itokawa_q64_rays.json", "shapes/itokawa_gaskell_q64.ply"
 
 
 @pytest.fixture(params=["llvm", "scalar"])
@@ -105,14 +104,14 @@ def test_precision_does_not_fade_with_range(variant, ball, range_m):
     assert np.einsum("ni,ni->n", radial, hits.normals_body[hits.hit]).min() > 0.99999
 
 
-@pytest.mark.skipif(not GOLDEN.is_file(), reason="BORESIGHT_DATA has no golden/itokawa_q64_rays.json")
+@needs_data(GOLDEN, ITOKAWA)
 def test_golden_rays_on_itokawa(variant):
     """Rays of an independent ray tracer; its points are given to 0.1 mm."""
-    body = trimesh.load(GOLDEN.parents[1] / "shapes" / "itokawa_gaskell_q64.ply", process=False)
+    body = trimesh.load(data_path(ITOKAWA), process=False)
     mesh = TriangleMesh(np.asarray(body.vertices) * 1000.0, body.faces)
     renderer = MitsubaRenderer(mesh, LambertSpec(), 1, variant=variant)
     camera = Camera.from_fov(11, 11, np.radians(1.0))
-    for ray in json.loads(GOLDEN.read_text()):
+    for ray in json.loads(data_path(GOLDEN).read_text()):
         position, look = np.array(ray["observer_km"]) * 1000.0, np.array(ray["look"], dtype=float)
         right = np.roll(look, 1)
         rotation = np.stack([right, np.cross(look, right), look])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import threading
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 import spiceypy
 import trimesh
+from mission_data import data_path, needs_data
 from scipy.spatial.transform import Rotation
 from tiny_mission import KERNELS, LENGTH_S, SPICE_SECTION, START_ET, SUN_FROM_BODY_KM, TinyMission, make_mission
 
@@ -26,11 +26,12 @@ from scenarios.spec.body import BodySpec
 from scenarios.spec.brdf import LambertSpec
 from scenarios.spec.images import ImageSetSpec
 
-DATA = Path(os.environ.get("BORESIGHT_DATA", "/nonexistent"))
-AMICA = DATA / "spice" / "hayabusa_amica_st_2458542208"
-MSI = DATA / "spice" / "near_msi_m0126888978"
-MSI_IMAGE = DATA / "images" / "near_msi" / "m0126865998f4_2p_iof.lbl"
-GOLDEN = DATA / "golden" / "near_msi_pixel_to_latlon.json"
+AMICA, MSI = data_path("spice/hayabusa_amica_st_2458542208"), data_path("spice/near_msi_m0126888978")
+MSI_IMAGE = data_path("images/near_msi/m0126865998f4_2p_iof.lbl")
+GOLDEN = data_path("golden/near_msi_pixel_to_latlon.json")
+needs_amica = needs_data("spice/hayabusa_amica_st_2458542208")
+needs_msi = needs_data("spice/near_msi_m0126888978")
+needs_golden = needs_data("golden/near_msi_pixel_to_latlon.json")
 AMICA_KERNELS = [
     "naif0012.tls", "pck00009.tpc", "itokawa_gaskell_n3.tpc", "hayabusa_hp.tf", "itokawa_fixed.tf", "amica31.ti",
     "amicaAddendum002.ti", "hayabusa.tsc", "hayabusa_itokawarendezvous_v02n_1_sliced_-130000.bc",
@@ -44,10 +45,6 @@ MSI_KERNELS = [
 HAYABUSA = Actors("HAYABUSA", "HAYABUSA_AMICA", "ITOKAWA", "ITOKAWA_FIXED")
 NEAR = Actors("NEAR", "NEAR_MSI", "EROS", "EROS_FIXED")
 LIGHT_KM_S = 299792.458
-
-
-def needs(path: Path) -> pytest.MarkDecorator:
-    return pytest.mark.skipif(not path.exists(), reason=f"{path.name} is absent: set BORESIGHT_DATA")
 
 
 def arcsec(one: np.ndarray, other: np.ndarray) -> float:
@@ -293,7 +290,7 @@ def usgs(folder: Path) -> tuple[dict, np.ndarray, Pose, np.ndarray]:
     return model, R_body_j2000, Pose(rotation, -rotation @ position_m), sun
 
 
-@needs(AMICA)
+@needs_amica
 def test_amica_agrees_with_the_camera_model_of_usgs():
     """USGS takes the geometric position for AMICA; with light time and aberration 0.17 m and 0.005 arcsec differ."""
     model, _, theirs, sun = usgs(AMICA)
@@ -312,7 +309,7 @@ def test_amica_agrees_with_the_camera_model_of_usgs():
     assert np.degrees(apparent.T_cam_body.angle_to(theirs)) * 3600 < 0.001
 
 
-@needs(AMICA)
+@needs_amica
 def test_the_order_of_kernels_decides_between_two_rotation_models():
     """pck00009.tpc and the shape's own pole disagree by far more than a pixel."""
     model, _, theirs, _ = usgs(AMICA)
@@ -321,7 +318,7 @@ def test_the_order_of_kernels_decides_between_two_rotation_models():
         assert sight(HAYABUSA, model["center_ephemeris_time"]).T_cam_body.angle_to(theirs) > 0.1
 
 
-@needs(AMICA)
+@needs_amica
 def test_amicas_camera_is_that_of_its_kernel_and_of_ishiguro():
     amica = INSTRUMENTS["hayabusa-amica"]
     with loaded([AMICA / name for name in AMICA_KERNELS]):
@@ -340,7 +337,7 @@ def test_amicas_camera_is_that_of_its_kernel_and_of_ishiguro():
     assert r_mm == pytest.approx(ishiguro * np.hypot(*(seen[0] - 512.0)) * 0.012, rel=1e-9)
 
 
-@needs(MSI)
+@needs_msi
 def test_msi_agrees_with_the_camera_model_of_usgs():
     """Light time and aberration as USGS; its body is not turned back by the light time, 0.08 arcsec of Eros' spin."""
     model, _, theirs, sun = usgs(MSI)
@@ -365,7 +362,7 @@ def msi_camera() -> Camera:
 
 
 def golden_views() -> tuple[dict, View]:
-    model = json.loads((DATA / json.loads(GOLDEN.read_text())["isd"]).read_text())
+    model = json.loads(data_path(json.loads(GOLDEN.read_text())["isd"]).read_text())
     R_body_j2000 = spiceypy.q2m(model["body_rotation"]["quaternions"][0])
     pointing = model["instrument_pointing"]
     R_cam_j2000 = np.reshape(pointing["constant_rotation"], (3, 3)) @ spiceypy.q2m(pointing["quaternions"][0])
@@ -383,8 +380,8 @@ def lat_lon_deg(point: np.ndarray) -> np.ndarray:
     return np.degrees([np.arctan2(point[2], np.hypot(point[0], point[1])), np.arctan2(point[1], point[0])])
 
 
-@needs(GOLDEN)
-@needs(MSI)
+@needs_golden
+@needs_msi
 def test_msi_pixels_fall_where_isis_says_on_the_ellipsoid():
     """Latitude and longitude of ISIS's own tests, to its 1e-5 deg: 3 m of 17 km, a twentieth of a pixel."""
     golden, view = golden_views()
@@ -397,8 +394,8 @@ def test_msi_pixels_fall_where_isis_says_on_the_ellipsoid():
         np.testing.assert_allclose(lat_lon_deg(origin + t * direction), [point["lat"], point["lon_e"]], atol=2e-5)
 
 
-@needs(GOLDEN)
-@needs(MSI)
+@needs_golden
+@needs_msi
 def test_msi_pixels_fall_there_through_the_ray_tracer_too():
     """The same ellipsoid as a mesh of 81,920 facets; on the shape of Eros the points are elsewhere."""
     golden, view = golden_views()
@@ -414,8 +411,8 @@ def eros() -> TriangleMesh:
     return load_body(BodySpec(shape="eros022540.tab", unit="km", expected_diameter_m=(1e4, 5e4))).mesh
 
 
-@needs(MSI_IMAGE)
-@needs(MSI)
+@needs_data("images/near_msi/m0126865998f4_2p_iof.lbl")
+@needs_msi
 def test_the_stored_order_of_an_msi_image_is_that_of_the_camera_and_not_that_of_its_display():
     """A rendering of Eros at the pose of the header, against the real image in the four orders there are."""
     product = open_product(MSI_IMAGE)
@@ -443,7 +440,7 @@ def test_the_stored_order_of_an_msi_image_is_that_of_the_camera_and_not_that_of_
     assert max(best(image[::-1]), best(image[:, ::-1]), best(image[::-1, ::-1])) < 0.6
 
 
-@needs(AMICA)
+@needs_amica
 def test_kernels_of_two_missions_take_turns():
     et = usgs(AMICA)[0]["center_ephemeris_time"]
     other = usgs(MSI)[0]["center_ephemeris_time"]

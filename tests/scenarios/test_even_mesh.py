@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from mission_data import needs_data
 from scipy.spatial import ConvexHull
-from shape_files import shape_file
 
 from scenarios.bodies import body_digest, load_body
 from scenarios.bodies.even import evenly_meshed
@@ -75,8 +75,8 @@ def test_a_body_without_the_key_has_the_digest_that_it_would_have_if_there_were_
     assert len(load_body(even).mesh.faces) == 1280
 
 
+@needs_data("shapes/apophis_lightcurve.obj")
 def test_the_slivers_of_apophis_no_longer_fold_the_detailed_surface(tmp_path):
-    shape_file("apophis_lightcurve.obj")
     spec = load_scenario("apophis-shape-images").spec.body
     detail = spec.detail.model_copy(
         update={"facets": 80_000, "boulders": None, "craters": None, "roughness": None, "albedo": None}

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 import trimesh
+from mission_data import data_file, needs_data
 from scipy.spatial import cKDTree
-from shape_files import shape_file
 
 from scenarios.bodies import load_body
 from scenarios.bodies.readers import read_shape
 from scenarios.spec.body import BodySpec
+
+pytestmark = needs_data()
 
 
 def as_trimesh(shape):
@@ -32,7 +34,7 @@ def as_trimesh(shape):
     ],
 )
 def test_facets_volume_and_soundness(name, facets, volume_km3, tolerance):
-    path = shape_file(name)
+    path = data_file(f"shapes/{name}")
     mesh = as_trimesh(read_shape(path, west_longitudes="mathilde" in name))
     assert len(mesh.faces) == facets
     assert mesh.is_watertight
@@ -43,7 +45,7 @@ def test_facets_volume_and_soundness(name, facets, volume_km3, tolerance):
 
 
 def test_the_two_files_of_one_itokawa_agree():
-    icq, ply = (read_shape(shape_file(f"itokawa_gaskell_q64.{suffix}")) for suffix in ("icq", "ply"))
+    icq, ply = (read_shape(data_file(f"shapes/itokawa_gaskell_q64.{suffix}")) for suffix in ("icq", "ply"))
     np.testing.assert_allclose(np.ptp(icq.vertices, axis=0), [0.562, 0.305, 0.243], atol=5e-4)
     used = ply.vertices[np.unique(ply.faces)]
     distance, partner = cKDTree(used).query(icq.vertices)
@@ -53,7 +55,7 @@ def test_the_two_files_of_one_itokawa_agree():
 
 
 def test_west_longitudes_mirror_mathilde():
-    path = shape_file("253mathilde.tab")
+    path = data_file("shapes/253mathilde.tab")
     rows = np.loadtxt(path)
     row = rows[np.argmax(np.where(abs(rows[:, 0]) < 60.0, rows[:, 2], 0.0))]
     lat, lon = np.radians(row[:2])
@@ -64,7 +66,7 @@ def test_west_longitudes_mirror_mathilde():
 
 
 def test_volume_of_a_grid_is_the_integral_of_its_radii():
-    path = shape_file("253mathilde.tab")
+    path = data_file("shapes/253mathilde.tab")
     lat_deg, lon_deg, radius = np.loadtxt(path).T
     once = lon_deg < 360.0
     step = np.radians(3.0)
@@ -73,8 +75,8 @@ def test_volume_of_a_grid_is_the_integral_of_its_radii():
 
 
 def test_each_shape_passes_the_checks_in_kilometres():
-    folder = shape_file("itokawa_gaskell_q64.ply").parent
-    for path in sorted(folder.glob("*.[!l]*")):
+    folder = data_file("shapes/itokawa_gaskell_q64.ply").parent
+    for path in sorted(one for one in folder.iterdir() if one.suffix in (".obj", ".ply", ".icq", ".tab")):
         spec = BodySpec(shape=path.name, unit="km", expected_diameter_m=(300.0, 60_000.0))
         body = load_body(spec, [folder])
         assert body.mesh.volume_m3 > 0.0, path.name
@@ -82,6 +84,6 @@ def test_each_shape_passes_the_checks_in_kilometres():
 
 
 def test_a_file_in_kilometres_read_as_metres_is_named():
-    path = shape_file("itokawa_gaskell_q16.obj")
+    path = data_file("shapes/itokawa_gaskell_q16.obj")
     with pytest.raises(Exception, match=r"q16\.obj: .*0\.5577.*is the file in km\? set body\.unit: km"):
         load_body(BodySpec(shape=str(path)))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from mission_data import data_file, needs_data
 from scipy.spatial import cKDTree
-from shape_files import shape_file
 
 from scenarios.bodies import load_body
 from scenarios.geometry import Camera
@@ -15,12 +15,14 @@ from scenarios.sequences.gravity import PointMass, Polyhedron
 from scenarios.spec.body import BodySpec
 from scenarios.spec.sequence import SequenceSpec
 
+pytestmark = needs_data()
+
 CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
 SHAPES = ("apophis_lightcurve.obj", "itokawa_radar.obj", "itokawa_gaskell_q16.obj", "bennu_radar.obj")
 
 
 def ground(name):
-    shape_file(name)
+    data_file(f"shapes/{name}")
     return MeshGround(load_body(BodySpec(shape=name, unit="km"), ()).mesh)
 
 
