@@ -92,11 +92,12 @@ def fit_level(
     gradient = available_gradient(options.gradient, view.renderer)
     target = band(reduced_image(observed, level.reduction), level)
     steps = parameter_steps(start, camera.pixel_angle_rad, size_m, options.difference_px)
-    pose, fit, jacobian, moved_px, sound = start, None, None, 0.0, np.ones(target.shape, dtype=np.bool_)
+    pose, fit, jacobian, moved_px = start, None, None, 0.0
+    sound: NDArray[np.bool_] = np.ones(target.shape, dtype=np.bool_)
     for count in range(1, level.iterations + 1):
         if jacobian is None or moved_px > _STALE_PX:
             image, derivatives = linearised(reduced, pose, gradient, steps)
-            sound = np.isfinite(derivatives).all(axis=0)
+            sound = np.asarray(np.isfinite(derivatives).all(axis=0))
             jacobian, moved_px = [band(_finite(derivative), level) for derivative in derivatives], 0.0
         else:
             image = reduced.render(pose)

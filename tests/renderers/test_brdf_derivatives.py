@@ -69,8 +69,8 @@ PLACES = (
     "anywhere", "near opposition", "sun behind the camera", "grazing light", "limb", "sun before the camera",
     "facing the sun", "in one plane",
 )  # fmt: skip
-# Kinks of the laws, where a rounded direction lies on either side; and phase angles near 180 deg, which single precision
-# holds to 2e-7 rad, as large as the square of the azimuth that they leave.
+# Kinks of the laws, where a rounded direction lies on either side; and phase angles near 180 deg, which single
+# precision holds to 2e-7 rad, as large as the square of the azimuth that they leave.
 ROUNDED = ("sun behind the camera", "facing the sun", "in one plane", "sun before the camera")
 
 
