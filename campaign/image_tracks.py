@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from campaign.experiments.registry import Record
 from campaign.orbit_images import WRONG_PX, OrbitImages
 from estimators.slam.vision.carriers import Look
 from estimators.slam.vision.tracker import Tracked, Tracker
-from scenarios.draw import Stream, generator
+from scenarios.draw import Stream, estimator_generator, generator
 from scenarios.sequences import (
     Ground,
     Path,
@@ -48,8 +48,15 @@ class Seen:
         return self.truth.path
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _GuidedFrames:
+    """All that an estimator sees of a vision layer that it guides: an `Eye` without the truth that makes the frames."""
+
+    frames: Callable[[Predict], Iterator[TrackFrame]]
+
+
 class Watch:
-    """A vision layer at work on the images of a trial; an `Eye` where it is guided."""
+    """A vision layer at work on the images of a trial."""
 
     def __init__(self, tracks: ImageTracks, seed: int, trial: int) -> None:
         self._tracks, self._images = tracks, tracks.images
@@ -60,7 +67,7 @@ class Watch:
         self._address = (seed, trial)
         self.path = tracks.path(start)
         blind = known_sequence(spec, self._images.camera, self.path, [_NOTHING] * len(self._slots), self._address)
-        self.sequence = replace(blind, eye=self)
+        self.sequence = replace(blind, eye=_GuidedFrames(lambda predict: self.frames(predict)))
         self._made: list[TrackFrame] = []
         self._tracked: list[Tracked] = []
         self._points_m = np.empty((0, 3))
@@ -69,7 +76,7 @@ class Watch:
         """Yield the frames; each is made when it is asked for, after the one before was taken in."""
         seed, trial = self._address
         rng = generator(seed, Stream.RANGES, trial)
-        tracker = Tracker(self._images.camera, self._images.spec, generator(seed, Stream.ESTIMATOR, trial))
+        tracker = Tracker(self._images.camera, self._images.spec, estimator_generator(seed, trial))
         for i, (slot, frame) in enumerate(zip(self._slots, self.sequence.frames, strict=True)):
             seen = tracker.advance(
                 self._look(i), frame.R_cam_body, predict(frame) if i and self._images.spec.guided else None

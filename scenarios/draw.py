@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from enum import IntEnum
 
 import numpy as np
@@ -55,6 +56,16 @@ def generator(seed: int, stream: Stream, trial: int) -> np.random.Generator:
     the scenario, so that scenarios and estimators are compared on the same draws.
     """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(stream), trial)))
+
+
+def estimator_generator(seed: int, trial: int) -> np.random.Generator:
+    """Return the generator that an estimator draws from in a trial.
+
+    It begins with a one-way hash of its address: from a generator of ``generator`` the campaign's seed could be read,
+    and with it the truth be drawn again.
+    """
+    address = f"boresight estimator {seed} {int(Stream.ESTIMATOR)} {trial}".encode()
+    return np.random.default_rng(int.from_bytes(hashlib.blake2b(address, digest_size=16).digest(), "little"))
 
 
 def draw_view(spec: ScenarioSpec, camera: Camera, rng: np.random.Generator) -> View:

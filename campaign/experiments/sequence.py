@@ -87,7 +87,7 @@ class SequenceTrials:
     witness: Witness | None = None
 
     kind: ClassVar[str] = "sequence"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     block_trials: ClassVar[int] = 5
     kernels: ClassVar[bool] = True
 

@@ -25,7 +25,7 @@ from estimators.contract import Estimate, Estimator, Table
 from estimators.registry import estimator_class
 from renderers.rectify import rectify
 from scenarios.beliefs import believed_attitude, believed_camera, believed_sun
-from scenarios.draw import Stream, degrade, generator, prior_covariance
+from scenarios.draw import Stream, degrade, estimator_generator, generator, prior_covariance
 from scenarios.geometry import Pose
 from scenarios.load import LoadedScenario
 from scenarios.observation import Frame, Observation
@@ -151,7 +151,7 @@ class SingleImage:
 
     def _judged(self, call: Call, estimator: Estimator, observation: Observation, sight: Sight) -> Records:
         """Let an estimator work and score what it returns: records without their key, whatever goes wrong."""
-        rng = generator(self.seed, Stream.ESTIMATOR, call.trial)
+        rng = estimator_generator(self.seed, call.trial)
         row = {**_circumstances(observation, sight), **no_pose_error(), **no_consistency()}
 
         def show(found: Estimate | None) -> None:

@@ -78,7 +78,7 @@ class DescriptorNavigator:
     """Features matched with those of rendered views, RANSAC, maximum a posteriori; each frame on its own."""
 
     name: ClassVar[str]
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     kind: ClassVar[Kind]
 
     def __init__(self, database: DescriptorDatabase, options: DescriptorNavigatorOptions) -> None:

@@ -53,7 +53,7 @@ class ConsensusRecognizer:
     """All corners as candidates, the whole prior searched, maximum a posteriori; each frame on its own."""
 
     name: ClassVar[str] = "landmark-ransac"
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
 
     def __init__(self, database: LandmarkDatabase, renderer: ImageRenderer, options: ConsensusOptions) -> None:
         self._database = database
