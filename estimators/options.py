@@ -8,6 +8,7 @@ from typing import TypeVar
 from pydantic import ValidationError
 
 from scenarios.errors import BoresightError, printable
+from scenarios.load.partial import on_defaults
 from scenarios.spec.base import SpecModel
 
 Model = TypeVar("Model", bound=SpecModel)
@@ -22,7 +23,7 @@ def parse_options(model: type[Model], options: Mapping[str, object], estimator: 
         With one line for each wrong option: estimator, dotted key, value and what is allowed.
     """
     try:
-        return model.model_validate(dict(options))
+        return model.model_validate(on_defaults((model,), options))
     except ValidationError as error:
         lines = [
             printable(

@@ -15,8 +15,9 @@ from scenarios.errors import BoresightError
 from scenarios.load.entry import Entry, describe, entry_of
 from scenarios.load.explain import explain
 from scenarios.load.find import display, exists, find, name_of, names_in, read
-from scenarios.load.merge import defaults, merge
+from scenarios.load.merge import merge
 from scenarios.load.overrides import apply, parse_override, settings
+from scenarios.load.partial import on_defaults
 from scenarios.spec.base import SpecModel
 from scenarios.spec.campaign import CampaignSpec
 from scenarios.spec.scenario import ScenarioSpec
@@ -90,7 +91,7 @@ def load_scenario(
     layers = [settings(base, (ScenarioSpec,))] if base is not None else []
     layers += [settings(entry_of(level, "grid"), (ScenarioSpec,)) for level in levels]
     layers += [one if isinstance(one, Entry) else parse_override(one) for one in overrides]
-    root = apply(merge(defaults(ScenarioSpec), file.root, (ScenarioSpec,)), layers, (ScenarioSpec,))
+    root = apply(file.root, layers, (ScenarioSpec,))
     return LoadedScenario(validated(ScenarioSpec, _without_nulls(root)), path, file.folders)
 
 
@@ -125,9 +126,13 @@ def validated(model: type[Spec], root: Entry) -> Spec:
         With one line for each fault.
     """
     try:
-        return model.model_validate_json(json.dumps(root.plain()), strict=True)
+        return model.model_validate_json(json.dumps(_completed(model, root.plain())), strict=True)
     except ValidationError as error:
         raise BoresightError(explain(error, root, model)) from error
+
+
+def _completed(model: type[SpecModel], plain: object) -> object:
+    return on_defaults((model,), plain) if isinstance(plain, Mapping) else plain
 
 
 def file_kind(path: Path, known: Sequence[str] = ()) -> Literal["scenario", "campaign"]:

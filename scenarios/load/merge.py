@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, get_args, get_origin
 
-from scenarios.load.entry import Entry, entry_of
+from scenarios.load.entry import Entry
 from scenarios.spec.base import SpecModel
 
 Models = tuple[type[SpecModel], ...]
@@ -65,10 +65,3 @@ def _displaced(over: Entry, models: Models) -> set[str]:
     chosen = {key for key, entry in (over.section or {}).items() if entry.value is not None}
     groups = [set(group) for model in models for group in model.alternatives]
     return {key for group in groups if group & chosen for key in group - chosen}
-
-
-def defaults(model: type[SpecModel]) -> Entry:
-    """Return the sections that a model fills in by itself, so that a file or ``--set`` can change one key of them."""
-    filled = {key: field.default for key, field in model.model_fields.items() if isinstance(field.default, SpecModel)}
-    plain = {key: spec.model_dump(mode="json", exclude_none=True) for key, spec in filled.items()}
-    return entry_of(plain, "defaults")

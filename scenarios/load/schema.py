@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any, Literal
 
-from scenarios.load.merge import defaults
 from scenarios.spec.base import SpecModel
 from scenarios.spec.campaign import CampaignSpec
 from scenarios.spec.scenario import ScenarioSpec
@@ -30,7 +29,7 @@ def json_schema(kind: Literal["scenario", "campaign"]) -> dict[str, Any]:
     whole = model.model_json_schema(by_alias=True)
     definitions: dict[str, Any] = whole.pop("$defs", {})
     whole["properties"]["extends"] = _EXTENDS
-    filled = {"name", *(defaults(model).section or {})}
+    filled = {"name", *(key for key, field in model.model_fields.items() if isinstance(field.default, SpecModel))}
     whole["required"] = [key for key in whole.get("required", []) if key not in filled]
     definitions[model.__name__] = whole
     parts = {name + _PART: _as_part(definition) for name, definition in definitions.items()}
