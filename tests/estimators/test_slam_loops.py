@@ -253,3 +253,18 @@ def test_error_of_the_first_position_shifts_all() -> None:
     assert last.covariance_m2 is not None
     assert sure_last.covariance_m2 is not None
     np.testing.assert_allclose(last.covariance_m2, sure_last.covariance_m2 + 4.0 * np.eye(3), atol=1e-3)
+
+
+def test_loops_are_closed_without_knowledge_of_later_frames() -> None:
+    """A sequence that ends after some closures gives its frames the estimates that they have in the longer one."""
+    sequence, _, _ = loop(4)
+    short, long = (
+        LoopSmoother.from_options({"closure_frames": 3}).follow(replace(sequence, frames=sequence.frames[:n]))
+        for n in (32, 48)
+    )
+    assert 0 < short.diagnostics["closures"] < long.diagnostics["closures"]
+    for one, other in zip(short.frames, long.frames, strict=False):
+        np.testing.assert_array_equal(one.position_m, other.position_m)
+        np.testing.assert_array_equal(one.covariance_m2, other.covariance_m2)
+        np.testing.assert_array_equal(one.tracks, other.tracks)
+        np.testing.assert_array_equal(one.points_m, other.points_m)
