@@ -38,7 +38,7 @@ class BundleSlam:
     """
 
     name: ClassVar[str] = "ba-slam"
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
 
     def __init__(self, options: BundleOptions) -> None:
         self.options = options

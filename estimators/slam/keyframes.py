@@ -23,10 +23,14 @@ class Tracks(Protocol):
 def trailing_views(
     journal: Journal, tracks: Tracks, trailing: Sequence[int], lead: int, options: BundleOptions
 ) -> list[int]:
-    """Second strategy: the trailing views stay until the leading one shares too few landmarks with the oldest.
+    """Second strategy: the trailing views stay as long as they are connected with the leading one.
 
-    Then the oldest is dropped and the leading view of the step before becomes the last of the trailing ones. The paper
-    asks for connectivity of the *last two* views; with that, errors are several times those of its Table 3.
+    The paper shifts the window "when the distance between the two last frames cannot ensure a proper landmark
+    connectivity": the oldest view is dropped, and the leading view of the step before becomes the last of the trailing
+    ones. "The window size gets reduced before growing again": of the shifted window the oldest views go that share too
+    few landmarks with the leading one, for the gauge of the oldest view serves only "as long as the connectivity with
+    the last acquired view can be maintained". With ``connected: whole-window``, which is not the paper's, the window
+    is shifted as soon as the leading view loses the oldest one.
 
     While the window grows, which the paper does not detail, views enter it at equal ratios of shared landmarks, so that
     the window spans just the connectivity when it is full.
@@ -39,7 +43,8 @@ def trailing_views(
     views = list(trailing)
     if len(views) < options.views - 1:
         return _grown(tracks, views, lead, options)
-    if _connected(journal, tracks, views[0], views[-1], lead, options):
+    base = views[-1] if options.connected == "last-two" else views[0]
+    if _connected(journal, tracks, base, views[-1], lead, options):
         return views
     return _connected_part(tracks, [*views[1:], lead - 1] if views[-1] != lead - 1 else views[1:], lead, options)
 

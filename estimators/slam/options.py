@@ -61,7 +61,12 @@ class BundleOptions(AssociationOptions):
     views: int = Field(5, ge=2, le=100, description="Views of the window, the leading one included")
     strategy: Literal["trailing", "offset"] = Field(
         "trailing",
-        description="Trailing views that stay until the leading one loses the oldest, or a constant offset of views",
+        description="Trailing views that stay while they are connected with the leading one, or a constant offset",
+    )
+    connected: Literal["last-two", "whole-window"] = Field(
+        "last-two",
+        description="Trailing views stay while the leading view shares landmarks with the last of them, as in the"
+        " paper, or with the oldest, so that the whole window does",
     )
     offset_frames: int = Field(4, ge=1, le=1000, description="Frames between views of the constant offset")
     angle_max_deg: float = Field(

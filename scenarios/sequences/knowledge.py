@@ -155,7 +155,10 @@ def _later_ranges(
 def measured_ranges(
     sightings: Sequence[Sighting], pose: Pose, camera: Camera, knowledge: KnowledgeSpec, rng: np.random.Generator
 ) -> tuple[TrackRange, ...]:
-    """Measure the distances of some landmarks of the first of the sightings, whose lives the later ones tell."""
+    """Measure the distances of some landmarks of the first of the sightings.
+
+    The later sightings choose them with ``range_to: lasting`` alone, which no spacecraft can do.
+    """
     here = sightings[0]
     off_axis = np.linalg.norm(here.uv_px - [camera.cx_px, camera.cy_px], axis=1)
     lasting = knowledge.range_to == "lasting"

@@ -109,8 +109,8 @@ class KnowledgeSpec(SpecModel):
     ranges: int = Field(1, ge=0, le=100, description="Landmarks whose distance is measured in the first frame")
     range_to: Literal["central", "lasting"] = Field(
         "central",
-        description="The landmarks seen nearest the principal point, or those whose tracks will last: what a navigator"
-        " gets who starts with a landmark that stays in track",
+        description="The landmarks seen nearest the principal point, or those whose tracks will last longest, which no"
+        " spacecraft can know: a bound for studies of what the choice matters",
     )
     range_sigma_m: float = Field(0.1, gt=0, description="Standard deviation of such a distance")
     range_every: int = Field(

@@ -9,10 +9,11 @@ import trimesh
 from pydantic import ValidationError
 
 from scenarios.geometry import Camera, TriangleMesh, View
-from scenarios.sequences import MeshGround, SphereGround, draw_sequence
+from scenarios.load import load_scenario
+from scenarios.sequences import MeshGround, Sighting, SphereGround, draw_sequence, measured_ranges
 from scenarios.sequences.orbit import poses, times_s
 from scenarios.sequences.sightline import Sightline, sphere_share
-from scenarios.spec.sequence import OrbitSpec, SequenceSpec
+from scenarios.spec.sequence import KnowledgeSpec, OrbitSpec, SequenceSpec
 
 CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
 RADIUS_M = 190.0
@@ -287,6 +288,24 @@ def test_one_range_to_the_landmark_nearest_the_boresight_fixes_the_scale():
     assert measured.range_m == pytest.approx(true, abs=1e-7)
     assert all(not frame.ranges for frame in sequence.frames[1:])
     assert np.array_equal(sequence.position_m, truth.poses[0].camera_position_m)
+
+
+def test_the_ranged_landmark_is_chosen_by_the_first_frame_alone():
+    """Only the bound for studies, ``lasting``, asks the frames to come."""
+    chosen = {"central": [], "lasting": []}
+    for trial in range(10):
+        truth, sequence = drawn(trial)
+        seen = [Sighting(f.tracks, f.uv_px, truth.points_m[f.tracks]) for f in sequence.frames]
+        for range_to, same in chosen.items():
+            knowledge = KnowledgeSpec(range_to=range_to)
+            one, all_of_them = (
+                measured_ranges(some, truth.poses[0], CAMERA, knowledge, np.random.default_rng(1))[0].track
+                for some in (seen[:1], seen)
+            )
+            same.append(one == all_of_them)
+    assert all(chosen["central"])
+    assert not all(chosen["lasting"])
+    assert load_scenario("apophis-sphere-sequence").spec.sequence.knowledge.range_to == "central"
 
 
 def test_wrong_points_come_in_the_asked_share_and_lie_wrong():

@@ -1,0 +1,81 @@
+"""The views of BA-SLAM's window, worked out by hand, and what no estimator may know: the frames to come."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from slam_sequences import Recipe, make_sequence
+
+from estimators.slam.following import LostError
+from estimators.slam.keyframes import trailing_views
+from estimators.slam.options import BundleOptions
+from estimators.slam.registry import sequence_estimator_class
+
+
+class Overlap:
+    """Two frames share ten landmarks, less two for each frame between them: three, at most three frames apart."""
+
+    def shared(self, first, second):
+        return max(0, 10 - 2 * abs(second - first))
+
+
+STANDING = SimpleNamespace(positions_m={i: np.array([790.0, 0.0, 0.0]) for i in range(40)})
+WINDOWS = {
+    "last-two": {3: [0, 2], 4: [0, 2], 5: [0, 2], 6: [5], 7: [5], 8: [5, 7], 9: [5, 7], 10: [5, 7], 11: [10]},
+    "whole-window": {3: [0, 2], 4: [2, 3], 5: [2, 3], 6: [3, 5], 7: [5, 6], 8: [5, 6], 9: [6, 8]},
+}
+
+
+@pytest.mark.parametrize("connected", WINDOWS)
+def test_windows_are_those_that_come_out_by_hand(connected):
+    options = BundleOptions(views=3, connectivity=3, connected=connected)
+    views, found = [0], {}
+    for lead in range(1, 12):
+        found[lead] = views = trailing_views(STANDING, Overlap(), views, lead, options)
+    assert found[1] == found[2] == [0]
+    assert {lead: found[lead] for lead in WINDOWS[connected]} == WINDOWS[connected]
+
+
+def test_the_rule_of_the_paper_is_the_default():
+    assert BundleOptions().connected == "last-two"
+
+
+@pytest.mark.parametrize("connected", WINDOWS)
+def test_a_turn_beyond_the_largest_angle_shifts_the_window(connected):
+    turned = {i: 790.0 * np.array([np.cos(0.1 * i), np.sin(0.1 * i), 0.0]) for i in range(40)}
+    journal = SimpleNamespace(positions_m=turned)
+    views = [
+        trailing_views(journal, Overlap(), [1, 2], 4, BundleOptions(views=3, connected=connected, angle_max_deg=a))
+        for a in (12, 11)
+    ]
+    assert views == [[1, 2], [2, 3]]  # 11.5 deg between the last two
+
+
+def test_without_landmarks_in_common_the_tracks_are_lost():
+    alone = SimpleNamespace(shared=lambda first, second: 5 if first == second else 2)
+    with pytest.raises(LostError, match="2 landmarks are shared with the frame before, 3 are needed"):
+        trailing_views(STANDING, alone, [0, 2], 3, BundleOptions(views=3))
+
+
+@pytest.mark.parametrize("connected", WINDOWS)
+def test_both_rules_follow_an_orbit(connected):
+    sequence, truth = make_sequence(np.random.default_rng(3), Recipe(frames=60, landmarks=20))
+    found = sequence_estimator_class("ba-slam").from_options({"connected": connected}).follow(sequence)
+    assert found.status == "ok"
+    errors = [np.linalg.norm(f.position_m - p) for f, p in zip(found.frames, truth.positions_m, strict=True)]
+    assert max(errors) < 40.0
+
+
+@pytest.mark.parametrize(
+    "name", ["dead-reckoning", "ba-slam", "ekf-slam", "consistent-ekf-slam", "iterated-ekf-slam", "fixed-lag"]
+)
+def test_what_is_estimated_of_a_frame_does_not_depend_on_later_frames(name):
+    sequence, _ = make_sequence(np.random.default_rng(4), Recipe(frames=40, landmarks=20))
+    whole = sequence_estimator_class(name).from_options({}).follow(sequence)
+    first = sequence_estimator_class(name).from_options({}).follow(replace(sequence, frames=sequence.frames[:25]))
+    assert len(first.frames) == 25
+    for one, other in zip(first.frames, whole.frames, strict=False):
+        np.testing.assert_array_equal(one.position_m, other.position_m)
