@@ -7,18 +7,23 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
+from scipy.stats import binomtest
+
 from reports.published import Claim, Comparison, PublishedValue
 from reports.records import CONTROL, DERIVED, Record, find
-from reports.statistics import MEDIAN
 
-Verdict = Literal["reproduced", "better", "differs", "undecided", "context", "not measured"]
+_FUNCTIONAL = 0.9
+Verdict = Literal[
+    "reproduced", "better", "differs", "differs (lower)", "differs (higher)", "undecided", "context", "not measured"
+]
 
 VERDICT_RULE = (
-    "better or differs: the whole 95 % interval lies outside the tolerance, on the better or the worse side; "
-    "reproduced: our value lies within it, and the interval is no wider than four tolerances; undecided: the interval "
-    "is wider or none, or reaches into the tolerance from outside, so that more trials, or sets of images, are needed; "
+    "reproduced: the whole 95 % interval lies within the tolerance; differs (lower, higher): the whole interval lies "
+    "outside it, below or above, however good that is, for a method of the paper that comes out otherwise is another "
+    "method; better: the same on the better side, of a method that the paper does not have; undecided: the interval "
+    "reaches across an edge of the tolerance, or there is none, so that more trials, or sets of images, are needed; "
     "context: no tolerance was set, because conditions differ. Where the paper says 'more than', or names an order, "
-    "the intervals must keep it."
+    "the intervals must keep it, and stay below an upper bound where the words set one ('somewhat broader')."
 )
 
 
@@ -35,7 +40,7 @@ class ComparedValue:
 
 @dataclass(frozen=True, slots=True)
 class ComparedClaim:
-    """An order that is stated in words, our medians in the stated order, and the verdict."""
+    """What is stated in words, our values in the stated order, and the verdict."""
 
     scenario: str
     claim: Claim
@@ -57,7 +62,8 @@ def compare(records: Sequence[Record], comparison: Comparison) -> tuple[Compared
             ours = _ours(records, scenario, estimator, published) or _ours(records, scenario, "", published)
             if ours is None and published.stage == DERIVED:
                 continue
-            due = judge(ours, published) if comparison.verdicts else "context"
+            own = bool(published.estimator) or estimator in comparison.methods
+            due = judge(ours, published, own) if comparison.verdicts else "context"
             compared.append(ComparedValue(scenario, estimator, published, ours, due))
     return tuple(compared)
 
@@ -75,23 +81,36 @@ def _ours(records: Sequence[Record], scenario: str, estimator: str, published: P
 
 
 def compare_claims(records: Sequence[Record], comparison: Comparison) -> tuple[ComparedClaim, ...]:
-    """Hold each claimed order against our final medians, scenario by scenario."""
-    compared = []
-    for scenario in dict.fromkeys(r.scenario for r in records):
-        for claim in comparison.claims:
-            medians = tuple(
-                find(
-                    records,
-                    scenario=scenario,
-                    estimator=label,
-                    stage="final",
-                    measure=claim.measure,
-                    statistic=MEDIAN.name,
-                )
-                for label in claim.order
-            )
-            compared.append(ComparedClaim(scenario, claim, medians, judge_order(medians)))
-    return tuple(compared)
+    """Hold each statement of the paper against our values, scenario by scenario."""
+    scenarios = tuple(dict.fromkeys(r.scenario for r in records))
+    return tuple(
+        _compared_claim(records, scenario, claim)
+        for claim in comparison.claims
+        for scenario in (("",) if claim.unmeasured else scenarios)
+        if claim.scenario in ("", scenario)
+    )
+
+
+def _compared_claim(records: Sequence[Record], scenario: str, claim: Claim) -> ComparedClaim:
+    of_run = [r for r in records if r.scenario == scenario]
+    if claim.solves:
+        ours = find(of_run, estimator=claim.solves, stage=claim.stage, measure=claim.measure, statistic=claim.statistic)
+        return ComparedClaim(scenario, claim, (ours,), judge_solved(ours))
+    values = tuple(
+        find(of_run, estimator=label, stage=claim.stage, measure=claim.measure, statistic=claim.statistic)
+        for label in claim.order
+    )
+    return ComparedClaim(scenario, claim, values, judge_order(values) if values else "not measured")
+
+
+def judge_solved(ours: Record | None) -> Verdict:
+    """Tell whether nine trials of ten are solved, by the 95 % interval of Wilson of their share."""
+    if ours is None or not ours.n:
+        return "not measured"
+    interval = binomtest(ours.n_ok, ours.n).proportion_ci(0.95, method="wilson")
+    if interval.low > _FUNCTIONAL:
+        return "reproduced"
+    return "differs (lower)" if interval.high < _FUNCTIONAL else "undecided"
 
 
 def judge_order(ascending: Sequence[Record | None]) -> Verdict:
@@ -106,12 +125,12 @@ def judge_order(ascending: Sequence[Record | None]) -> Verdict:
     return "differs" if any(first[0] > second[1] for first, second in pairwise(bounds)) else "undecided"
 
 
-def judge(ours: Record | None, published: PublishedValue) -> Verdict:
-    """Apply `VERDICT_RULE` to one value."""
+def judge(ours: Record | None, published: PublishedValue, own: bool = True) -> Verdict:
+    """Apply `VERDICT_RULE` to one value; ``own`` says whether the paper has the method itself."""
     if ours is None or ours.value is None:
         return "not measured"
     if published.relation == "above":
-        return _judge_above(ours, published.value)
+        return _judge_above(ours, published.value, published.at_most)
     if published.tolerance is None:
         return "context"
     if ours.low is None or ours.high is None:
@@ -119,12 +138,17 @@ def judge(ours: Record | None, published: PublishedValue) -> Verdict:
     lowest, highest = published.value - published.tolerance, published.value + published.tolerance
     if ours.high < lowest or ours.low > highest:
         side = "lower" if ours.high < lowest else "higher"
-        return "better" if side == published.better else "differs"
-    narrow = ours.high - ours.low <= 4 * published.tolerance
-    return "reproduced" if narrow and lowest <= ours.value <= highest else "undecided"
+        if side == published.better and not own:
+            return "better"
+        return "differs (lower)" if side == "lower" else "differs (higher)"
+    return "reproduced" if lowest <= ours.low and ours.high <= highest else "undecided"
 
 
-def _judge_above(ours: Record, bound: float) -> Verdict:
-    if ours.low is None or ours.high is None or ours.low <= bound <= ours.high:
+def _judge_above(ours: Record, least: float, most: float | None) -> Verdict:
+    if ours.low is None or ours.high is None:
         return "undecided"
-    return "reproduced" if ours.low > bound else "differs"
+    if ours.high < least:
+        return "differs (lower)"
+    if most is not None and ours.low > most:
+        return "differs (higher)"
+    return "reproduced" if ours.low > least and (most is None or ours.high <= most) else "undecided"

@@ -61,21 +61,29 @@ def _compared_cells(compared: ComparedValue, several: bool) -> tuple[str, ...]:
 
 def claim_grid(claims: Sequence[ComparedClaim]) -> Grid | None:
     """Tabulate orders that the paper states in words; None if it states none."""
-    heads = ("the paper says", "ours: medians [95 %], in that order", "verdict", "place in the paper")
+    heads = ("the paper says", "scenario", "ours [95 %], in that order", "verdict", "place in the paper")
     rows = tuple(
         (
             item.claim.text,
-            claim_medians(item.ours),
+            item.scenario,
+            claim_values(item),
             item.verdict,
             item.claim.place,
         )
         for item in claims
     )
-    return Grid("Beside what the paper says in words", heads, rows, frozenset({0, 1, 2, 3})) if rows else None
+    return Grid("Beside what the paper says in words", heads, rows, frozenset({0, 1, 2, 3, 4})) if rows else None
 
 
-def claim_medians(ours: Sequence[Record | None]) -> str:
-    """Print the medians in the order of a claim, with the relation that holds between neighbours; ``-`` for none."""
+def claim_values(item: ComparedClaim) -> str:
+    """Print what a claim is held against: values in its order, how many are solved, or why it is not measured."""
+    if item.claim.solves and item.ours and item.ours[0]:
+        return f"{item.claim.solves} solves {counts(item.ours[0])}"
+    return item.claim.unmeasured or ordered_values(item.ours)
+
+
+def ordered_values(ours: Sequence[Record | None]) -> str:
+    """Print values in the order of a claim, with the relation that holds between neighbours; ``-`` for none."""
     parts: list[str] = []
     for before, record in zip((None, *ours), ours, strict=False):
         parts += [_relation(before, record)] if parts else []

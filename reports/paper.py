@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 
 from reports.comparison import VERDICT_RULE, ComparedClaim, ComparedValue, Verdict
-from reports.comparison_tables import claim_medians
+from reports.comparison_tables import ordered_values
 from reports.content import Content, beside_published
 from reports.figures import save_figure
 from reports.grid import NO_VALUE, Grid, counts, value_of
@@ -107,10 +107,9 @@ def _value_line(campaign: str, item: ComparedValue, *, name: bool = False) -> Pa
 
 def _claim_line(campaign: str, item: ComparedClaim) -> PaperLine:
     claim = item.claim
-    return PaperLine(
-        campaign, item.scenario, "", claim.place, measure_label(claim.measure), "order of the medians", claim.text,
-        item.ours, None, item.verdict,
-    )  # fmt: skip
+    how = claim.unmeasured or ("trials solved" if claim.solves else f"order of the {claim.statistic}s")
+    quantity = "in words" if claim.unmeasured else measure_label(claim.measure)
+    return PaperLine(campaign, item.scenario, "", claim.place, quantity, how, claim.text, item.ours, None, item.verdict)
 
 
 def paper_grid(lines: Sequence[PaperLine]) -> Grid:
@@ -146,7 +145,7 @@ def paper_grid(lines: Sequence[PaperLine]) -> Grid:
 
 
 def _ours(line: PaperLine) -> str:
-    return value_of(line.ours[0], interval=True) if len(line.ours) == 1 else claim_medians(line.ours)
+    return value_of(line.ours[0], interval=True) if len(line.ours) == 1 else ordered_values(line.ours)
 
 
 def verdict_tally(lines: Sequence[PaperLine]) -> str:

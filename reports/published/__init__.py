@@ -44,6 +44,8 @@ class PublishedValue(_Model):
         Half-width of the band that counts as reproduced, in the measure's unit; None where no verdict is due.
     relation
         ``about`` the printed number, or ``above`` it, whatever the tolerance.
+    at_most
+        Upper bound of what is ``above`` where the words set one: "somewhat broader than 3" is not 300.
     scenario
         Name of the scenario that it is for; '' for every one.
     estimator
@@ -62,6 +64,7 @@ class PublishedValue(_Model):
     printed: str = Field(pattern=_PRINTED.replace("?P<low>", "").replace("?P<high>", "").replace("?P<unit>", ""))
     tolerance: float | None = Field(None, gt=0)
     relation: Literal["about", "above"] = "about"
+    at_most: float | None = None
     scenario: str = ""
     estimator: str = ""
     against: str = ""
@@ -72,6 +75,8 @@ class PublishedValue(_Model):
     def _known(self) -> Self:
         if self.measure not in UNITS and self.stage not in (DIAGNOSTICS, DERIVED):
             raise ValueError(f"measure {self.measure!r} is not one of {', '.join(UNITS)}")
+        if self.at_most is not None and (self.relation == "about" or self.at_most <= self.value):
+            raise ValueError(f"at_most {self.at_most:g} bounds what is above {self.printed}, and lies above that")
         if (self.stage == REDUCTION) != bool(self.against):
             raise ValueError(f"a {REDUCTION} names what it is against, and nothing else does")
         if (self._part("unit"), unit_of(self.measure)) not in _SCALE:
@@ -91,24 +96,43 @@ class PublishedValue(_Model):
 
 
 class Claim(_Model):
-    """An order that the paper states in words: medians of estimators of one run, the smallest first.
+    """What the paper says in words, and how our rows are held against it. One of three ways is given.
 
     Parameters
     ----------
     text
-        What the paper says.
+        What the paper says, verbatim.
     order
-        Labels of the estimators, the best first.
-    measure
-        Whose final median is compared.
+        Labels of the estimators of one run whose values ascend by the words.
+    measure, stage, statistic
+        Which of their values are compared.
+    solves
+        Label of the estimator that "is functional": it solves nine trials of ten at least, which is our reading.
+    unmeasured
+        Why no stored row of ours tells.
+    scenario
+        Name of the scenario that it is for; '' for every one.
     place
         Where it is said.
     """
 
     text: str = Field(min_length=1)
-    order: tuple[str, ...] = Field(min_length=2)
+    order: tuple[str, ...] = ()
     measure: str = "position_error_m"
+    stage: str = "final"
+    statistic: str = "median"
+    solves: str = ""
+    unmeasured: str = ""
+    scenario: str = ""
     place: str = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if [bool(self.order), bool(self.solves), bool(self.unmeasured)].count(True) != 1:
+            raise ValueError("give one of order, solves and unmeasured")
+        if len(self.order) == 1:
+            raise ValueError("order: one estimator has none")
+        return self
 
 
 class Comparison(_Model):
@@ -118,6 +142,8 @@ class Comparison(_Model):
     ----------
     conditions
         How the paper's numbers were obtained, and what differs from ours.
+    methods
+        Labels of the estimators that are the paper's own, for values that name no estimator.
     verdicts
         False where the conditions differ so much that a verdict would mean nothing.
     values
@@ -131,6 +157,7 @@ class Comparison(_Model):
     """
 
     conditions: str
+    methods: tuple[str, ...] = ()
     verdicts: bool = True
     values: tuple[PublishedValue, ...] = ()
     claims: tuple[Claim, ...] = ()
@@ -155,6 +182,7 @@ class Comparison(_Model):
 
 class _Document(_Model):
     source: str
+    methods: tuple[str, ...] = Field(description="Labels under which the paper's own methods run")
     comparisons: dict[str, Comparison]
 
 
@@ -174,7 +202,9 @@ def load_published(name: str) -> Comparison:
     for file in _FILES:
         document = _read(file)
         if name in document.comparisons:
-            return document.comparisons[name].model_copy(update={"source": document.source})
+            return document.comparisons[name].model_copy(
+                update={"source": document.source, "methods": document.methods}
+            )
     raise BoresightError(f"report: no published values are called {name!r}; known are {', '.join(published_names())}")
 
 

@@ -3,8 +3,10 @@ from importlib import resources
 
 import pytest
 
+from campaign.resolve import resolve
 from reports.comparison import compare, compare_claims, judge, judge_order
-from reports.published import Comparison, PublishedValue, load_published, parse, published_names
+from reports.comparison_tables import claim_values
+from reports.published import Claim, Comparison, PublishedValue, load_published, parse, published_names
 from reports.records import Record
 from scenarios.errors import BoresightError
 
@@ -158,15 +160,17 @@ OURS = Record("s", "e", "recognition", "", "position_error_m", "m", "median", 20
 @pytest.mark.parametrize(
     ("value", "low", "high", "verdict"),
     [
-        (22.9, 22.0, 24.0, "reproduced"),
-        (17.1, 15.0, 18.0, "reproduced"),
-        (14.0, 13.0, 16.9, "better"),
-        (26.0, 23.1, 28.0, "differs"),
+        (22.0, 21.0, 23.0, "reproduced"),
+        (18.1, 17.0, 22.9, "reproduced"),
+        (22.9, 22.0, 24.0, "undecided"),  # the value lies within the tolerance, the interval does not
+        (17.1, 15.0, 18.0, "undecided"),
+        (14.0, 13.0, 16.9, "differs (lower)"),
+        (26.0, 23.1, 28.0, "differs (higher)"),
         (26.0, 22.9, 28.0, "undecided"),  # the interval reaches the tolerance
         (16.0, 15.0, 17.1, "undecided"),
-        (20.0, 13.9, 26.1, "undecided"),  # wider than four tolerances
-        (40.0, 30.0, 60.0, "differs"),  # wide, but wholly outside
-        (8.0, 1.0, 16.0, "better"),
+        (20.0, 13.9, 26.1, "undecided"),
+        (40.0, 30.0, 60.0, "differs (higher)"),  # wide, but wholly outside
+        (8.0, 1.0, 16.0, "differs (lower)"),
         (20.0, None, None, "undecided"),
         (None, None, None, "not measured"),
     ],
@@ -175,11 +179,22 @@ def test_verdict_rule(value, low, high, verdict):
     assert judge(replace(OURS, value=value, low=low, high=high), VALUE) == verdict
 
 
-def test_verdict_needs_a_direction_to_be_better():
+def test_only_a_method_that_the_paper_does_not_have_is_better_and_only_on_the_better_side():
+    low, high = replace(OURS, value=14.0, low=13.0, high=15.0), replace(OURS, value=26.0, low=25.0, high=27.0)
+    upwards = VALUE.model_copy(update={"better": "higher"})
     neither = VALUE.model_copy(update={"better": "neither"})
-    assert judge(replace(OURS, value=14.0, low=13.0, high=15.0), neither) == "differs"
-    higher = VALUE.model_copy(update={"better": "higher"})
-    assert judge(replace(OURS, value=26.0, low=25.0, high=27.0), higher) == "better"
+    assert [judge(low, one, own=False) for one in (VALUE, upwards, neither)] == ["better", *["differs (lower)"] * 2]
+    assert [judge(high, one, own=False) for one in (VALUE, upwards)] == ["differs (higher)", "better"]
+    assert [judge(high, one) for one in (VALUE, upwards)] == ["differs (higher)"] * 2
+
+
+def test_whose_method_it_is_follows_from_the_label_and_the_value():
+    comparison = Comparison(conditions="c", methods=("theirs",), values=(VALUE,))
+    low = replace(OURS, value=14.0, low=13.0, high=15.0)
+    found = compare([replace(low, estimator=label) for label in ("theirs", "ours")], comparison)
+    assert [one.verdict for one in found] == ["differs (lower)", "better"]
+    named = comparison.model_copy(update={"values": (VALUE.model_copy(update={"estimator": "ours"}),)})
+    assert [one.verdict for one in compare([replace(low, estimator="ours")], named)] == ["differs (lower)"]
 
 
 def test_no_verdict_without_a_tolerance_or_across_conditions():
@@ -202,11 +217,28 @@ def test_ranges_and_rough_numbers_are_read(printed, value):
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "verdict"), [(3.1, 3.4, "reproduced"), (2.9, 3.4, "undecided"), (2.5, 2.9, "differs")]
+    ("low", "high", "verdict"),
+    [(3.1, 3.4, "reproduced"), (2.9, 3.4, "undecided"), (2.5, 2.9, "differs (lower)"), (300, 400, "reproduced")],
 )
 def test_a_value_above_a_bound_needs_its_whole_interval_there(low, high, verdict):
     above = VALUE.model_copy(update={"printed": "3 m", "relation": "above", "tolerance": None})
     assert judge(replace(OURS, value=0.5 * (low + high), low=low, high=high), above) == verdict
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "verdict"),
+    [
+        (3.1, 5.9, "reproduced"),
+        (4.0, 6.5, "undecided"),
+        (300.0, 400.0, "differs (higher)"),
+        (1.0, 2.0, "differs (lower)"),
+    ],
+)
+def test_somewhat_more_is_not_a_hundred_times_more(low, high, verdict):
+    changes = {"printed": "3 m", "relation": "above", "tolerance": None, "at_most": 6.0}
+    assert (
+        judge(replace(OURS, value=0.5 * (low + high), low=low, high=high), VALUE.model_copy(update=changes)) == verdict
+    )
 
 
 def test_a_value_of_one_scenario_stands_beside_no_other():
@@ -241,6 +273,37 @@ def test_claims_of_the_paper_name_the_solvers_of_its_campaign():
     records = [replace(OURS, estimator=label, stage="final") for label in sorted(labels)]
     verdicts = [c.verdict for c in compare_claims(records, comparison)]
     assert verdicts == ["undecided", "undecided", "not measured", "not measured"]
+
+
+@pytest.mark.parametrize(
+    ("n_ok", "n", "verdict"),
+    [(100, 100, "reproduced"), (80, 100, "differs (lower)"), (93, 100, "undecided"), (6, 6, "undecided")],
+)
+def test_functional_means_nine_runs_of_ten_by_an_interval_of_their_share(n_ok, n, verdict):
+    """Wilson's intervals of 1, 0.8, 0.93 and 1: [0.963, 1], [0.711, 0.867], [0.863, 0.966] and [0.610, 1]."""
+    claim = Claim(text="it is functional", solves="e", stage="recognition", place="section 6")
+    (found,) = compare_claims([replace(OURS, n_ok=n_ok, n=n)], Comparison(conditions="c", claims=(claim,)))
+    assert found.verdict == verdict
+    assert f"{n_ok}/{n}" in claim_values(found)
+
+
+def test_a_statement_that_no_row_tells_of_says_why():
+    claim = Claim(text="it is elegant", unmeasured="no rule for elegance", place="section 6")
+    (found,) = compare_claims([OURS], Comparison(conditions="c", claims=(claim,)))
+    assert (found.verdict, claim_values(found)) == ("not measured", "no rule for elegance")
+
+
+@pytest.mark.parametrize("ways", [{}, {"order": ("a",)}, {"order": ("a", "b"), "solves": "a"}])
+def test_a_statement_is_measured_in_one_way(ways):
+    with pytest.raises(ValueError, match="one"):
+        Claim(text="t", place="p", **ways)
+
+
+@pytest.mark.parametrize("name", ["delpech2015-comparison", "delpech2015-ba-views", "delpech2015-images"])
+def test_statements_of_delpech_name_estimators_of_their_campaign(name):
+    labels = {one for claim in load_published(name).claims for one in (*claim.order, claim.solves) if one}
+    assert labels
+    assert labels <= set(resolve(name).labels)
 
 
 # Table 3 of Delpech et al. (2015), typed apart from the package's file: (EKF, BA) for 10, 15 and 20 landmarks.
