@@ -148,6 +148,6 @@ def _options(content: bytes, _folder: Path) -> object:
 def _published_seeds() -> tuple[bytes, ...]:
     text = (resources.files("reports.published") / "delpech2015.yaml").read_text(encoding="utf-8")
     return ("\n".join(text.splitlines()[:25]) + "\n").encode(), (
-        b"source: us\ncomparisons:\n  a:\n    conditions: none\n    values:\n"
+        b"source: us\nmethods: [us]\ncomparisons:\n  a:\n    conditions: none\n    values:\n"
         b"      - {measure: position_error_m, stage: final, statistic: median, printed: '1,200 m', place: Table 1}\n"
     )
