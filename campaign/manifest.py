@@ -13,7 +13,7 @@ from typing import Any
 from campaign.images import left_out_notes, open_images
 from campaign.machine import describe, package_versions
 from campaign.newest import KEY, next_start
-from campaign.products import BuiltProduct
+from campaign.products import BuiltProduct, MissingProduct
 from campaign.products.kinds import product_kind
 from campaign.request import RunRequest
 from campaign.resolve import ResolvedCampaign
@@ -24,7 +24,7 @@ from scenarios.load import canonical_json
 def make_manifest(
     campaign: ResolvedCampaign,
     request: RunRequest,
-    products: Sequence[BuiltProduct],
+    products: Sequence[BuiltProduct | MissingProduct],
     previous: Mapping[str, Any] | None,
 ) -> dict[str, object]:
     """Describe a run before its first trial; what an earlier start of it asked for is not forgotten."""
@@ -55,8 +55,12 @@ def make_manifest(
         "versions": package_versions(),
         "machine": {**describe(), "variant": campaign.variant, "kernels": campaign.kernels},
         "left_out": {s.spec.name: dict(open_images(s).left_out) for s in campaign.scenarios if s.spec.images},
-        "notes": [note for s in campaign.scenarios for note in left_out_notes(s)] + _draft_notes(campaign),
-        "products": [_product(request.out, product) for product in products],
+        "notes": [
+            *(note for s in campaign.scenarios for note in left_out_notes(s)),
+            *_draft_notes(campaign),
+            *missing_notes(products),
+        ],
+        "products": [_product(request.out, product) for product in products if isinstance(product, BuiltProduct)],
     }
 
 
@@ -69,6 +73,15 @@ def now(manifest: Mapping[str, object] | None = None) -> str:
     """Return the time in UTC, to the second; not before what a manifest tells of, should a clock be set back."""
     before = [str((manifest or {}).get(key) or "") for key in ("created", "finished", "updated")]
     return max(datetime.now(UTC).isoformat(timespec="seconds"), *before)
+
+
+def missing_notes(products: Sequence[BuiltProduct | MissingProduct]) -> list[str]:
+    """Say of each product that cannot be made who goes without it, and why."""
+    return [
+        f"all trials of {missing.estimator} in {missing.scenario} are errors: {missing.reason}"
+        for missing in products
+        if isinstance(missing, MissingProduct)
+    ]
 
 
 def _draft_notes(campaign: ResolvedCampaign) -> list[str]:

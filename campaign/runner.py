@@ -13,7 +13,7 @@ from campaign.experiments.registry import Bench, Records, experiment_class
 from campaign.images import left_out_notes
 from campaign.losses import Losses
 from campaign.parallel import in_order
-from campaign.products import BuiltProduct, Shelf
+from campaign.products import BuiltProduct, MissingProduct, Shelf
 from campaign.request import RunRequest
 from campaign.resolve import ResolvedCampaign
 from campaign.store import RunFolder, RunLock
@@ -55,6 +55,8 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
             listener.message(note)
         products = _build_products(campaign, request, listener)
         manifest = manifests.make_manifest(campaign, request, products, previous)
+        for note in manifests.missing_notes(products):
+            listener.message(note)
         folder.write_manifest(manifest)
         todo, stored = _plan(folder, campaign, request, listener)
         total = request.trials * len(campaign.scenarios)
@@ -89,10 +91,12 @@ def _previous(folder: RunFolder, campaign: ResolvedCampaign) -> dict[str, Any] |
     return manifest
 
 
-def _build_products(campaign: ResolvedCampaign, request: RunRequest, listener: Listener) -> list[BuiltProduct]:
+def _build_products(
+    campaign: ResolvedCampaign, request: RunRequest, listener: Listener
+) -> list[BuiltProduct | MissingProduct]:
     """Build what the trials need, before any of them."""
     kind = experiment_class(campaign.spec.experiment)
-    products: list[BuiltProduct] = []
+    products: list[BuiltProduct | MissingProduct] = []
     for scenario in campaign.scenarios:
         place = request.out / "products"
         shelf = Shelf(scenario, place, request.jobs, campaign.variant, listener.message, campaign.draft)

@@ -9,10 +9,19 @@ from typing import ClassVar, Literal, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, TriangleMesh, View
 from scenarios.observation import Observation
 
 Table = Mapping[str, NDArray[np.generic]]
+
+
+class NoProductError(BoresightError):
+    """What an estimator is to be lent cannot be made of the scenario: too few landmarks, a shape that is too small.
+
+    The scenario alone decides that, and no trial: all of the estimator's trials there are errors, others go on. The
+    message names the options that decide, with their values.
+    """
 
 
 class ImageRenderer(Protocol):
@@ -57,7 +66,13 @@ class Assets(Protocol):
         ...
 
     def product(self, kind: str, options: Mapping[str, object]) -> object:
-        """Lend a product built beforehand from the scenario's shape, by kind (for example a landmark data base)."""
+        """Lend a product built beforehand from the scenario's shape, by kind (for example a landmark data base).
+
+        Raises
+        ------
+        NoProductError
+            If none can be made.
+        """
         ...
 
 
@@ -121,7 +136,7 @@ class Estimator(Protocol):
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        """Build from a campaign's options; raise BoresightError on a wrong one, let NoProductError pass."""
         ...
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:

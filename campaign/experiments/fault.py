@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from campaign.experiments.registry import Record, Records
 from campaign.guard import STOPPED, Call, StoppedError, guarded
+from estimators.contract import NoProductError
 
 T = TypeVar("T")
 
@@ -103,6 +104,8 @@ class Work:
 def _why(error: BaseException) -> str:
     if isinstance(error, StoppedError):
         return f"{STOPPED}{error}"
+    if isinstance(error, NoProductError):
+        return f"cannot work: {error}"
     return f"raised {_named(error)}"
 
 

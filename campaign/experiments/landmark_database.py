@@ -16,7 +16,8 @@ from campaign.products.spread import IN_THIS_PROCESS
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_pose_error
 from campaign.world import believed
-from estimators.landmark.build import METHOD_VERSION, BuiltDatabase, DatabaseOptions, NoDatabaseError, build_database
+from estimators.contract import NoProductError
+from estimators.landmark.build import METHOD_VERSION, BuiltDatabase, DatabaseOptions, build_database
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
@@ -62,7 +63,7 @@ class DatabaseTrials:
         for label, options in _makers(campaign).items():
             asked = shelf.empty()
             # One that does not come out is a failed trial, not the end of the run.
-            with suppress(NoDatabaseError):
+            with suppress(NoProductError):
                 asked.product(landmark_database.KIND, at_trial(options, campaign.seed, 0).model_dump(mode="json"))
             products += asked.lent_to(label)
         return products
@@ -97,7 +98,7 @@ class DatabaseTrials:
         row: Record = {**_nothing(), "status": "ok", "reason": ""}
         try:
             return row, counts(build_database(candidates.by_image, options), options)
-        except NoDatabaseError as error:
+        except NoProductError as error:
             return {**row, "status": "failed", "reason": str(error)}, {}
 
 

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Protocol, Self, cast
 
 if TYPE_CHECKING:
-    from campaign.products import BuiltProduct, Shelf
+    from campaign.products import BuiltProduct, MissingProduct, Shelf
     from campaign.resolve import ResolvedCampaign
     from scenarios.load import LoadedScenario
 
@@ -58,8 +58,10 @@ class Experiment(Protocol):
         ...
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> Sequence[BuiltProduct]:
-        """Build what the trials need, before any of them."""
+    def prepare(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf
+    ) -> Sequence[BuiltProduct | MissingProduct]:
+        """Build what the trials need, before any of them; one that cannot be made leaves its method without trials."""
         ...
 
     @classmethod

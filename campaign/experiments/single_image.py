@@ -15,13 +15,13 @@ from campaign.experiments.fault import Work
 from campaign.experiments.kept_images import ImageSink, image_sink
 from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.guard import Call
-from campaign.products import BuiltProduct, Shelf
+from campaign.products import BuiltProduct, MissingProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import consistency, no_consistency, no_pose_error, pose_error
 from campaign.sensors import altimeter_reading
 from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
 from campaign.world import Sight, World, open_world
-from estimators.contract import Estimate, Estimator, Table
+from estimators.contract import Estimate, Estimator, NoProductError, Table
 from estimators.registry import estimator_class
 from renderers.rectify import rectify
 from scenarios.beliefs import believed_attitude, believed_camera, believed_sun
@@ -29,8 +29,12 @@ from scenarios.draw import Stream, degrade, estimator_generator, generator, prio
 from scenarios.geometry import Pose
 from scenarios.load import LoadedScenario
 from scenarios.observation import Frame, Observation
+from scenarios.spec.campaign import EstimatorSpec
 
 T = TypeVar("T", bound=np.generic)
+
+Method = Estimator | NoProductError
+"""An estimator, or why there is none in a scenario."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +55,7 @@ class SingleImage:
     world
         The scenario in this process.
     estimators
-        Label to estimator; every one sees the same observation.
+        Label to estimator; every one sees the same observation. Of one whose product cannot be made, why.
     seed
         Seed of the campaign.
     keep_image
@@ -61,7 +65,7 @@ class SingleImage:
     """
 
     world: World
-    estimators: Mapping[str, Estimator]
+    estimators: Mapping[str, Method]
     seed: int
     keep_image: ImageSink | None = None
     witness: Witness | None = None
@@ -77,24 +81,24 @@ class SingleImage:
         return estimator_class(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+    def prepare(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf
+    ) -> list[BuiltProduct | MissingProduct]:
         """Let every estimator ask for its products."""
-        del scenario
-        products: list[BuiltProduct] = []
+        products: list[BuiltProduct | MissingProduct] = []
         for entry in campaign.spec.estimators:
             asked = shelf.empty()
-            estimator_class(entry.name).from_options(entry.options, asked)
+            method = _method(entry, asked)
             products += asked.lent_to(entry.label)
+            if isinstance(method, NoProductError):
+                products.append(MissingProduct(scenario.spec.name, entry.label, str(method)))
         return products
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> SingleImage:
         """Open the world and build the estimators."""
         shelf = Shelf(scenario, bench.run / "products", jobs=0, variant=campaign.variant, draft=campaign.draft)
-        estimators = {
-            entry.label: estimator_class(entry.name).from_options(entry.options, shelf)
-            for entry in campaign.spec.estimators
-        }
+        estimators = {entry.label: _method(entry, shelf) for entry in campaign.spec.estimators}
         sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
         return cls(open_world(scenario, campaign.variant), estimators, campaign.seed, sink)
 
@@ -149,17 +153,23 @@ class SingleImage:
         )
         return Observation(camera.pinhole, (frame,))
 
-    def _judged(self, call: Call, estimator: Estimator, observation: Observation, sight: Sight) -> Records:
+    def _judged(self, call: Call, estimator: Method, observation: Observation, sight: Sight) -> Records:
         """Let an estimator work and score what it returns: records without their key, whatever goes wrong."""
         rng = estimator_generator(self.seed, call.trial)
         row = {**_circumstances(observation, sight), **no_pose_error(), **no_consistency()}
+
+        def work() -> Estimate:
+            if isinstance(estimator, NoProductError):
+                # Another one: the traceback of one that is raised again grows with each trial.
+                raise NoProductError(estimator)
+            return estimator.estimate(observation, rng=rng)
 
         def show(found: Estimate | None) -> None:
             if self.witness is not None:
                 self.witness(EstimatedImage(sight, observation, found))
 
         return Work(call, "estimator", row).judged(
-            lambda: estimator.estimate(observation, rng=rng),
+            work,
             lambda found: check(found, observation),
             lambda found: self._scored(found, observation, sight),
             show,
@@ -212,6 +222,13 @@ class SingleImage:
             }
             for landmark, (u, v), error, square in zip(table["landmark"], uv, errors, squares, strict=True)
         ]
+
+
+def _method(entry: EstimatorSpec, assets: Shelf) -> Method:
+    try:
+        return estimator_class(entry.name).from_options(entry.options, assets)
+    except NoProductError as error:
+        return error
 
 
 def _circumstances(observation: Observation, sight: Sight) -> Record:

@@ -13,7 +13,7 @@ from campaign.draft import drafted
 from campaign.products.keys import content_key
 from campaign.products.kinds import product_kind
 from campaign.world import believed
-from estimators.contract import ImageRenderer
+from estimators.contract import ImageRenderer, NoProductError
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.atomic import explain
 from scenarios.bodies import load_body
@@ -22,6 +22,9 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
+
+_UNMADE = "unmade.txt"
+"""The file that says, in place of a product, why it cannot be made."""
 
 
 def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant: str) -> str:
@@ -37,6 +40,15 @@ class BuiltProduct:
     scenario: str
     estimator: str
     folder: str
+
+
+@dataclass(frozen=True, slots=True)
+class MissingProduct:
+    """A product that cannot be made: in which scenario, for whom, and why."""
+
+    scenario: str
+    estimator: str
+    reason: str
 
 
 class Shelf:
@@ -102,12 +114,21 @@ class Shelf:
         )
 
     def product(self, kind: str, options: Mapping[str, object]) -> object:
-        """Return a product, built first where that is allowed."""
+        """Return a product, built first where that is allowed.
+
+        Raises
+        ------
+        NoProductError
+            If it cannot be made of the scenario; that is kept in place of the product.
+        """
         maker = product_kind(kind)
         wanted = drafted(maker.parse(options), self._draft)
         folder = self._folder / f"{kind}-{product_key(self._scenario, kind, wanted, self._variant)}"
         if not folder.exists():
             self._fetch(kind, wanted, folder)
+        if (folder / _UNMADE).exists():
+            reason = (folder / _UNMADE).read_text(encoding="utf-8")
+            raise NoProductError(f"there is no {_words(kind)} of {self._scenario.spec.name}: {reason}")
         self._lent.append((kind, folder.name))
         return maker.load(folder)
 
@@ -123,8 +144,12 @@ class Shelf:
         def build(place: Path) -> None:
             if self._tell is not None:
                 name = self._scenario.spec.name
-                self._tell(f"building the {kind.replace('-', ' ')} of {name}: {maker.announcement(options)}")
-            facts = maker.build(self._scenario, options, place, self._jobs, self._variant) or {}
+                self._tell(f"building the {_words(kind)} of {name}: {maker.announcement(options)}")
+            try:
+                facts = maker.build(self._scenario, options, place, self._jobs, self._variant) or {}
+            except NoProductError as error:
+                (place / _UNMADE).write_text(str(error), encoding="utf-8")
+                return
             seconds = {"seconds": time.perf_counter() - started}
             (place / "built.json").write_text(json.dumps({**seconds, **facts}), encoding="utf-8")
             if self._tell is not None and facts:
@@ -132,6 +157,10 @@ class Shelf:
 
         cached = default_cache().folder(kind, folder.name.rsplit("-", 1)[1], build)
         _place(cached, folder)
+
+
+def _words(kind: str) -> str:
+    return kind.replace("-", " ")
 
 
 def _place(cached: Path, folder: Path) -> None:

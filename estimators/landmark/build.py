@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from estimators.contract import NoProductError
 from estimators.landmark.clustering import Cluster, ClusterOptions, ClusterStages, cluster_stages
 from estimators.landmark.corners import CornerOptions, detect_corners
 from estimators.landmark.database import LandmarkDatabase
@@ -24,10 +25,6 @@ FloatArray = NDArray[np.float64]
 
 METHOD = "rowell2015-{detector}"
 METHOD_VERSION = 1
-
-
-class NoDatabaseError(BoresightError):
-    """The candidates make no data base: too few landmarks, or all in one plane."""
 
 
 class CandidateOptions(SpecModel):
@@ -113,7 +110,7 @@ def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -
 
     Raises
     ------
-    NoDatabaseError
+    NoProductError
         If fewer than four landmarks come out, or they lie in one plane.
     """
     points_m = np.concatenate([np.empty((0, 3)), *candidates])
@@ -121,14 +118,16 @@ def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -
     stages = cluster_stages(points_m, options.clusters, keep=_seen_in(image_of, options.min_observations))
     clusters = stages.refined
     if len(clusters) < 4:
-        raise NoDatabaseError(
+        raise NoProductError(
             f"{len(clusters)} landmarks came out of {len(points_m)} corners in {len(candidates)} images; at least 4 are"
-            " needed: use more images, a lower min_observations or a larger seed_radius_m"
+            f" needed: raise the options images ({options.images}) or clusters.seed_radius_m"
+            f" ({options.clusters.seed_radius_m:g}) of the data base, or lower min_observations"
+            f" ({options.min_observations})"
         )
     try:
         hull = concave_hull(np.stack([cluster.mean_m for cluster in clusters]))
     except BoresightError as error:
-        raise NoDatabaseError(str(error)) from error
+        raise NoProductError(str(error)) from error
     kept = [clusters[index] for index in hull.kept]
     database = LandmarkDatabase(
         np.stack([cluster.mean_m for cluster in kept]),

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from estimators.contract import NoProductError
 from estimators.maplets.database import MapletDatabase
 from estimators.maplets.heights import Plane, Surface, sample_heights
-from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
 from scenarios.spec.base import SpecModel
 
@@ -50,7 +50,7 @@ def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
 
     Raises
     ------
-    BoresightError
+    NoProductError
         If the shape is smaller than a maplet.
     """
     surface = Surface(mesh)
@@ -101,7 +101,10 @@ def _cut(surface: Surface, places: list[int], options: MapletOptions) -> MapletD
     middle = options.side // 2
     usable = [(plane, heights, albedo) for plane, heights, albedo in sampled if np.isfinite(heights[middle, middle])]
     if not usable:
-        raise BoresightError(f"the shape has no place for a maplet of {options.width_m:g} m: choose a smaller side")
+        raise NoProductError(
+            f"the shape has no place for a maplet of {options.width_m:g} m: lower the options side ({options.side}) or"
+            f" spacing_m ({options.spacing_m:g}) of the maplets"
+        )
     albedo = [values for _, _, values in usable if values is not None]
     return MapletDatabase(
         np.stack([plane.centre_m for plane, _, _ in usable]),

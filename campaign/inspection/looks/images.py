@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from campaign.experiments.single_image import SingleImage
 from campaign.inspection.coarse import coarsened
 from campaign.inspection.looks.parts import MOST_FACES, Of, camera_sets, finite_or_dash, nearer
-from estimators.contract import Estimator
 from estimators.craters.database.landmarks import Landmarks
 from estimators.craters.pose.estimator import CraterPose
 from estimators.landmark.database import LandmarkDatabase
@@ -38,7 +37,7 @@ def look_at_images(experiment: SingleImage, run: RunData, of: Of) -> Look:
     return Look(of.title, note, body.vertices_m, body.faces, marks, cameras)
 
 
-def _marks(estimator: Estimator, views: Sequence[View], recognised: pd.DataFrame) -> list[Marks]:
+def _marks(estimator: object, views: Sequence[View], recognised: pd.DataFrame) -> list[Marks]:
     """Colour the landmarks that an estimator has, or the craters of its data base; others have places of neither."""
     if isinstance(estimator, CraterPose):
         return [crater_marks(estimator.landmarks)]
