@@ -34,11 +34,13 @@ class BundleSlam:
 
     The oldest view of the window stays where it was estimated last. A range that is measured on the way takes the
     place of the gauge in the adjustment of its view, and the gauge goes on with the distance that it then has. There
-    is no covariance: the window does not know the error of what it is fixed to.
+    is no covariance: the window does not know the error of what it is fixed to. With ``connected: last-two`` it does not
+    ask either whether anything determines its scale, as the paper does not: an undetermined one stays where the
+    predicted motion put it. With ``connected: whole-window`` such a sequence counts as failed.
     """
 
     name: ClassVar[str] = "ba-slam"
-    version: ClassVar[int] = 4
+    version: ClassVar[int] = 5
 
     def __init__(self, options: BundleOptions) -> None:
         self.options = options
@@ -107,7 +109,8 @@ class _Window:
         views = self._window(number)
         try:
             self.adjusted = self._adjusted(views, rule)
-            self._check_rank(self.adjusted.problem, self.adjusted.state)
+            if self.options.connected == "whole-window":
+                self._check_rank(self.adjusted.problem, self.adjusted.state)
         except LostError:
             if not self._robbed(number):
                 raise
@@ -174,7 +177,7 @@ class _Window:
 
     def _hold_the_scale(self, views: list[int], seen: dict[int, list[int]]) -> None:
         """Let the gauge go over to another landmark if it must."""
-        gauge = handed_over(self.journal, self._gauge(), views, seen, self.options.gauge_sigma_m)
+        gauge = handed_over(self.journal, self._gauge(), views, seen, self.options)
         self.handovers += int(gauge != self.gauge)
         self.gauge = gauge
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from estimators.slam.following import LostError
 from estimators.slam.journal import Journal
+from estimators.slam.options import BundleOptions
 from estimators.slam.state import Distances
 
 
@@ -57,31 +58,37 @@ def estimated_anew(journal: Journal, gauge: Gauge, sigma_m: float) -> Gauge:
 
 
 def handed_over(
-    journal: Journal, gauge: Gauge, views: Sequence[int], seen: Mapping[int, Sequence[int]], sigma_m: float
+    journal: Journal, gauge: Gauge, views: Sequence[int], seen: Mapping[int, Sequence[int]], options: BundleOptions
 ) -> Gauge:
     """Return the gauge for a window of ``views``, the oldest first; ``seen`` tells which of them saw each track.
 
-    The old one serves while its view is the oldest and its landmark is seen by another view. Otherwise the landmark of
-    the oldest view that most views see takes over at its estimated distance: one with a short track loses the scale.
+    The old one serves while its view is the oldest and "as long as the connectivity with the last acquired view can be
+    maintained": while the leading view sees its landmark; with ``connected: whole-window`` while any other view does.
+    Otherwise a landmark of the oldest view takes over, at the distance that was measured to it from there, or else at
+    the estimated one: of those that the leading view sees that which most views see, for one with a short track loses
+    the scale.
 
     Raises
     ------
     LostError
-        If no landmark that the oldest view sees has been estimated and is seen twice.
+        If no landmark that the oldest view sees has a known distance and is seen twice.
     """
-    oldest = views[0]
-    if gauge.view == oldest and len(seen.get(gauge.track, ())) >= 2:
+    oldest, lead = views[0], views[-1]
+    by = seen.get(gauge.track, ())
+    held = lead in by if options.connected == "last-two" else len(by) >= 2
+    if gauge.view == oldest and held:
         return gauge
+    measured = {item.track: item for item in journal.frames[oldest].ranges}
+    known = measured.keys() | (journal.points_m.keys() - journal.guessed)
     candidates = [
         track
         for track in journal.frames[oldest].tracks.tolist()
-        if track in journal.points_m
-        and track not in journal.guessed
-        and len(seen[track]) >= 2
-        and (views[-1] in seen[track] or len(seen[track]) > 2)
+        if track in known and len(seen[track]) >= 2 and (lead in seen[track] or len(seen[track]) > 2)
     ]
     if not candidates:
         raise LostError("no landmark can take the depth gauge over: the scale is unobservable")
-    best = min(candidates, key=lambda track: (-len(seen[track]), track))
+    best = min(candidates, key=lambda track: (track not in measured, lead not in seen[track], -len(seen[track]), track))
+    if best in measured:
+        return Gauge(oldest, best, measured[best].range_m, measured[best].sigma_m)
     distance = float(np.linalg.norm(journal.points_m[best] - journal.positions_m[oldest]))
-    return Gauge(oldest, best, distance, sigma_m)
+    return Gauge(oldest, best, distance, options.gauge_sigma_m)

@@ -7,7 +7,8 @@ import pytest
 
 from campaign.cli import main
 
-SCENE = "extends: apophis-sphere-sequence\nsequence: {orbit: {revolutions: 0.25}}\n"
+# Three ranges: of a single ranged landmark one in ten is not tracked to the second frame, and the scale goes with it.
+SCENE = "extends: apophis-sphere-sequence\nsequence: {orbit: {revolutions: 0.25}, knowledge: {ranges: 3}}\n"
 CAMPAIGN = """\
 title: Faults
 experiment: sequence
