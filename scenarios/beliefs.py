@@ -37,7 +37,8 @@ def _believed_body(body: BodySpec, onboard: OnboardSpec) -> BodySpec:
     if detail is not None:
         changes = {} if onboard.facets is None else {"facets": onboard.facets}
         known = {} if onboard.albedo == "as-truth" else {"albedo": None}
-        detail = detail.model_copy(update={**changes, **known})
+        relief = {} if onboard.relief is None else {"redrawn": onboard.relief}
+        detail = detail.model_copy(update={**changes, **known, **relief})
     return body.model_copy(update={"detail": detail, "height_error": onboard.height_error or body.height_error})
 
 

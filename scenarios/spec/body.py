@@ -65,6 +65,15 @@ class AlbedoSpec(SpecModel):
     wavelength_m: float = Field(40.0, gt=0, description="Longest scale of the variation")
 
 
+class RedrawnSpec(SpecModel):
+    """Small relief as somebody has it who has not seen it: of the same kind and sizes, at other places."""
+
+    below_m: float = Field(
+        gt=0, description="Boulders, craters and wavelengths of the roughness below this are redrawn"
+    )
+    seed: int = Field(ge=0, description="Where they are drawn from; the seed of the detail itself changes nothing")
+
+
 class DetailSpec(SpecModel):
     """Subdivides a coarse shape and adds relief; the same seed gives the same body."""
 
@@ -74,6 +83,8 @@ class DetailSpec(SpecModel):
     craters: CraterSpec | None = None
     roughness: RoughnessSpec | None = None
     albedo: AlbedoSpec | None = None
+    # Left out of digests where it is not given: a body without it is the same as ever.
+    redrawn: RedrawnSpec | None = Field(None, exclude_if=_is_none, description="Small relief from another seed")
 
 
 class HeightErrorSpec(SpecModel):

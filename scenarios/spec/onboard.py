@@ -7,9 +7,13 @@ from typing import Literal
 from pydantic import Field
 
 from scenarios.spec.base import SpecModel
-from scenarios.spec.body import BodySpec, HeightErrorSpec
+from scenarios.spec.body import BodySpec, HeightErrorSpec, RedrawnSpec
 from scenarios.spec.brdf import BrdfSpec
 from scenarios.spec.distribution import Scalar
+
+
+def _is_none(value: object) -> bool:
+    return value is None
 
 
 class OnboardSpec(SpecModel):
@@ -24,6 +28,11 @@ class OnboardSpec(SpecModel):
     body: BodySpec | None = Field(None, description="Another shape altogether, in the same frame")
     facets: int | None = Field(
         None, ge=4, le=13_000_000, description="Resolution of the shape: facets of the body's detail stage"
+    )
+    relief: RedrawnSpec | None = Field(
+        None,
+        exclude_if=_is_none,
+        description="Small relief that nobody has seen: other boulders, craters and roughness",
     )
     height_error: HeightErrorSpec | None = Field(None, description="Error of the shape's heights")
     albedo: Literal["as-truth", "uniform"] = Field("as-truth", description="Whether its variation is known")

@@ -77,14 +77,15 @@ class ScenarioSpec(SpecModel):
     @model_validator(mode="after")
     def _onboard_knows_of_something(self) -> Self:
         onboard = self.onboard
-        if onboard.body is not None and (onboard.facets, onboard.height_error, onboard.albedo) != (
-            None,
-            None,
-            "as-truth",
-        ):
-            raise ValueError("onboard.body is a whole shape: give facets, height_error and albedo in it, not beside it")
+        parts = (onboard.facets, onboard.relief, onboard.height_error, onboard.albedo)
+        if onboard.body is not None and parts != (None, None, None, "as-truth"):
+            raise ValueError(
+                "onboard.body is a whole shape: give facets, relief, height_error and albedo in it, not beside it"
+            )
         if onboard.facets is not None and self.body.detail is None:
             raise ValueError("onboard.facets: the body has no detail stage whose resolution could be changed")
+        if onboard.relief is not None and self.body.detail is None:
+            raise ValueError("onboard.relief: the body has no detail stage whose small relief could be another")
         if onboard.distortion_error != 0.0 and self.camera.distortion is None:
             raise ValueError("onboard.distortion_error: the camera has no distortion that could be known wrongly")
         return self

@@ -37,6 +37,13 @@ def test_only_what_is_said_differs():
     assert believed.viewpoint == spec.viewpoint
 
 
+def test_small_relief_on_board_may_be_another():
+    spec = quickstart("onboard.relief={below_m: 9, seed: 4}")
+    believed = believed_spec(spec).body.detail
+    assert (believed.redrawn.below_m, believed.redrawn.seed) == (9.0, 4)
+    assert spec.body.detail == believed.model_copy(update={"redrawn": None})
+
+
 def test_the_lens_may_be_known_wrongly_or_not_at_all():
     lens = "camera.distortion={k1: -0.4, k2: 0.1}"
     half = believed_camera(quickstart(lens, "onboard.distortion_error=-0.5", "onboard.focal_error=0.01"))
@@ -53,6 +60,8 @@ def test_the_lens_may_be_known_wrongly_or_not_at_all():
     [
         ("onboard.body={shape: sphere}", "onboard.facets=5000"),
         ("onboard.facets=5000", "body={shape: sphere, detail: null}"),
+        ("onboard.body={shape: sphere}", "onboard.relief={below_m: 9, seed: 4}"),
+        ("onboard.relief={below_m: 9, seed: 4}", "body={shape: sphere, detail: null}"),
     ],
 )
 def test_a_shape_said_twice_is_refused(overrides):

@@ -14,7 +14,7 @@ from scenarios.bodies.detail.subdivide import interpolating_control, refine, rou
 from scenarios.bodies.topology import vertex_normals
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
-from scenarios.spec.body import AlbedoSpec, BoulderSpec, CraterSpec, DetailSpec, RoughnessSpec
+from scenarios.spec.body import AlbedoSpec, BoulderSpec, CraterSpec, DetailSpec, RedrawnSpec, RoughnessSpec
 
 RUBBLE = DetailSpec(
     facets=150_000,
@@ -23,6 +23,7 @@ RUBBLE = DetailSpec(
     craters=CraterSpec(count=20, min_diameter_m=20.0, max_diameter_m=80.0),
     roughness=RoughnessSpec(rms_m=1.0, max_wavelength_m=60.0, min_wavelength_m=8.0),
     albedo=AlbedoSpec(sigma=0.1),
+    redrawn=RedrawnSpec(below_m=12.0, seed=3),
 )
 
 
@@ -252,6 +253,8 @@ KEYS = [
     ("roughness.min_wavelength_m", 12.0),
     ("albedo.sigma", 0.2),
     ("albedo.wavelength_m", 50.0),
+    ("redrawn.below_m", 20.0),
+    ("redrawn.seed", 4),
 ]
 
 
@@ -273,6 +276,37 @@ def test_each_key_changes_the_body(rubble, key, value):
     same_albedo = np.array_equal(mesh.albedo, rubble.albedo)
     assert same_points == (section == "albedo")
     assert not (same_points and same_albedo)
+
+
+def bumps(below_m=None, seed=5, smallest=25.0, largest=40.0, wavelengths=(10.0, 10.0)):
+    """Boulders and one octave of roughness on a ball, with or without small relief from another seed."""
+    return DetailSpec(
+        facets=80_000,
+        seed=7,
+        boulders=BoulderSpec(count=30, min_diameter_m=smallest, max_diameter_m=largest),
+        craters=CraterSpec(count=10, min_diameter_m=smallest, max_diameter_m=largest),
+        roughness=RoughnessSpec(rms_m=0.5, max_wavelength_m=wavelengths[0], min_wavelength_m=wavelengths[1]),
+        redrawn=None if below_m is None else RedrawnSpec(below_m=below_m, seed=seed),
+    )
+
+
+def test_relief_that_is_large_enough_stays_and_small_relief_lies_elsewhere():
+    known = relief(bumps(), ball(4))[0] - 100.0
+    np.testing.assert_array_equal(relief(bumps(below_m=10.0), ball(4))[0] - 100.0, known)
+    np.testing.assert_array_equal(relief(bumps(below_m=100.0, seed=7), ball(4))[0] - 100.0, known)
+    others = relief(bumps(below_m=100.0), ball(4))[0] - 100.0
+    assert abs(np.corrcoef(known, others)[0, 1]) < 0.2
+    assert others.std() == pytest.approx(known.std(), rel=0.2)
+
+
+def test_of_relief_of_all_sizes_only_the_small_part_is_another():
+    large = DetailSpec(facets=80_000, seed=7, craters=CraterSpec(count=1, min_diameter_m=80.0, max_diameter_m=80.0))
+    both = bumps(below_m=50.0).model_copy(update={"craters": large.craters, "boulders": None})
+    crater = relief(large, ball(4))[0]
+    rough = relief(both, ball(4))[0] - crater
+    own = relief(both.model_copy(update={"redrawn": None}), ball(4))[0] - crater
+    assert rough.std() == pytest.approx(0.5, rel=0.02)
+    assert abs(np.corrcoef(rough, own)[0, 1]) < 0.1
 
 
 def test_rubble_is_closed_outward_and_nowhere_folded(rubble):

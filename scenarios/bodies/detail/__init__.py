@@ -7,6 +7,7 @@ import numpy as np
 from scenarios.bodies.detail.features import boulder_heights, crater_heights
 from scenarios.bodies.detail.noise import Band, fractal_field
 from scenarios.bodies.detail.placement import Ground
+from scenarios.bodies.detail.redrawn import Redrawn
 from scenarios.bodies.detail.subdivide import interpolating_control, refine, rounds_for, smoothed
 from scenarios.bodies.topology import FloatArray, IntArray, find_edges, unit, vertex_normals
 from scenarios.errors import BoresightError
@@ -47,17 +48,20 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
         raise BoresightError("detail.albedo: the shape has an albedo of its own; remove the key")
     ground, faces, coarse_albedo = _refined(mesh, spec)
     boulders, craters, roughness, albedo = np.random.SeedSequence(spec.seed).spawn(4)
+    small_boulders, small_craters, small_roughness = _redrawn(spec)
     heights = np.zeros(len(ground.points_m))
     omitted = {}
     if spec.craters is not None:
-        relief, omitted["craters"] = crater_heights(spec.craters, ground, craters)
+        relief, omitted["craters"] = crater_heights(spec.craters, ground, craters, small_craters)
         heights += relief
     if spec.boulders is not None:
-        relief, omitted["boulders"] = boulder_heights(spec.boulders, ground, boulders)
+        relief, omitted["boulders"] = boulder_heights(spec.boulders, ground, boulders, small_boulders)
         heights += relief
     if spec.roughness is not None:
         band = Band(spec.roughness.max_wavelength_m, spec.roughness.min_wavelength_m, spec.roughness.hurst)
-        relief, omitted["octaves of roughness"] = fractal_field(ground.points_m, band, ground.resolution_m, roughness)
+        relief, omitted["octaves of roughness"] = fractal_field(
+            ground.points_m, band, ground.resolution_m, roughness, small_roughness
+        )
         heights += spec.roughness.rms_m * relief
     factor = coarse_albedo
     if spec.albedo is not None:
@@ -69,6 +73,13 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
         if count
     )
     return TriangleMesh(points_m, faces.astype(np.int32), factor), notes
+
+
+def _redrawn(spec: DetailSpec) -> list[Redrawn | None]:
+    """Where small boulders, craters and octaves of roughness are drawn from instead; None where they are not."""
+    if spec.redrawn is None:
+        return [None, None, None]
+    return [Redrawn(spec.redrawn.below_m, seed) for seed in np.random.SeedSequence(spec.redrawn.seed).spawn(4)[:3]]
 
 
 def _refined(mesh: TriangleMesh, spec: DetailSpec) -> tuple[Ground, IntArray, FloatArray | None]:

@@ -13,6 +13,7 @@ from scenarios.bodies.detail.placement import (
     power_law_diameters,
     tangent_axes,
 )
+from scenarios.bodies.detail.redrawn import Redrawn
 from scenarios.bodies.topology import FloatArray, IndexArray
 from scenarios.spec.body import BoulderSpec, CraterSpec
 
@@ -23,14 +24,16 @@ _RIM_WIDTH = 0.4  # in crater radii: a rim rounded by rubble, not a knife edge
 _CRATER_REACH = 3.0  # the ejecta blanket ends at this many radii
 
 
-def boulder_heights(spec: BoulderSpec, ground: Ground, seed: np.random.SeedSequence) -> tuple[FloatArray, int]:
+def boulder_heights(
+    spec: BoulderSpec, ground: Ground, seed: np.random.SeedSequence, small: Redrawn | None = None
+) -> tuple[FloatArray, int]:
     """Heights (V,) of angular blocks that stand on the surface; where two overlap the higher one shows.
 
     Returns
     -------
     The heights, and the number of boulders that are too small for the mesh and were left out.
     """
-    places, diameters_m, kept, rng = _scatter(spec, ground, seed)
+    places, diameters_m, kept, rng = _scatter(spec, ground, seed, small)
     blocks = _draw_blocks(spec, ground, places, diameters_m, rng)
     heights = np.zeros(len(ground.points_m))
     for patches in find_patches(ground, places[:kept], 0.5 * diameters_m[:kept]):
@@ -38,14 +41,16 @@ def boulder_heights(spec: BoulderSpec, ground: Ground, seed: np.random.SeedSeque
     return heights, spec.count - kept
 
 
-def crater_heights(spec: CraterSpec, ground: Ground, seed: np.random.SeedSequence) -> tuple[FloatArray, int]:
+def crater_heights(
+    spec: CraterSpec, ground: Ground, seed: np.random.SeedSequence, small: Redrawn | None = None
+) -> tuple[FloatArray, int]:
     """Heights (V,) of bowls with raised rims; where several overlap they add up.
 
     Returns
     -------
     The heights, and the number of craters that are too small for the mesh and were left out.
     """
-    places, diameters_m, kept, _ = _scatter(spec, ground, seed)
+    places, diameters_m, kept, _ = _scatter(spec, ground, seed, small)
     heights = np.zeros(len(ground.points_m))
     for patches in find_patches(ground, places[:kept], 0.5 * _CRATER_REACH * diameters_m[:kept]):
         diameter_m = diameters_m[patches.feature]
@@ -55,13 +60,20 @@ def crater_heights(spec: CraterSpec, ground: Ground, seed: np.random.SeedSequenc
 
 
 def _scatter(
-    spec: BoulderSpec | CraterSpec, ground: Ground, seed: np.random.SeedSequence
+    spec: BoulderSpec | CraterSpec, ground: Ground, seed: np.random.SeedSequence, small: Redrawn | None
 ) -> tuple[IndexArray, FloatArray, int, np.random.Generator]:
     """Draw places and diameters, largest first, and count those that the mesh can carry."""
     rng = np.random.default_rng(seed)
-    diameters_m = power_law_diameters(spec.count, spec.min_diameter_m, spec.max_diameter_m, spec.exponent, rng)
-    places = ground.draw_places(spec.count, rng)
+    diameters_m, places = _strewn(spec, ground, rng)
+    if small is not None:
+        _, elsewhere = _strewn(spec, ground, np.random.default_rng(small.seed))
+        places = np.where(diameters_m < small.below_m, elsewhere, places)
     return places, diameters_m, int(np.count_nonzero(diameters_m >= ground.resolution_m)), rng
+
+
+def _strewn(spec: BoulderSpec | CraterSpec, ground: Ground, rng: np.random.Generator) -> tuple[FloatArray, IndexArray]:
+    diameters_m = power_law_diameters(spec.count, spec.min_diameter_m, spec.max_diameter_m, spec.exponent, rng)
+    return diameters_m, ground.draw_places(spec.count, rng)
 
 
 def _crater_profile(radii: FloatArray, spec: CraterSpec) -> FloatArray:

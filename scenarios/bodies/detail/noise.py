@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
+from scenarios.bodies.detail.redrawn import Redrawn
 from scenarios.bodies.topology import FloatArray
 
 _LATTICE = 96
@@ -38,12 +39,13 @@ class Band:
 
 
 def fractal_field(
-    points_m: FloatArray, band: Band, resolution_m: float, seed: np.random.SeedSequence
+    points_m: FloatArray, band: Band, resolution_m: float, seed: np.random.SeedSequence, small: Redrawn | None = None
 ) -> tuple[FloatArray, int]:
     """Sum the octaves of a band at points (N, 3).
 
     Octaves below ``resolution_m`` cannot be carried by the mesh and are left out; those that stay are the same
-    without them, so that a body keeps its hills when it gets more facets.
+    without them, so that a body keeps its hills when it gets more facets. Those shorter than ``small`` says are drawn
+    from its seed.
 
     Returns
     -------
@@ -52,7 +54,7 @@ def fractal_field(
     field = np.zeros(len(points_m))
     omitted = 0
     variance = 0.0
-    octaves = zip(band.wavelengths_m, band.amplitudes, seed.spawn(len(band.wavelengths_m)), strict=True)
+    octaves = zip(band.wavelengths_m, band.amplitudes, _streams(band, seed, small), strict=True)
     for wavelength_m, amplitude, stream in octaves:
         if wavelength_m < resolution_m:
             omitted += 1
@@ -61,6 +63,15 @@ def fractal_field(
         field += amplitude * (octave - octave.mean()) / octave.std()
         variance += amplitude**2
     return (field * np.sqrt(variance) / field.std() if variance else field), omitted
+
+
+def _streams(band: Band, seed: np.random.SeedSequence, small: Redrawn | None) -> list[np.random.SeedSequence]:
+    streams = seed.spawn(len(band.wavelengths_m))
+    if small is None:
+        return streams
+    others = small.seed.spawn(len(streams))
+    own = band.wavelengths_m >= small.below_m
+    return [mine if kept else other for mine, other, kept in zip(streams, others, own, strict=True)]
 
 
 def _lattice_noise(points: FloatArray, rng: np.random.Generator) -> FloatArray:

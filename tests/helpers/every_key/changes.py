@@ -25,6 +25,7 @@ from every_key.scenes import (
     OREN_NAYAR,
     PROPAGATED,
     REAL,
+    REDRAWN,
     RENDERED,
     SEEN,
     SEQUENCE,
@@ -122,6 +123,8 @@ CHANGES: dict[str, tuple[str, str]] = {
     "pose_error.attitude.rotation_vector_deg.uniform": (UNIFORM, "[[-1, 1], [-1, 1], [-2, 2]]"),
     "pose_error.attitude.rotation_vector_deg.normal": (GAUSSIAN, "[1, 1, 2]"),
     "body.even_facets": (BALL, "2000"),
+    "body.detail.redrawn.below_m": (REDRAWN, "60"),
+    "body.detail.redrawn.seed": (REDRAWN, "6"),
     "body.height_error.rms_m": (WRONG_HEIGHTS, "9"),
     "body.height_error.max_wavelength_m": (WRONG_HEIGHTS, "150"),
     "body.height_error.min_wavelength_m": (WRONG_HEIGHTS, "80"),
@@ -130,6 +133,7 @@ CHANGES: dict[str, tuple[str, str]] = {
     "onboard.brdf": (RENDERED, "{kind: oren-nayar}"),
     "onboard.body": (RENDERED, "{shape: sphere}"),
     "onboard.facets": (RENDERED, "20000"),
+    "onboard.relief": (RENDERED, "{below_m: 40, seed: 5}"),
     "onboard.height_error": (RENDERED, "{rms_m: 2, max_wavelength_m: 200, min_wavelength_m: 40}"),
     "onboard.albedo": (RENDERED, "uniform"),
     "onboard.focal_error": (RENDERED, "0.01"),
@@ -298,7 +302,7 @@ CHANGES |= {
         "errors.height_m": "2",
     }.items()
 }
-SAME_TERMS = {"onboard.brdf", "onboard.body", "onboard.height_error"}
+SAME_TERMS = {"onboard.brdf", "onboard.body", "onboard.relief", "onboard.height_error"}
 # Keys that change no result, each with its reason.
 NO_RESULT = {
     "name": "names the scenario in tables",

@@ -30,6 +30,7 @@ UNIFORM = RENDERED + (
 )
 ALTIMETER = RENDERED + "sensors: {altimeter: {sigma_m: 5}}\n"
 BALL = RENDERED.replace("body:\n", "body:\n  shape: sphere\n")
+REDRAWN = RENDERED.replace("    boulders:", "    redrawn: {below_m: 40, seed: 5}\n    boulders:")
 WRONG_HEIGHTS = RENDERED.replace(
     "body:\n", "body:\n  height_error: {rms_m: 4, max_wavelength_m: 200, min_wavelength_m: 50}\n"
 )
