@@ -34,9 +34,10 @@ class BundleSlam:
 
     The oldest view of the window stays where it was estimated last. A range that is measured on the way takes the
     place of the gauge in the adjustment of its view, and the gauge goes on with the distance that it then has. There
-    is no covariance: the window does not know the error of what it is fixed to. With ``connected: last-two`` it does not
-    ask either whether anything determines its scale, as the paper does not: an undetermined one stays where the
-    predicted motion put it. With ``connected: whole-window`` such a sequence counts as failed.
+    is no covariance: the window does not know the error of what it is fixed to.
+
+    With ``connected: last-two`` it does not ask whether anything determines its scale, as the paper does not: an
+    undetermined one stays where the predicted motion put it. With ``connected: whole-window`` such a sequence fails.
     """
 
     name: ClassVar[str] = "ba-slam"
