@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,8 +23,9 @@ FloatArray = NDArray[np.float64]
 FILE = "maplets.npz"
 
 _ARCHIVE = Archive(FILE, "maplets", "boresight-maplets", version=1)
-_HEIGHT_STEP_M = 0.01
+_LEAST_STEP_M = 0.01
 _NOTHING = np.iinfo(np.int16).min
+_MOST_STEPS = np.iinfo(np.int16).max
 _ALBEDO_STEPS = np.iinfo(np.uint16).max
 _OVERLAP = 3.0
 _SAME_SURFACE = 1.5
@@ -164,12 +166,11 @@ class MapletDatabase:
     def save(self, folder: Path) -> None:
         """Write ``maplets.npz`` into ``folder``, which is made if absent.
 
-        Heights are whole centimetres in 16 bits, attitudes quaternions (w, x, y, z), albedo 16 bits of its greatest
-        value.
+        Heights are whole steps in 16 bits, attitudes quaternions (w, x, y, z), albedo 16 bits of its greatest value. A
+        step is a centimetre, doubled until the largest height fits.
         """
-        steps = np.round(self.heights_m / _HEIGHT_STEP_M)
-        if np.nanmax(np.abs(steps)) >= -int(_NOTHING):
-            raise BoresightError(f"heights beyond {-int(_NOTHING) * _HEIGHT_STEP_M:g} m do not fit the format")
+        step_m = height_step_m(float(np.nanmax(np.abs(self.heights_m))))
+        steps = np.round(self.heights_m / step_m)
         arrays: dict[str, NDArray[np.generic]] = {
             "centres_m": self.centres_m,
             "quat_wxyz": Rotation.from_matrix(self.axes).as_quat(canonical=True, scalar_first=True),
@@ -177,7 +178,7 @@ class MapletDatabase:
         }
         head = {
             "spacing_m": self.spacing_m,
-            "height_step_m": _HEIGHT_STEP_M,
+            "height_step_m": step_m,
             "provenance": dict(self.provenance),
         }
         if self.albedo is not None:
@@ -203,3 +204,8 @@ class MapletDatabase:
         albedo = arrays["albedo"] * (head["albedo_max"] / _ALBEDO_STEPS) if "albedo" in arrays else None
         axes = Rotation.from_quat(arrays["quat_wxyz"], scalar_first=True).as_matrix()
         return cls(arrays["centres_m"], axes, heights_m, float(head["spacing_m"]), albedo, head["provenance"])
+
+
+def height_step_m(largest_m: float) -> float:
+    """Return what heights up to ``largest_m`` are stored in whole steps of: a centimetre, doubled until they fit."""
+    return _LEAST_STEP_M * 2.0 ** math.ceil(math.log2(max(1.0, largest_m / (_MOST_STEPS * _LEAST_STEP_M))))

@@ -158,6 +158,16 @@ def test_a_stored_data_base_is_the_same_to_half_a_step(tmp_path):
     assert (tmp_path / FILE).stat().st_size < 5 * database.heights_m.size
 
 
+@pytest.mark.parametrize(("largest_m", "step_m"), [(0.0, 0.01), (327.67, 0.01), (327.68, 0.02), (5e4, 2.56)])
+def test_heights_of_any_size_are_stored_to_half_a_step(tmp_path, largest_m, step_m):
+    """In 16 bits: of the largest height, to one part in 30,000, and to half a centimetre where that is enough."""
+    heights = largest_m * np.array([[-1.0, 0.123456, 1.0], [0.5, 0.0, np.nan], [-0.3333, 0.7, 0.001]])[None]
+    MapletDatabase(np.zeros((1, 3)), np.eye(3)[None], heights, 30.0).save(tmp_path)
+    again = MapletDatabase.load(tmp_path).heights_m
+    np.testing.assert_allclose(again, heights, atol=0.5 * step_m + 1e-9)
+    np.testing.assert_allclose(again / step_m, np.round(again / step_m), atol=1e-6)
+
+
 def test_the_same_shape_gives_the_same_file(tmp_path):
     for name in ("a", "b"):
         build_maplets(ball(4), OPTIONS).save(tmp_path / name)
