@@ -9,10 +9,9 @@ from typing import Literal
 
 from scipy.stats import binomtest
 
-from reports.published import Claim, Comparison, PublishedValue
+from reports.published import Claim, Comparison, PublishedValue, Term
 from reports.records import CONTROL, DERIVED, Record, find
 
-_FUNCTIONAL = 0.9
 Verdict = Literal[
     "reproduced", "better", "differs", "differs (lower)", "differs (higher)", "undecided", "context", "not measured"
 ]
@@ -86,31 +85,40 @@ def compare_claims(records: Sequence[Record], comparison: Comparison) -> tuple[C
     return tuple(
         _compared_claim(records, scenario, claim)
         for claim in comparison.claims
-        for scenario in (("",) if claim.unmeasured else scenarios)
+        for scenario in (("",) if claim.unmeasured or any(term.scenario for term in claim.order) else scenarios)
         if claim.scenario in ("", scenario)
     )
 
 
 def _compared_claim(records: Sequence[Record], scenario: str, claim: Claim) -> ComparedClaim:
-    of_run = [r for r in records if r.scenario == scenario]
     if claim.solves:
-        ours = find(of_run, estimator=claim.solves, stage=claim.stage, measure=claim.measure, statistic=claim.statistic)
-        return ComparedClaim(scenario, claim, (ours,), judge_solved(ours))
-    values = tuple(
-        find(of_run, estimator=label, stage=claim.stage, measure=claim.measure, statistic=claim.statistic)
-        for label in claim.order
-    )
+        ours = _of_claim(records, scenario, claim, Term(estimator=claim.solves))
+        return ComparedClaim(scenario, claim, (ours,), judge_solved(ours, claim.share))
+    values = tuple(_of_claim(records, scenario, claim, term) for term in claim.order)
     return ComparedClaim(scenario, claim, values, judge_order(values) if values else "not measured")
 
 
-def judge_solved(ours: Record | None) -> Verdict:
-    """Tell whether nine trials of ten are solved, by the 95 % interval of Wilson of their share."""
+def _of_claim(records: Sequence[Record], scenario: str, claim: Claim, term: Term) -> Record | None:
+    return find(
+        records,
+        scenario=term.scenario or scenario,
+        estimator=term.estimator or claim.estimator,
+        stage=term.stage or claim.stage,
+        measure=term.measure or claim.measure,
+        statistic=term.statistic or claim.statistic,
+    )
+
+
+def judge_solved(ours: Record | None, share: float = 0.9) -> Verdict:
+    """Tell whether so many trials are solved, by the 95 % interval of Wilson of their share; of "all" none may fail."""
     if ours is None or not ours.n:
         return "not measured"
+    if share == 1:
+        return "reproduced" if ours.n_ok == ours.n else "differs (lower)"
     interval = binomtest(ours.n_ok, ours.n).proportion_ci(0.95, method="wilson")
-    if interval.low > _FUNCTIONAL:
+    if interval.low > share:
         return "reproduced"
-    return "differs (lower)" if interval.high < _FUNCTIONAL else "undecided"
+    return "differs (lower)" if interval.high < share else "undecided"
 
 
 def judge_order(ascending: Sequence[Record | None]) -> Verdict:
@@ -129,8 +137,10 @@ def judge(ours: Record | None, published: PublishedValue, own: bool = True) -> V
     """Apply `VERDICT_RULE` to one value; ``own`` says whether the paper has the method itself."""
     if ours is None or ours.value is None:
         return "not measured"
-    if published.relation == "above":
-        return _judge_above(ours, published.value, published.at_most)
+    if published.relation != "about":
+        verdict = _judge_side(ours, published)
+        beyond = published.better == {"above": "higher", "below": "lower"}[published.relation]
+        return "better" if verdict == "reproduced" and beyond and not own else verdict
     if published.tolerance is None:
         return "context"
     if ours.low is None or ours.high is None:
@@ -144,9 +154,13 @@ def judge(ours: Record | None, published: PublishedValue, own: bool = True) -> V
     return "reproduced" if lowest <= ours.low and ours.high <= highest else "undecided"
 
 
-def _judge_above(ours: Record, least: float, most: float | None) -> Verdict:
+def _judge_side(ours: Record, published: PublishedValue) -> Verdict:
+    """Tell whether the whole interval lies on the side of the printed number that the words name."""
     if ours.low is None or ours.high is None:
         return "undecided"
+    least, most = published.value, published.at_most
+    if published.relation == "below":
+        least, most = -float("inf"), published.value
     if ours.high < least:
         return "differs (lower)"
     if most is not None and ours.low > most:

@@ -50,7 +50,7 @@ def _compared_cells(compared: ComparedValue, several: bool) -> tuple[str, ...]:
         f"{compared.scenario}, {compared.estimator}: {quantity}" if several else quantity,
         stage_label(published.stage, timed=published.measure == "seconds"),
         published.statistic,
-        published.printed,
+        published.quoted,
         value_of(ours, interval=True),
         counts(ours),
         f"± {published.tolerance:g}" if judged else NO_VALUE,
@@ -79,15 +79,16 @@ def claim_values(item: ComparedClaim) -> str:
     """Print what a claim is held against: values in its order, how many are solved, or why it is not measured."""
     if item.claim.solves and item.ours and item.ours[0]:
         return f"{item.claim.solves} solves {counts(item.ours[0])}"
-    return item.claim.unmeasured or ordered_values(item.ours)
+    names = [term.label for term in item.claim.order]
+    return item.claim.unmeasured or ordered_values(item.ours, names)
 
 
-def ordered_values(ours: Sequence[Record | None]) -> str:
+def ordered_values(ours: Sequence[Record | None], names: Sequence[str]) -> str:
     """Print values in the order of a claim, with the relation that holds between neighbours; ``-`` for none."""
     parts: list[str] = []
-    for before, record in zip((None, *ours), ours, strict=False):
+    for before, record, name in zip((None, *ours), ours, names, strict=False):
         parts += [_relation(before, record)] if parts else []
-        parts.append(f"{record.estimator} {value_of(record, interval=True)} {record.unit}" if record else NO_VALUE)
+        parts.append(f"{name} {value_of(record, interval=True)} {record.unit}" if record else NO_VALUE)
     return " ".join(parts) or NO_VALUE
 
 

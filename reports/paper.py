@@ -41,6 +41,8 @@ class PaperLine:
         Half-width of the band that counts as reproduced; None where there is none.
     verdict
         By the rule.
+    names
+        Of an order: what tells its values apart.
     """
 
     campaign: str
@@ -53,6 +55,7 @@ class PaperLine:
     ours: tuple[Record | None, ...]
     tolerance: float | None
     verdict: Verdict
+    names: tuple[str, ...] = ()
 
 
 def paper_lines(
@@ -98,7 +101,7 @@ def _value_line(campaign: str, item: ComparedValue, *, name: bool = False) -> Pa
         published.place,
         f"{measure_label(published.measure)}, {stage}{whose}",
         published.statistic,
-        published.printed,
+        published.quoted,
         (item.ours,),
         published.tolerance if item.verdict != "context" else None,
         item.verdict,
@@ -109,7 +112,10 @@ def _claim_line(campaign: str, item: ComparedClaim) -> PaperLine:
     claim = item.claim
     how = claim.unmeasured or ("trials solved" if claim.solves else f"order of the {claim.statistic}s")
     quantity = "in words" if claim.unmeasured else measure_label(claim.measure)
-    return PaperLine(campaign, item.scenario, "", claim.place, quantity, how, claim.text, item.ours, None, item.verdict)
+    names = tuple(term.label for term in claim.order)
+    return PaperLine(
+        campaign, item.scenario, "", claim.place, quantity, how, claim.text, item.ours, None, item.verdict, names
+    )
 
 
 def paper_grid(lines: Sequence[PaperLine]) -> Grid:
@@ -145,7 +151,7 @@ def paper_grid(lines: Sequence[PaperLine]) -> Grid:
 
 
 def _ours(line: PaperLine) -> str:
-    return value_of(line.ours[0], interval=True) if len(line.ours) == 1 else ordered_values(line.ours)
+    return value_of(line.ours[0], interval=True) if len(line.ours) == 1 else ordered_values(line.ours, line.names)
 
 
 def verdict_tally(lines: Sequence[PaperLine]) -> str:

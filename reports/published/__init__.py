@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from importlib import resources
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from reports.records import DERIVED, DIAGNOSTICS, REDUCTION, UNITS, unit_of
 from scenarios.errors import BoresightError
@@ -42,8 +43,10 @@ class PublishedValue(_Model):
         Number and unit, verbatim.
     tolerance
         Half-width of the band that counts as reproduced, in the measure's unit; None where no verdict is due.
+    words
+        What the paper says, verbatim, where it gives no number: ``printed`` is then how the words are read.
     relation
-        ``about`` the printed number, or ``above`` it, whatever the tolerance.
+        ``about`` the printed number, or ``above`` or ``below`` it, whatever the tolerance.
     at_most
         Upper bound of what is ``above`` where the words set one: "somewhat broader than 3" is not 300.
     scenario
@@ -63,7 +66,8 @@ class PublishedValue(_Model):
     statistic: str
     printed: str = Field(pattern=_PRINTED.replace("?P<low>", "").replace("?P<high>", "").replace("?P<unit>", ""))
     tolerance: float | None = Field(None, gt=0)
-    relation: Literal["about", "above"] = "about"
+    words: str = ""
+    relation: Literal["about", "above", "below"] = "about"
     at_most: float | None = None
     scenario: str = ""
     estimator: str = ""
@@ -75,13 +79,18 @@ class PublishedValue(_Model):
     def _known(self) -> Self:
         if self.measure not in UNITS and self.stage not in (DIAGNOSTICS, DERIVED):
             raise ValueError(f"measure {self.measure!r} is not one of {', '.join(UNITS)}")
-        if self.at_most is not None and (self.relation == "about" or self.at_most <= self.value):
+        if self.at_most is not None and (self.relation != "above" or self.at_most <= self.value):
             raise ValueError(f"at_most {self.at_most:g} bounds what is above {self.printed}, and lies above that")
         if (self.stage == REDUCTION) != bool(self.against):
             raise ValueError(f"a {REDUCTION} names what it is against, and nothing else does")
         if (self._part("unit"), unit_of(self.measure)) not in _SCALE:
             raise ValueError(f"{self.printed!r}: unit {self._part('unit')!r} does not fit {self.measure}")
         return self
+
+    @property
+    def quoted(self) -> str:
+        """What the paper prints, or says with our reading of it."""
+        return f'"{self.words}" (read as {self.printed})' if self.words else self.printed
 
     def _part(self, name: str) -> str:
         found = re.match(_PRINTED, self.printed)
@@ -95,6 +104,28 @@ class PublishedValue(_Model):
         return middle * _SCALE[self._part("unit"), unit_of(self.measure)]
 
 
+class Term(_Model):
+    """One of the values that a statement puts in order: what tells it from the others.
+
+    Parameters
+    ----------
+    estimator, scenario, stage, measure, statistic
+        '' for that of the statement.
+    """
+
+    estimator: str = ""
+    scenario: str = ""
+    stage: str = ""
+    measure: str = ""
+    statistic: str = ""
+
+    @property
+    def label(self) -> str:
+        """What tells the value from the others of its statement."""
+        given = (self.scenario, self.estimator, self.stage, self.measure, self.statistic)
+        return ", ".join(part for part in given if part)
+
+
 class Claim(_Model):
     """What the paper says in words, and how our rows are held against it. One of three ways is given.
 
@@ -103,11 +134,13 @@ class Claim(_Model):
     text
         What the paper says, verbatim.
     order
-        Labels of the estimators of one run whose values ascend by the words.
-    measure, stage, statistic
-        Which of their values are compared.
+        Values of one run that ascend by the words; a label alone is the value of that estimator.
+    estimator, measure, stage, statistic
+        Which values are compared, where the terms of the order do not say otherwise.
     solves
         Label of the estimator that "is functional": it solves nine trials of ten at least, which is our reading.
+    share
+        The share of trials that it solves at least, in place of nine of ten; 1 for "all".
     unmeasured
         Why no stored row of ours tells.
     scenario
@@ -117,21 +150,30 @@ class Claim(_Model):
     """
 
     text: str = Field(min_length=1)
-    order: tuple[str, ...] = ()
+    order: tuple[Term, ...] = ()
+    estimator: str = ""
     measure: str = "position_error_m"
     stage: str = "final"
     statistic: str = "median"
     solves: str = ""
+    share: float = Field(0.9, gt=0, le=1)
     unmeasured: str = ""
     scenario: str = ""
     place: str = Field(min_length=1)
+
+    @field_validator("order", mode="before")
+    @classmethod
+    def _labels(cls, order: object) -> object:
+        if not isinstance(order, Sequence) or isinstance(order, str):
+            return order
+        return tuple({"estimator": item} if isinstance(item, str) else item for item in order)
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
         if [bool(self.order), bool(self.solves), bool(self.unmeasured)].count(True) != 1:
             raise ValueError("give one of order, solves and unmeasured")
         if len(self.order) == 1:
-            raise ValueError("order: one estimator has none")
+            raise ValueError("order: one value has none")
         return self
 
 

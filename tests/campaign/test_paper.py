@@ -101,7 +101,7 @@ def test_every_published_number_has_its_line(page):
         comparison = load_published("rowell2015-real-context" if name == "navcam67p-real" else name)
         mine = table[table["campaign"] == name]
         wanted = [value for value in comparison.values if value.scenario == ""]  # noqa: PD011
-        assert {value.printed for value in wanted} <= set(mine["published"])
+        assert {value.quoted for value in wanted} <= set(mine["published"])
         assert {claim.text for claim in comparison.claims} <= set(mine["published"])
     assert (table.loc[table["campaign"] == "navcam67p-real", "verdict"] == "not measured").all()
     html = (page / "index.html").read_text(encoding="utf-8")

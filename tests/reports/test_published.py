@@ -119,14 +119,15 @@ def test_tolerances_follow_the_stated_rule(name, stage_rule):
 
 
 def test_names_are_listed_and_an_unknown_one_is_refused_with_them():
-    kinds = ("centroid", "convergence", "database", "real", "real-context", "real-like", "simulated")
+    kinds = ("altimeter", "centroid", "convergence", "database", "real", "real-context", "real-like", "simulated")
     slam = ("ba-landmarks", "ba-views", "comparison", "images")
     papers = {
         "cheng2003": ("detection", "endtoend", "matching", "orbit", "survey"),
         "delpech2015": slam,
         "rowell2015": kinds,
     }
-    assert published_names() == [f"{paper}-{kind}" for paper, names in papers.items() for kind in names]
+    names = [f"{paper}-{kind}" for paper, names in papers.items() for kind in names]
+    assert published_names() == [*names, "trade-landmarks"]
     with pytest.raises(BoresightError, match=r"'rowell2016'.*rowell2015-simulated"):
         load_published("rowell2016")
 
@@ -267,7 +268,7 @@ def test_orders_need_intervals_that_are_apart(bounds, verdict):
 
 def test_claims_of_the_paper_name_the_solvers_of_its_campaign():
     comparison = load_published("rowell2015-convergence")
-    labels = {label for claim in comparison.claims for label in claim.order}
+    labels = {term.estimator for claim in comparison.claims for term in claim.order}
     text = (resources.files("campaign") / "catalog" / "rowell2015-convergence.yaml").read_text(encoding="utf-8")
     assert all(f"label: {label}" in text for label in labels)
     records = [replace(OURS, estimator=label, stage="final") for label in sorted(labels)]
@@ -293,15 +294,85 @@ def test_a_statement_that_no_row_tells_of_says_why():
     assert (found.verdict, claim_values(found)) == ("not measured", "no rule for elegance")
 
 
+def test_a_statement_may_order_stages_and_scenarios_of_one_estimator():
+    claim = Claim(
+        text="it is less after than before",
+        estimator="e",
+        order=({"stage": "recognition", "scenario": "s"}, {"stage": "prior", "scenario": "s"}),
+        place="p",
+    )
+    records = [
+        replace(OURS, scenario="s", estimator="e", stage=stage, measure="position_error_m", low=low, high=low + 1)
+        for stage, low in (("prior", 5.0), ("recognition", 1.0))
+    ]
+    (found,) = compare_claims(records, Comparison(conditions="c", claims=(claim,)))
+    assert found.verdict == "reproduced"
+    assert claim_values(found).startswith("s, recognition ")
+    assert " s, prior " in claim_values(found)
+
+
+def test_of_all_cases_none_may_fail():
+    claim = Claim(text="in all test cases", solves="e", share=1, stage="recognition", place="p")
+    for n_ok, verdict in ((20, "reproduced"), (19, "differs (lower)")):
+        (found,) = compare_claims([replace(OURS, n_ok=n_ok, n=20)], Comparison(conditions="c", claims=(claim,)))
+        assert found.verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "own", "verdict"),
+    [
+        (1, 4, True, "reproduced"),
+        (1, 4, False, "better"),
+        (4, 6, True, "undecided"),
+        (6, 8, False, "differs (higher)"),
+        (None, None, True, "undecided"),
+    ],
+)
+def test_less_than_is_kept_by_the_whole_interval(low, high, own, verdict):
+    words = PublishedValue(
+        measure="wrong_share",
+        stage="matching",
+        statistic="mean",
+        printed="5 %",
+        words="less than 5%",
+        relation="below",
+        better="lower",
+        place="p",
+    )
+    assert judge(replace(OURS, low=low, high=high), words, own) == verdict
+    assert words.quoted == '"less than 5%" (read as 5 %)'
+
+
 @pytest.mark.parametrize("ways", [{}, {"order": ("a",)}, {"order": ("a", "b"), "solves": "a"}])
 def test_a_statement_is_measured_in_one_way(ways):
     with pytest.raises(ValueError, match="one"):
         Claim(text="t", place="p", **ways)
 
 
-@pytest.mark.parametrize("name", ["delpech2015-comparison", "delpech2015-ba-views", "delpech2015-images"])
-def test_statements_of_delpech_name_estimators_of_their_campaign(name):
-    labels = {one for claim in load_published(name).claims for one in (*claim.order, claim.solves) if one}
+@pytest.mark.parametrize(
+    "name",
+    [
+        "delpech2015-comparison",
+        "delpech2015-ba-views",
+        "delpech2015-images",
+        "rowell2015-simulated",
+        "rowell2015-real-like",
+        "rowell2015-database",
+        "rowell2015-altimeter",
+        "rowell2015-centroid",
+        "trade-landmarks",
+        "cheng2003-matching",
+        "cheng2003-orbit",
+    ],
+)
+def test_statements_of_papers_name_estimators_of_their_campaign(name):
+    claims = load_published(name).claims
+    named = (
+        {c.solves for c in claims}
+        | {c.estimator for c in claims}
+        | {term.estimator for c in claims for term in c.order}
+    )
+    labels = named - {""}
     assert labels
     assert labels <= set(resolve(name).labels)
 
