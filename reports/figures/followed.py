@@ -124,7 +124,7 @@ def draw_error_bands(followed: Followed, title: str) -> Figure:
         share = f": {100.0 * outside / known.sum():.0f} % of frames outside" if known.any() else ": no covariance"
         axes.set_title(f"{name}{share}", loc="left")
         axes.set_ylabel("error, m")
-        mark_turns(axes, float(followed.anomaly_deg.max(initial=0.0)))
+        mark_turns(axes, followed.anomaly_deg)
     panels[0, 0].legend(loc="upper left", ncols=2)
     panels[-1, 0].set_xlabel("anomaly, deg")
     figure.suptitle(title, fontsize=9.5)

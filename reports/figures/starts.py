@@ -24,7 +24,7 @@ def draw_starts(epochs: pd.DataFrame, title: str) -> Figure:
     for i, (trial, own) in enumerate(epochs.groupby("trial")):
         colour, line = SERIES_COLOURS[i % len(SERIES_COLOURS)], LINE_STYLES[i // len(SERIES_COLOURS) % len(LINE_STYLES)]
         axes.plot(own["anomaly_deg"], own["position_error_m"], color=colour, linestyle=line, linewidth=1.0, label=trial)
-    mark_turns(axes, float(epochs["anomaly_deg"].max()))
+    mark_turns(axes, epochs["anomaly_deg"])
     axes.set(xlabel="anomaly, deg", ylabel="camera position error, m")
     axes.set_ylim(bottom=0.0)
     handles, labels = axes.get_legend_handles_labels()

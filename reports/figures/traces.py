@@ -29,7 +29,7 @@ def draw_traces(
     """Draw the median error over trials against the anomaly, with the band of 5 to 95 % of them and the first trial.
 
     More estimators than three have no bands: they would hide each other.
-    A panel of which no estimator has a value, such as the landmarks of dead reckoning, is left out.
+    A panel of which no estimator has a value, such as the landmarks of dead reckoning, is left out; with none, none is.
 
     Parameters
     ----------
@@ -42,14 +42,13 @@ def draw_traces(
     panels
         Which errors to show.
     """
-    shown = [name for name in panels if any(table[name].notna().any() for table in epochs.values())]
+    shown = [name for name in panels if any(table[name].notna().any() for table in epochs.values())] or panels
     figure, places = new_figure(len(shown), width_in=4.4 * len(shown))
     drawn = looks(epochs)
     for axes, name in zip(places, shown, strict=True):
         for estimator, table in epochs.items():
             _draw(axes, table, name, estimator, drawn[estimator], banded=len(epochs) <= _BANDS_AT_MOST)
-        last = max((float(table["anomaly_deg"].max()) for table in epochs.values()), default=0.0)
-        mark_turns(axes, last)
+        mark_turns(axes, pd.concat([table["anomaly_deg"] for table in epochs.values()]))
         axes.set(xlabel="anomaly, deg", ylabel=_PANELS[name])
         scale_ordinate(axes, [float(table[name].median()) for table in epochs.values()])
     handles, labels = places[0].get_legend_handles_labels()
