@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_limits
 from renderers.mitsuba3 import limit_threads
 from renderers.mitsuba3.gpus import gpu_names
 from renderers.mitsuba3.variant import CUDA
+from scenarios.limits import installed_memory_bytes
 
 PACKAGES = (
     "boresight", "numpy", "scipy", "opencv-python-headless", "mitsuba", "drjit", "trimesh", "pandas", "pyarrow",
@@ -53,7 +54,7 @@ def workers(asked: int | None, variant: str) -> int:
 
 def memory_gib() -> float:
     """Return the installed memory."""
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    return installed_memory_bytes() / 2**30
 
 
 def use_threads(jobs: int) -> None:

@@ -13,7 +13,7 @@ from campaign.request import Cluster, RunRequest
 from campaign.resolve import ResolvedCampaign, resolve
 from campaign.runner import Listener, run_campaign
 from campaign.store import RunFolder
-from campaign.world import trial_limit
+from campaign.world import check_craters, trial_limit
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
 
@@ -98,11 +98,12 @@ def _condition(until: str, campaign: ResolvedCampaign) -> Until:
 
 
 def _check(campaign: ResolvedCampaign, trials: int, jobs: int) -> None:
-    """Refuse none of either, and more trials than there are real images for."""
+    """Refuse none of either, a cratered body that is too large, and more trials than there are real images for."""
     for what, number in (("--trials", trials), ("--jobs", jobs)):
         if number < 1:
             raise BoresightError(f"{what} {number}: give 1 or more")
     for scenario in campaign.scenarios:
+        check_craters(scenario)
         limit = trial_limit(scenario)
         if limit is not None and trials > limit:
             raise BoresightError(f"--trials {trials}: {scenario.spec.name} has real images for {limit} trials at most")

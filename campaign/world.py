@@ -17,7 +17,7 @@ from renderers.mitsuba3 import BodyRenderer, MitsubaRenderer, TiledRenderer, cho
 from scenarios.aim import draw_aimed_view
 from scenarios.beliefs import believed_spec
 from scenarios.bodies import Body, load_body
-from scenarios.craters import CrateredSurface, cratered_surface, shape_digest
+from scenarios.craters import CrateredSurface, check_size, cratered_surface, shape_digest
 from scenarios.draw import Stream, draw_view, generator
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View
@@ -173,6 +173,18 @@ def trial_limit(scenario: LoadedScenario) -> int | None:
     images = open_images(scenario)
     images.check_images()
     return len(images) * spec.images.noise_realisations
+
+
+def check_craters(scenario: LoadedScenario) -> None:
+    """Refuse a cratered body that this machine has no room for, before a campaign starts."""
+    spec = scenario.spec
+    if spec.craters is None:
+        return
+    mesh = load_body(spec.body, scenario.search_dirs).mesh
+    try:
+        check_size(mesh, spec.craters)
+    except BoresightError as error:
+        raise BoresightError(f"{scenario.path}: {error}") from error
 
 
 def typical_range_m(scenario: LoadedScenario) -> float:

@@ -2,6 +2,7 @@
 
 from scenarios.craters.population import Craters, draw_craters
 from scenarios.craters.rims import Rims
+from scenarios.craters.size import check_size
 from scenarios.craters.surface import CrateredSurface, cratered_surface, shape_digest, surface_digest
 from scenarios.craters.tiles import Tiling
 from scenarios.craters.truth import CraterTruth, crater_truth
@@ -12,6 +13,7 @@ __all__ = [
     "Craters",
     "Rims",
     "Tiling",
+    "check_size",
     "crater_truth",
     "cratered_surface",
     "draw_craters",

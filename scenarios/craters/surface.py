@@ -21,6 +21,7 @@ from scenarios.craters.facing import facing_cones
 from scenarios.craters.population import Craters, draw_craters
 from scenarios.craters.relief import add_roughness, crater_relief
 from scenarios.craters.rims import Rims, find_rims
+from scenarios.craters.size import check_size, tile_rounds
 from scenarios.craters.tiles import Tiling
 from scenarios.geometry import TriangleMesh
 from scenarios.spec.body import BodySpec
@@ -32,8 +33,6 @@ SingleArray = NDArray[np.float32]
 
 CRATERS_VERSION = 3
 """Part of every cratered surface's key: raise it when the same spec gives another surface."""
-
-_TILE_M = 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +84,17 @@ class CrateredSurface:
 def cratered_surface(
     body: BodySpec, craters: CratersSpec, search_dirs: Sequence[Path] = (), cache: Cache | None = None
 ) -> CrateredSurface:
-    """Build a cratered surface or take it from the cache; the same sections give the same one, bit for bit."""
+    """Build a cratered surface or take it from the cache; the same sections give the same one, bit for bit.
+
+    Raises
+    ------
+    BoresightError
+        If it would take more memory than this machine has; see `check_size`.
+    """
     sha256 = surface_digest(body, craters, search_dirs)
-    smooth = smooth_tiles(load_body(body, search_dirs, cache), craters)
+    carrier = load_body(body, search_dirs, cache)
+    check_size(carrier.mesh, craters)
+    smooth = smooth_tiles(carrier, craters)
     tiling = Tiling.of(*smooth, craters.edge_m)
     population = draw_craters(craters, *smooth)
 
@@ -136,7 +143,7 @@ def smooth_tiles(body: Body, spec: CratersSpec) -> tuple[TriangleMesh, FloatArra
     mesh = body.mesh
     edges = find_edges(mesh.faces)
     length = np.linalg.norm(np.diff(mesh.vertices_m[edges.ends], axis=1), axis=-1)
-    rounds = max(0, int(np.ceil(np.log2(float(np.median(length)) / _TILE_M))))
+    rounds = tile_rounds(float(np.median(length)))
     depth_m = spec.max_diameter_m * spec.depth_ratio[1]
     smoothing = int(np.ceil((depth_m / float(np.median(length))) ** 2))
     up = unit(smoothed(vertex_normals(mesh.vertices_m, mesh.faces), edges, smoothing))

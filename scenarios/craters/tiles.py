@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 # Within a tile, beside an edge of fewer pieces, facets have edges longer than the pieces by up to half of them.
-_SHORTENED = 0.85
+SHORTENED = 0.85
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class Tiling:
         """Cut edges so that facets have none longer than ``edge_m``, but for one in a hundred."""
         edges = find_edges(mesh.faces)
         length = np.linalg.norm(mesh.vertices_m[edges.ends[:, 1]] - mesh.vertices_m[edges.ends[:, 0]], axis=1)
-        return cls(mesh, up, edges, np.maximum(np.ceil(length / (_SHORTENED * edge_m)), 1.0).astype(np.int64))
+        return cls(mesh, up, edges, np.maximum(np.ceil(length / (SHORTENED * edge_m)), 1.0).astype(np.int64))
 
     @cached_property
     def tile_pieces(self) -> IndexArray:

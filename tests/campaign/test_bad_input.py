@@ -70,8 +70,9 @@ FILES = {
     "wrong estimator option": (
         CAMPAIGN.replace("images: 40", "images: 0"), SCENE, (), ["estimator landmark-harris: database.images: "],
     ),
-    "too few images for landmarks": (
-        CAMPAIGN.replace("images: 40", "images: 1"), SCENE, (), ["landmarks came out of", "use more images"],
+    "a cratered world": (
+        CAMPAIGN, "body: {shape: world.obj}\ncraters: {}\n" + SCENE[SCENE.index("camera:"):], (),
+        ["scene.yaml: craters: a surface of ", "500 km across takes about", "take a smaller body"],
     ),
     "two estimators of one label": (CAMPAIGN.replace("- prior", "- prior\n  - prior"), SCENE, (), ["twice", "label"]),
     "wrong --set key": (CAMPAIGN, SCENE, ("--set", "camera.fov=3"), ["--set camera.fov=3: camera.fov: unknown key"]),
@@ -116,10 +117,12 @@ def results(out: Path) -> set[str]:
 @pytest.mark.parametrize("fault", FILES)
 def test_a_wrong_file_or_argument(tmp_path, capsys, monkeypatch, fault):
     monkeypatch.delenv("BORESIGHT_DATA", raising=False)
+    monkeypatch.setattr("scenarios.craters.size.installed_memory_bytes", lambda: 24 * 10**9)
     campaign, scene, arguments, expected = FILES[fault]
     file = write_campaign(tmp_path, campaign, scene)
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.25)
     ball.export(tmp_path / "km.obj")
+    trimesh.Trimesh(1e6 * ball.vertices, ball.faces, process=False).export(tmp_path / "world.obj")
     trimesh.Trimesh(250 * 4 * ball.vertices, ball.faces[1:], process=False).export(tmp_path / "open.obj")
     (tmp_path / "broken.obj").write_text("v 1 2 3\nf 1 2\n")
     (tmp_path / "rubbish.ply").write_bytes(bytes(range(256)))

@@ -21,6 +21,7 @@ from scenarios.craters.ellipse_fit import fit_ellipses, rim_deviation
 from scenarios.craters.profile import REACH, Profiles, profile_height
 from scenarios.craters.relief import crater_relief
 from scenarios.craters.rims import find_rims
+from scenarios.craters.size import check_size, expected_size
 from scenarios.craters.surface import smooth_tiles
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, TriangleMesh
@@ -77,6 +78,38 @@ def test_a_body_too_small_for_its_craters_is_refused() -> None:
     smooth, up = smooth_tiles(load_body(BODY), spec)
     with pytest.raises(BoresightError, match="no place for a crater"):
         draw_craters(spec, smooth, up)
+
+
+@pytest.mark.parametrize("edge_m", [4.0, 2.0])
+@pytest.mark.parametrize("times", [1.0, 6.0])
+def test_the_expected_size_is_that_of_the_tiling_but_for_a_third(times: float, edge_m: float) -> None:
+    body = load_body(BODY)
+    larger = replace(body, mesh=TriangleMesh(times * body.mesh.vertices_m, body.mesh.faces))
+    spec = craters_spec(edge_m=edge_m)
+    tiling = Tiling.of(*smooth_tiles(larger, spec), edge_m)
+    tiles, facets = expected_size(larger.mesh, spec)
+    assert tiles == len(tiling.mesh.faces)
+    assert facets == pytest.approx(tiling.n_facets, rel=0.35)
+    assert facets // 2 == pytest.approx(tiling.n_vertices, rel=0.35)
+
+
+@pytest.mark.parametrize(
+    ("radius_m", "edge_m", "words"),
+    [
+        (250e3, 5.0, "take a smaller body: without any craters its tiles take .* GB"),
+        (40e3, 1.0, r"raise craters.edge_m \(1\), with min_diameter_m four times as much, or take a smaller body"),
+    ],
+)
+def test_a_surface_without_room_is_refused_before_it_is_made(
+    monkeypatch: pytest.MonkeyPatch, radius_m: float, edge_m: float, words: str
+) -> None:
+    monkeypatch.setattr("scenarios.craters.size.installed_memory_bytes", lambda: 24 * 10**9)
+    body = load_body(BODY).mesh
+    mesh = TriangleMesh(radius_m / body.radius_m * body.vertices_m, body.faces)
+    said = rf"on a body {radius_m / 500:g} km across .*this machine has 24 GB: {words}"
+    with pytest.raises(BoresightError, match=said):
+        check_size(mesh, craters_spec(edge_m=edge_m))
+    check_size(body, craters_spec(edge_m=edge_m))
 
 
 @pytest.fixture(scope="module")
