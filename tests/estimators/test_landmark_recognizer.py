@@ -22,14 +22,15 @@ from scenarios.spec.brdf import LambertSpec
 from scenarios.spec.distribution import Uniform
 from scenarios.spec.world import LightingSpec, ViewpointSpec
 
-CAMERA = Camera.from_fov(256, 256, np.radians(18.3))
+CAMERA = Camera.from_fov(512, 512, np.radians(18.3))
 DATABASE = {
     "images": 80,
     "min_observations": 6,
     "clusters": {"seed_radius_m": 4.0},
-    "corners": {"count": 60, "surroundings_px": 25, "patch_px": 9},
+    "corners": {"count": 100},
 }
-TRIALS = 8
+TRIALS = 12
+MANY = 40  # of eight trials the medians of some seeds are no better than the prior's
 
 
 class World:
@@ -110,7 +111,7 @@ def test_the_mesh_of_the_landmarks_fits_the_body(world):
 def test_recognition_improves_on_the_prior(world, noise_dn):
     estimator = recogniser(world)
     before, after, landmark_errors = [], [], []
-    for trial in range(TRIALS):
+    for trial in range(MANY):
         view, frame = world.frame(trial, noise_dn)
         result = estimate(estimator, frame)
         assert result.status == "ok", result.reason
@@ -123,8 +124,8 @@ def test_recognition_improves_on_the_prior(world, noise_dn):
     attitude, position = np.median(before, axis=0)
     assert np.median(after, axis=0)[1] < 0.75 * position
     assert np.median(after, axis=0)[0] < 0.95 * attitude
-    # Two pixels of this camera are 4.5 m on the body.
-    assert np.nanmedian(np.concatenate(landmark_errors)) < 4.5
+    # Three pixels of this camera are 3.4 m on the body.
+    assert np.nanmedian(np.concatenate(landmark_errors)) < 3.4
 
 
 def test_the_whole_image_turns_the_mesh_before_landmarks_are_looked_for(world):
@@ -205,9 +206,9 @@ def test_the_alignment_is_an_option(world, alignment):
 
 def test_corners_of_the_image_may_differ_from_those_of_the_data_base(world):
     _, frame = world.frame(2)
-    few = estimate(recogniser(world, corners={"count": 20, "surroundings_px": 25, "patch_px": 9}), frame)
+    few = estimate(recogniser(world, corners={"count": 20}), frame)
     assert few.diagnostics["n_corners"] == 20
-    assert estimate(recogniser(world), frame).diagnostics["n_corners"] == 60
+    assert estimate(recogniser(world), frame).diagnostics["n_corners"] == 100
 
 
 def test_a_sequence_is_estimated_frame_by_frame(world):
@@ -249,7 +250,7 @@ def test_hard_images_fail_with_a_reason(world):
         assert reason in result.reason
         assert result.poses == result.covariances == ()
         assert result.details == {}
-    with pytest.raises(BoresightError, match=r"\(255, 256\)"):
+    with pytest.raises(BoresightError, match=r"\(511, 512\)"):
         estimate(estimator, spoilt(frame, frame.image[1:]))
 
 
