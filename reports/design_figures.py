@@ -81,6 +81,8 @@ def _curves(data: DesignData, base: str, names: list[str], estimator: str) -> It
     for measure in (POSITION, ATTITUDE):
         group = [Outcome(CONTROL, CONTROL, measure), *(o for o in _of(data, estimator) if o.measure == measure)]
         group = [o for o in group if len(data.errors(names[0], o))]
+        if not group:  # no trial at the reference came to an end
+            continue
         panels = [CurvePanel(axis.label, _lines(data, names, axis, group)) for axis in axes]
         title = f"{measure_label(measure)} against each error of knowledge, {base}, {estimator}"
         yield (
@@ -170,6 +172,8 @@ def _effects(data: DesignData, base: str, names: list[str], estimator: str) -> I
                 label = f"{axis.label}: {axis.levels[0]} to {axis.levels[-1]}"
                 effects.append(Effect(label, found.value, found.low, found.high))
         panels[outcome.label.split(",")[0]] = effects
+    if not any(panels.values()):
+        return
     title = f"Main effects, {base}, {estimator}"
     yield (
         f"effects_{base}_{estimator}",

@@ -78,6 +78,7 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
         *_KEY,
         "rank",
         "confidence",
+        "kept",
         *_ELLIPSE,
         "crater",
         "duplicate",

@@ -14,7 +14,7 @@ from reports.comparison_tables import comparison_grid
 from reports.consistency import consistency_grid
 from reports.contrasts import RATIO
 from reports.designs import design_grids
-from reports.figures.revolutions import draw_revolutions
+from reports.figures.revolutions import AFTER_REVOLUTIONS, draw_revolutions
 from reports.figures.starts import draw_starts
 from reports.figures.traces import LANDMARKS, POSITION, draw_traces
 from reports.grid import NO_VALUE, Grid, counts, number, value_of
@@ -137,7 +137,7 @@ def _mean_and_deviation(records: Sequence[Record], line: Record) -> str:
 
 def sequence_figures(run: RunData) -> Iterator[Drawn]:
     """Draw the errors along the frames of each scenario, and where scenarios or estimators are a series, over it."""
-    for scenario in dict.fromkeys(scenario for scenario, _ in run.pairs()):
+    for scenario in dict.fromkeys(run.epochs["scenario"]):  # where no frame was estimated there is nothing to draw
         labels = [name for where, name in run.pairs() if where == scenario]
         yield (f"traces_{scenario}", *trace_figure(run, scenario, labels))
     series = revolution_series(run)
@@ -174,9 +174,13 @@ def start_figure(run: RunData, scenario: str, estimator: str) -> tuple[Figure, s
 def revolution_series(run: RunData) -> dict[str, dict[str, tuple[str, str]]]:
     """Group what forms a series: label of a line to level to (scenario, estimator); nothing where nothing does.
 
+    Nor is there any where no trial came round once: a series is of errors after whole revolutions.
+
     An axis of a grid is a series for every estimator; estimators of one scenario whose labels differ in a number at
     the end alone, such as ba-slam-3 and ba-slam-5, are one.
     """
+    if run.rows.reindex(columns=list(AFTER_REVOLUTIONS)).isna().all(axis=None):
+        return {}
     design = run.manifest.grid
     if design is not None:
         levels = {one.name: "-".join(one.levels.values()) for one in design.scenarios}

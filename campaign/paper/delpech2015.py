@@ -52,7 +52,7 @@ def _series(abscissa: str) -> Draw:
             data = run.content.run
             series = revolution_series(data)
             if not series:
-                raise BoresightError(f"{run.folder.path}: its scenarios and estimators are no series by {abscissa}")
+                raise BoresightError(f"{run.folder.path}: it is no series by {abscissa}, or no trial came round once")
             yield NamedFigure("", *revolution_figure(data, series, abscissa))
 
     return draw

@@ -14,7 +14,9 @@ from reports.figures.looks import Look, looks
 from reports.figures.style import new_figure, styled
 from reports.statistics import MEAN, measure
 
-_PANELS = {"error_after_1_m": "after 1 revolution", "error_after_2_m": "after 2 revolutions"}
+AFTER_REVOLUTIONS = {"error_after_1_m": "after 1 revolution", "error_after_2_m": "after 2 revolutions"}
+"""Columns of rows, and what they are the errors of."""
+
 _WIDTH = 0.6
 
 
@@ -33,7 +35,7 @@ def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa:
         Printed above the panels.
     """
     every = [table for levels in errors.values() for table in levels.values()]
-    shown = [name for name in _PANELS if any(table[name].notna().any() for table in every)]
+    shown = [name for name in AFTER_REVOLUTIONS if any(table[name].notna().any() for table in every)]
     figure, panels = new_figure(len(shown), width_in=max(6.0, 4.0 * len(shown)))
     drawn = looks(errors)
     levels = list(dict.fromkeys(level for line in errors.values() for level in line))
@@ -45,7 +47,7 @@ def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa:
                 label, drawn[label],
             )  # fmt: skip
         axes.set_xticks(range(len(levels)), levels)
-        axes.set(xlabel=abscissa, ylabel=f"position error {_PANELS[name]}, m")
+        axes.set(xlabel=abscissa, ylabel=f"position error {AFTER_REVOLUTIONS[name]}, m")
         scale_ordinate(axes, [float(table[name].median()) for table in every])
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
