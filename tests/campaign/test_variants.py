@@ -22,7 +22,7 @@ def rows_of(file, folder, variant, trials=TRIALS) -> pd.DataFrame:
 def assert_within_the_tolerance(rows: pd.DataFrame, others: pd.DataFrame, share: float = 0.75) -> None:
     """The same trials solved, that share of positions within 5 % of the median error, and that within 10 %.
 
-    Nine positions of ten are the rule: of 24 trials three quarters may be asked for, for chance leaves fewer once in 70.
+    Nine positions of ten are the rule: of 24 trials three quarters may be asked for, as chance leaves fewer once in 70.
     """
     error, other = rows["position_error_m"], others["position_error_m"]
     assert (rows["status"] == others["status"]).all()
