@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from renderers.spice import INSTRUMENTS, loaded
 from scenarios.data import find_data_file
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, View, pixel_to_opencv
+from scenarios.limits import LARGEST_NUMBER
 from scenarios.observation import Frame
 
 FloatArray = NDArray[np.float64]
@@ -45,7 +46,7 @@ def open_msi(path: Path | None = None, search_dirs: Sequence[Path] = ()) -> Real
     Raises
     ------
     BoresightError
-        If a file is missing, or the header tells no pose.
+        If a file is missing, the header tells no pose, or the image is of no size that MSI's have.
     """
     product = open_product(path or find_data_file(IMAGE, search_dirs, ".", "image"))
     kernels = [find_data_file(name, search_dirs, "spice", "kernels") for name in KERNELS]
@@ -62,19 +63,45 @@ def open_msi(path: Path | None = None, search_dirs: Sequence[Path] = ()) -> Real
     # SUN_SC_POSITION_VECTOR runs from the Sun to the spacecraft; the header's place of Eros is from the Sun as well.
     sun = -R_body_j2000 @ target
     sun = sun / np.linalg.norm(sun)
-    image, square = square_pixels(product.pixels(), camera)
+    pixels = product.pixels()
+    image, square = square_pixels(pixels, camera_of_lines(camera, pixels.shape, product.path))
     covariance = np.diag(np.concatenate(_POSE_SIGMA) ** 2)
     frame = Frame(image, rotation @ sun, pose, covariance, et)
     return RealImage(product.path.stem, frame, View(square, pose, sun))
 
 
 def _numbers(product: Product, keys: Sequence[int]) -> FloatArray:
+    """Read keywords of the header; some products write their numbers as texts."""
     values = [product.keywords.get(f"NEAR-{key:03d}") for key in keys]
-    if not all(isinstance(value, (int, float)) for value in values):
+    try:
+        numbers = np.array([float(str(value)) for value in values])
+    except ValueError:
+        numbers = np.full(len(keys), np.nan)
+    if not (np.abs(numbers) <= LARGEST_NUMBER).all():
         raise BoresightError(
-            f"{product.path}: the FITS header has no numbers NEAR-{keys[0]:03d} to NEAR-{keys[-1]:03d}"
+            f"{product.path}: the FITS header has no numbers NEAR-{keys[0]:03d} to NEAR-{keys[-1]:03d}: {values}"
         )
-    return np.array(values, dtype=np.float64)
+    return numbers
+
+
+def camera_of_lines(camera: Camera, shape: tuple[int, ...], path: Path) -> Camera:
+    """Return the camera of an image (lines, samples): the detector's, or the same with its lines resampled to squares.
+
+    MSI's pixels are 1.7 times as high as wide; products of 412 lines have square ones, and the lens as it was.
+
+    Raises
+    ------
+    BoresightError
+        If the image is of neither size.
+    """
+    square = round(camera.height_px * camera.fx_px / camera.fy_px)
+    if shape not in {(lines, camera.width_px) for lines in (camera.height_px, square)}:
+        raise BoresightError(
+            f"{path}: the image is {shape[1]} x {shape[0]} pixels, but images of NEAR's MSI are {camera.width_px} x"
+            f" {camera.height_px}, or {camera.width_px} x {square} with square pixels"
+        )
+    ratio = shape[0] / camera.height_px
+    return replace(camera, height_px=shape[0], fy_px=ratio * camera.fy_px, cy_px=ratio * camera.cy_px)
 
 
 def square_pixels(image: NDArray[np.float32], camera: Camera) -> tuple[NDArray[np.float32], Camera]:

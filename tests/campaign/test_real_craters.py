@@ -7,13 +7,14 @@ import csv
 import numpy as np
 import pytest
 import trimesh
-from mission_data import needs_data
+from astropy.io import fits
+from mission_data import data_path, needs_data
 
 from campaign.cli import main
-from campaign.real.msi_image import open_msi, square_pixels
+from campaign.real.msi_image import camera_of_lines, open_msi, square_pixels
 from campaign.real.named_craters import NamedCrater, predict, read_gazetteer
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, TriangleMesh, View, look_at
+from scenarios.geometry import Camera, RadialDistortion, TriangleMesh, View, look_at
 
 needs_eros = needs_data("images/near_msi", "spice/near_msi_m0126888978", "craters")
 
@@ -49,6 +50,49 @@ def test_square_pixels_show_the_same_directions():
     assert (square.width_px, square.height_px, square.fx_px, square.fy_px) == (60, 60, 1000.0, 1000.0)
     expected = (np.indices((60, 60))[0] + 0.5 - square.cy_px) / square.fy_px
     np.testing.assert_allclose(image[12:-12], expected[12:-12], atol=1e-5)
+
+
+STORED = Camera(60, 30, 1000.0, 500.0, 30.0, 15.0, RadialDistortion(0.05))
+
+
+def test_an_image_with_square_pixels_is_that_of_the_stored_one_but_for_the_resampling():
+    """Of 60 lines for 30: read as one of 30 it would lose half of what it shows."""
+
+    def slope(camera):
+        rows = np.indices((camera.height_px, 60))[0] + 0.5
+        return ((rows - camera.cy_px) / camera.fy_px).astype(np.float32)
+
+    cameras = [camera_of_lines(STORED, (lines, 60), "a.fit") for lines in (30, 60)]
+    assert cameras[0] == STORED
+    (low, of_low), (high, of_high) = (square_pixels(slope(camera), camera) for camera in cameras)
+    assert of_low == of_high
+    np.testing.assert_allclose(high[12:-12], low[12:-12], atol=1e-5)
+
+
+def test_an_image_of_another_size_is_refused():
+    with pytest.raises(BoresightError, match=r"a.fit: the image is 60 x 45 pixels, .* 60 x 30, or 60 x 60 with square"):
+        camera_of_lines(STORED, (45, 60), "a.fit")
+
+
+@needs_eros
+def test_a_product_with_texts_for_numbers_and_412_lines_is_the_image_that_it_is(tmp_path):
+    """Each line of the real image stands nearly twice: 412 / 244 times."""
+    real, path = open_msi(), data_path("images/near_msi/m0126865998f4_2p_iof.fit")
+    with fits.open(path) as product:
+        header, pixels = product[0].header.copy(), product[0].data.astype(np.float32)
+    for key in [key for key in header if key.startswith("NEAR-0")]:
+        header[key] = str(header[key])
+    lines = np.floor((np.arange(412) + 0.5) * 244 / 412).astype(int)
+    for name, rows in (("m.fit", slice(None)), ("square.fit", lines), ("cut.fit", slice(200))):
+        fits.writeto(tmp_path / name, pixels[rows], header, output_verify="silentfix")
+        (tmp_path / name).with_suffix(".lbl").write_bytes(path.with_suffix(".lbl").read_bytes())
+    texts, square = (open_msi(tmp_path / name) for name in ("m.fit", "square.fit"))
+    np.testing.assert_array_equal(texts.frame.image, real.frame.image)
+    assert texts.view.T_cam_body.angle_to(real.view.T_cam_body) == 0.0
+    assert square.frame.image.shape == real.frame.image.shape == (412, 537)
+    assert np.corrcoef(square.frame.image.ravel(), real.frame.image.ravel())[0, 1] > 0.99
+    with pytest.raises(BoresightError, match="537 x 200 pixels"):
+        open_msi(tmp_path / "cut.fit")
 
 
 @needs_eros
