@@ -52,6 +52,7 @@ class SecondLook:
 
 def second_look(experiment: SingleImage, label: str, trial: int) -> SecondLook | None:
     """Recognise the landmarks of one trial again; None where the estimator is no landmark recogniser."""
+    experiment = experiment.of(trial)
     estimator = experiment.estimators[label]
     if not isinstance(estimator, LandmarkRecognizer):
         return None

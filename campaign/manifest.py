@@ -116,6 +116,7 @@ def _product(run: Path, product: BuiltProduct) -> dict[str, object]:
         "kind": product.kind,
         "scenario": product.scenario,
         "estimator": product.estimator,
+        "database": product.database,
         "folder": f"products/{folder.name}",
         "bytes": sum(file.stat().st_size for file in folder.iterdir() if file.name != "built.json"),
         **product_kind(product.kind).about(folder),

@@ -82,6 +82,7 @@ class ResolvedCampaign:
             "renderer": [MitsubaRenderer.name, MitsubaRenderer.version, self.variant],
             "detector": Detector.version,
             **({"kernels": self.kernels} if self.kernels else {}),
+            **({"databases": self.spec.databases} if self.spec.databases > 1 else {}),
             **({"draft": [self.draft, DRAFT_VERSION]} if self.draft < 1.0 else {}),
         }
 
@@ -136,6 +137,12 @@ def resolve(
     names = [s.spec.name for s in scenarios]
     if len(set(names)) != len(names):
         raise BoresightError(f"{loaded.path}: scenarios: two of them are called the same: {names}")
+    for scenario in scenarios:
+        if spec.databases > 1 and scenario.spec.images is not None:
+            raise BoresightError(
+                f"{loaded.path}: databases: {scenario.spec.name} has real images, of which each trial shares one with"
+                " others already: leave the key out"
+            )
     for entry in spec.estimators:
         _versions(spec, entry)
         _check_sensors(entry, scenarios)

@@ -6,7 +6,10 @@ each time at the first so many: where it stops depends neither on jobs nor on in
 To stop by the width of an interval, and not by a difference or a test, leaves estimates unbiased to first order, and
 their coverage tends to the nominal one as the wanted width goes to zero (Y. S. Chow and H. Robbins, On the asymptotic
 theory of fixed-width sequential confidence intervals for the mean, Annals of Mathematical Statistics 36, 1965). It is
-a little smaller for wide ones, because a run also stops where chance makes an interval narrow.
+smaller for wide ones, because a run also stops where chance makes an interval narrow. So it goes on to one look more:
+intervals of medians of a lognormal error held 89.4 and 92.2 % at the first narrow look, after 280 and 74 trials, and
+92.2 and 93.2 % at the next; those of a mean 93.8 % at either (500 runs each, standard error 1.2 %;
+tests/campaign/test_until.py).
 """
 
 from __future__ import annotations
@@ -129,23 +132,24 @@ def widest(run: RunData, until: Until, trials: int, labels: Sequence[str]) -> tu
 
 
 def run_until(campaign: ResolvedCampaign, request: RunRequest, until: Until, listener: Listener) -> RunFolder:
-    """Run a campaign until every estimator's interval in every scenario is as narrow as wanted; at most the request.
+    """Run a campaign until every estimator's interval in every scenario is as narrow as wanted, and one look further.
 
-    Controls, which estimate nothing, do not count. The manifest tells after how many trials it stopped, and why.
+    It runs at most the request. Controls, which estimate nothing, do not count. The manifest tells after how many trials it stopped, and why.
     """
     labels = [entry.label for entry in campaign.spec.estimators if entry.name not in CONTROLS]
     if not labels:
         raise BoresightError("--until: the campaign has no estimator but controls, which it does not wait for")
     points = looks(request.trials, experiment_class(campaign.spec.experiment).block_trials)
     heard = _Once(listener, request.trials * len(campaign.scenarios))
+    met = False
     for trials in points:
         folder = run_campaign(campaign, replace(request, trials=trials), heard)
         width, whose = widest(read_run(folder.path), until, trials, labels)
         said = f"{trials} trials: the widest 95 % interval is {until.describe(width)} ({whose})"
         listener.message(f"{said}, wanted {until.describe(until.width)}")
-        if width < until.width:
+        if met:
             break
-    met = width < until.width
+        met = width < until.width
     _note(folder, until, points[: points.index(trials) + 1], met)
     if not met:
         listener.message(f"stopped by --trials {request.trials}: {until.written} is not reached")
@@ -158,9 +162,13 @@ def _note(folder: RunFolder, until: Until, points: Sequence[int], met: bool) -> 
     after = ", ".join(map(str, points))
     why = (
         f"The number of trials was not fixed beforehand: the run was looked at after {after} trials and"
-        + (" stopped at the first look" if met else " reached the most that was allowed before the look")
+        + (
+            " stopped one look further than the first, if that was allowed,"
+            if met
+            else " reached the most that was allowed before the look"
+        )
         + f" at which {until.written} held for every estimator and scenario. Stopping by the width of an interval,"
-        " not by a difference, does not favour any estimator; such intervals hold a little less than their 95 %."
+        " not by a difference, does not favour any estimator; such intervals of 95 % hold 92 to 94 % in simulations."
     )
     notes = [*manifest.get("notes", []), why]
     folder.write_manifest(manifests.updated(manifest, notes=notes))

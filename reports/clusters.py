@@ -1,7 +1,9 @@
-"""What is independent in a run: trials, real images, or whole sets of rendered images.
+"""What is independent in a run: trials, real images, whole sets of rendered images, or data bases.
 
-The noise realisations of a real image share its difficulty, and the starts of sequences on one set of images share the
-errors of its features. Such trials count, but a statistic over them is as uncertain as one over images, or sets.
+The noise realisations of a real image share its difficulty, the starts of sequences on one set of images share the
+errors of its features, and trials with one data base those of its landmarks. Such trials count, but a statistic over
+them is as uncertain as one over images, sets, or data bases. Where there is a single data base, statistics hold for it
+alone, and trials are what is independent.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.run_data import RunData
+from reports.run_data import TRIAL_KEY, RunData
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +57,13 @@ def all_but_body(spec: Mapping[str, Any]) -> str:
 def clusters_of(run: RunData, table: pd.DataFrame) -> NDArray[np.generic]:
     """Label each row of a table (``scenario``, ``trial``) by what is independent of all others.
 
-    That is its set of images where sequences see one, its image where that is real, else its trial.
+    That is the data base of its trial where there are several, its set of images where sequences see one, its image
+    where that is real, else its trial. A table without ``estimator`` is of all of them together, of which some may have
+    data bases.
     """
     trials = table["trial"].to_numpy().astype(str)
+    if run.databases > 1:
+        return _by_database(run, table, trials)
     sets = {name: image_set(spec) for name, spec in run.manifest.scenarios.items()}
     if any(sets.values()):
         seen = table["scenario"].map(sets).fillna("").to_numpy(dtype=str)
@@ -72,6 +78,15 @@ def _by_image(run: RunData, table: pd.DataFrame, trials: NDArray[np.str_]) -> ND
         return trials
     image = images.reindex(pd.MultiIndex.from_frame(table[["scenario", "trial"]])).fillna("").to_numpy(dtype=str)
     return np.where(image == "", trials, image)
+
+
+def _by_database(run: RunData, table: pd.DataFrame, trials: NDArray[np.str_]) -> NDArray[np.generic]:
+    """Name the data base of each row, or its trial."""
+    keys = [name for name in TRIAL_KEY if name in table]
+    numbers = run.database_of_trial.groupby(level=keys).max()
+    number = numbers.reindex(pd.MultiIndex.from_frame(table[keys])).to_numpy(dtype=np.float64)
+    named = np.char.add("data base ", np.nan_to_num(number, nan=-1.0).astype(int).astype(str))
+    return np.where(np.isnan(number), trials, named)
 
 
 def pools(run: RunData) -> tuple[Pool, ...]:

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from reports.clusters import clusters_of
 from reports.grid import NO_VALUE, Grid, number, value_of
+from reports.intervals import FloatArray
 from reports.records import Record, find
 from reports.run_data import RunData, select
-from reports.statistics import MEAN, MEDIAN, FloatArray, Measured, measure
+from reports.statistics import MEAN, MEDIAN, Measured, measure
 from reports.weighed import NEES, Judged, judged_pair, weighed_errors, weighed_label
 
 CONSISTENCY = "consistency"

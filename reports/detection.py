@@ -19,9 +19,11 @@ from scipy.stats import rankdata
 
 from reports.clusters import clusters_of
 from reports.grid import Grid, value_of
+from reports.intervals import LARGE, LEVEL
 from reports.records import CONTROL, Record, find
+from reports.resampling import RESAMPLES, content_rng, draw_counts
 from reports.run_data import RunData, select
-from reports.statistics import LARGE, LEVEL, RESAMPLES, Measured, content_rng, draw_counts
+from reports.statistics import Measured
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

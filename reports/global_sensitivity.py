@@ -19,9 +19,11 @@ from scipy.stats import spearmanr
 from reports.cells import interval
 from reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
 from reports.grid import NO_VALUE, Grid
+from reports.intervals import LEVEL, FloatArray
 from reports.records import CONTROL
+from reports.resampling import RESAMPLES, content_rng
 from reports.run_data import RunData
-from reports.statistics import LEVEL, RESAMPLES, WORST, FloatArray, Measured, Statistic, bounded, content_rng
+from reports.statistics import WORST, Measured, Statistic, bounded
 
 _KEY = ("trial", "scenario")
 _CIRCUMSTANCES = ("image", "range_m", "phase_deg", "latitude_deg", "view_deg", "sun_deg", "epipolar_offset_px")

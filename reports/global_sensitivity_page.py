@@ -12,9 +12,9 @@ from reports.figures.global_sensitivity import Row, draw_sensitivity
 from reports.figures.style import save_figure
 from reports.global_sensitivity import Sensitivity, Varied
 from reports.grid import Grid
+from reports.intervals import FloatArray
 from reports.provenance import stamp
 from reports.run_data import RunData
-from reports.statistics import FloatArray
 
 
 def write_sensitivity(

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from reports.clusters import pools
 from reports.comparison_tables import claim_grid, comparison_grid, verdict_grid
+from reports.conditional import of_what_was_drawn
 from reports.consistency import consistency_grid
 from reports.content import Content
 from reports.crater_figures import crater_figures
@@ -60,13 +61,15 @@ class _Kind:
 def report_grids(content: Content) -> list[Grid]:
     """List the tables of a report, in order; of a grid of scenarios, those of the grid alone."""
     found = _kind_of(content.run).report(content)
-    return [grid for grid in (*found, failure_grid(content.run)) if grid is not None]
+    grids = (grid for grid in (*found, failure_grid(content.run)) if grid is not None)
+    return list(of_what_was_drawn(grids, content.run))
 
 
 def brief_grids(content: Content) -> list[Grid]:
     """List what the terminal shows at the end of a run."""
     found = _kind_of(content.run).brief(content)
-    return [grid for grid in (*found, verdict_grid(content.compared)) if grid is not None]
+    grids = (grid for grid in (*found, verdict_grid(content.compared)) if grid is not None)
+    return list(of_what_was_drawn(grids, content.run))
 
 
 def draw_figures(content: Content) -> Iterator[NamedFigure]:

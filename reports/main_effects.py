@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from reports.statistics import LEVEL, RESAMPLES, Measured, content_rng, draw_counts
+from reports.intervals import LEVEL
+from reports.resampling import RESAMPLES, content_rng, draw_counts
+from reports.statistics import Measured
 
 
 def main_effects(errors: Mapping[str, pd.Series], high: Mapping[str, Sequence[bool]]) -> list[Measured]:

@@ -191,14 +191,14 @@ def landmark_measures(run: RunData) -> list[Record]:
 
 
 def database_measures(run: RunData) -> list[Record]:
-    """Count the landmarks and facets of each data base, and its bytes as it is stored.
+    """Count the landmarks and facets of each data base, and its bytes as it is stored; of several, of the first.
 
     A single data base of a run with a single estimator beside the control belongs to it, even if it does not say so.
     """
     records = []
     pairs = [pair for pair in run.pairs() if pair[1] != CONTROL]
     only = pairs[0] if len(pairs) == len(run.manifest.products) == 1 else ("", "")
-    for product in run.manifest.products:
+    for product in (one for one in run.manifest.products if one.database == 0):
         scenario, estimator = (product.scenario, product.estimator) if product.scenario else only
         subject = _Subject(scenario, estimator, "database", 1)
         counts = {"landmarks": product.n_landmarks, "facets": product.n_facets, "bytes": product.bytes}

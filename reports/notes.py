@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from reports.clusters import image_set
+from reports.conditional import database_line
 from reports.labels import count_of
 from reports.published import Comparison
 from reports.run_data import RunData
-from reports.statistics import LARGE
 
 
 def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
@@ -18,10 +18,13 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
     if done < total:
         yield f"The run is not finished: {done} of {total} trials."
     yield (
-        "Intervals are 95 % percentile-bootstrap intervals (2,000 resamples of whole trials"
-        " or, for real images, of whole images, because the noise realisations of one image are not independent;"
-        f" from {LARGE:,} independent trials on, between order statistics or from the standard error of a mean)."
+        "Intervals are of 95 %: of medians and percentiles between order statistics, of means by the studentised"
+        " bootstrap (2,000 resamples of whole trials or, for real images, of whole images, because the noise"
+        " realisations of one image are not independent), of fewer than ten by Student's t. Of an RMS of few trials"
+        " with some far worse than the others they hold less than they say. Percentiles beyond which less than one"
+        " trial is to be expected are left out."
     )
+    yield from filter(None, [database_line(run)])
     yield from _set_lines(run)
     posed = bool(run.posed_pairs())
     if posed:

@@ -128,7 +128,7 @@ class Product(BaseModel):
     """What is known of a product that was built before the trials, such as a landmark data base.
 
     ``scenario`` and ``estimator`` say whose it is, ``folder`` which it is: what several share has one folder. Empty
-    where it is not said.
+    where it is not said. ``database`` is the number of the data base that it belongs to.
     """
 
     model_config = ConfigDict(frozen=True, extra="allow")
@@ -137,6 +137,7 @@ class Product(BaseModel):
     scenario: str = ""
     estimator: str = ""
     folder: str = ""
+    database: int = 0
     n_landmarks: int | None = None
     n_facets: int | None = None
     bytes: int | None = None
@@ -223,7 +224,7 @@ class RunData:
         How it was made.
     rows
         One row per trial and estimator; ``image`` is '' where the image was rendered, ``n_landmarks`` is
-        NaN where the estimator does not count landmarks.
+        NaN where the estimator does not count landmarks, ``database`` where it has no data base.
     stages, references, landmarks, diagnostics, timings
         Detail tables: errors after each stage, errors against further reference poses, recognised
         landmarks, numbers that estimators report, wall times.
@@ -270,6 +271,16 @@ class RunData:
     def image_of_trial(self) -> pd.Series:
         """Names of real images by scenario and trial, '' where the image was rendered."""
         return self.rows.drop_duplicates(["scenario", "trial"]).set_index(["scenario", "trial"])["image"]
+
+    @cached_property
+    def databases(self) -> int:
+        """Count the data bases that an estimator had, trial by trial in turn."""
+        return len(self.rows["database"].dropna().unique()) if "database" in self.rows else 0
+
+    @cached_property
+    def database_of_trial(self) -> pd.Series:
+        """Numbers of data bases by `TRIAL_KEY`, NaN where an estimator has none."""
+        return self.rows.set_index(TRIAL_KEY)["database"]
 
     def pairs(self) -> list[tuple[str, str]]:
         """List (scenario, estimator) in the order in which the rows name them."""
@@ -321,7 +332,8 @@ def read_run(folder: str | PathLike[str]) -> RunData:
         raise BoresightError(f"{folder}/rows: are of the scenario {unknown[0]}, which the manifest does not name")
     image = rows["image"].fillna("").astype(str) if "image" in rows else ""
     n_landmarks = rows["n_landmarks"].astype(float) if "n_landmarks" in rows else float("nan")
-    rows = rows.assign(image=image, n_landmarks=n_landmarks, reason=rows["reason"].fillna(""))
+    database = rows["database"].astype(float) if "database" in rows else float("nan")
+    rows = rows.assign(image=image, n_landmarks=n_landmarks, database=database, reason=rows["reason"].fillna(""))
     return RunData(folder, manifest, rows, **tables)
 
 

@@ -22,12 +22,13 @@ from reports.figures import (
     draw_roc,
     draw_trade_off,
 )
+from reports.intervals import FloatArray
 from reports.labels import stage_label
 from reports.named_figure import NamedFigure, file_stem
 from reports.records import CONTROL
 from reports.run_data import RunData, select
 from reports.stages import errors_by_stage, final_stage
-from reports.statistics import MEDIAN, FloatArray
+from reports.statistics import MEDIAN
 from reports.tradeoff import ATTITUDE, POSITION, costs, prior_medians
 
 

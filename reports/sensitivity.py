@@ -41,7 +41,7 @@ _NOTE = (
 
 def mesh_variants(run: RunData) -> list[tuple[str, str]]:
     """List the scenario and estimator of each landmark mesh, in the order of the campaign, where there are several."""
-    meshes = [product for product in run.manifest.products if product.n_facets is not None]
+    meshes = [product for product in run.manifest.products if product.n_facets is not None and product.database == 0]
     several = [
         scenario
         for scenario in dict.fromkeys(product.scenario for product in meshes)

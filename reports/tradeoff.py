@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from reports.clusters import clusters_of
 from reports.grid import NO_VALUE, Grid, number
 from reports.paired import failures, share_of
 from reports.records import CONTROL
-from reports.run_data import RunData, select
+from reports.run_data import Product, RunData, select
 from reports.statistics import MEDIAN, Measured, measure
 
 POSITION, ATTITUDE = "position_error_m", "attitude_error_deg"
@@ -38,7 +38,7 @@ class Cost:
     seconds
         Median wall time of all its own stages of a trial.
     landmarks, size_bytes
-        Of all data bases that it reads, as they are stored; None where it reads none.
+        Of all that it reads, as it is stored, the mean over several data bases; None where it reads none.
     """
 
     scenario: str
@@ -103,10 +103,10 @@ def _cost(run: RunData, scenario: str, estimator: str) -> Cost:
         attitude,
         len(ok),
         len(rows),
-        share_of(failures(rows)),
+        share_of(failures(rows), clusters_of(run, rows)),
         _seconds(run, ok),
-        _total([product.n_landmarks for product in products]),
-        _total([product.bytes for product in products]),
+        _mean_of(products, lambda product: product.n_landmarks),
+        _mean_of(products, lambda product: product.bytes),
     )
 
 
@@ -120,9 +120,10 @@ def _seconds(run: RunData, ok: pd.DataFrame) -> Measured:
     return measure(total["seconds"].to_numpy(dtype=np.float64), clusters_of(run, total), (MEDIAN,))[0]
 
 
-def _total(counts: list[int | None]) -> int | None:
-    known = [count for count in counts if count is not None]
-    return sum(known) if known else None
+def _mean_of(products: Sequence[Product], count: Callable[[Product], int | None]) -> int | None:
+    """Add a count up over the products of a data base, and take the mean over several data bases."""
+    known = [number for number in map(count, products) if number is not None]
+    return round(sum(known) / len({product.database for product in products})) if known else None
 
 
 def _cells(cost: Cost) -> Iterator[str]:

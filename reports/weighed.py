@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from reports.clusters import clusters_of
+from reports.intervals import FloatArray
 from reports.paired import share_of
 from reports.run_data import TRIAL_KEY, RunData, select
-from reports.statistics import MEAN, MEDIAN, FloatArray, Measured, measure
+from reports.statistics import MEAN, MEDIAN, Measured, measure
 
 NEES, NIS = "nees", "innovation"
 AT_EPOCH = f"{NEES}_at_epoch"

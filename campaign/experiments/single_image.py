@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import ClassVar, Self, TypeVar
 
 import numpy as np
@@ -16,6 +17,7 @@ from campaign.experiments.kept_images import ImageSink, image_sink
 from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.guard import Call
 from campaign.products import BuiltProduct, MissingProduct, Shelf
+from campaign.products.databases import with_world
 from campaign.resolve import ResolvedCampaign
 from campaign.score import consistency, no_consistency, no_pose_error, pose_error
 from campaign.sensors import altimeter_reading
@@ -62,6 +64,12 @@ class SingleImage:
         Called with the trial and its image, to keep it; or None.
     witness
         Shown the `EstimatedImage` of every trial and estimator; or None.
+    database
+        Number of the data base that the estimators have.
+    with_database
+        Labels of those that have one.
+    others
+        The same with each data base, this one the first, where there are several: trials have them in turn.
     """
 
     world: World
@@ -69,6 +77,9 @@ class SingleImage:
     seed: int
     keep_image: ImageSink | None = None
     witness: Witness | None = None
+    database: int = 0
+    with_database: frozenset[str] = frozenset()
+    others: tuple[SingleImage, ...] = ()
 
     kind: ClassVar[str] = "single-image"
     version: ClassVar[int] = 2
@@ -86,8 +97,8 @@ class SingleImage:
     ) -> list[BuiltProduct | MissingProduct]:
         """Let every estimator ask for its products."""
         products: list[BuiltProduct | MissingProduct] = []
-        for entry in campaign.spec.estimators:
-            asked = shelf.empty()
+        for number, entry in product(range(campaign.spec.databases), campaign.spec.estimators):
+            asked = shelf.empty(number)
             method = _method(entry, asked)
             products += asked.lent_to(entry.label)
             if isinstance(method, NoProductError):
@@ -96,22 +107,39 @@ class SingleImage:
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> SingleImage:
-        """Open the world and build the estimators."""
-        shelf = Shelf(scenario, bench.run / "products", jobs=0, variant=campaign.variant, draft=campaign.draft)
-        estimators = {entry.label: _method(entry, shelf) for entry in campaign.spec.estimators}
+        """Open the world and build the estimators, with each of their data bases."""
+        first, *others = (cls._with_database(campaign, scenario, bench, i) for i in range(campaign.spec.databases))
+        return replace(first, others=(first, *others)) if others else first
+
+    @classmethod
+    def _with_database(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench, database: int
+    ) -> SingleImage:
+        shelf = Shelf(scenario, bench.run / "products", 0, campaign.variant, None, campaign.draft, database)
+        shelves = {entry.label: shelf.empty(database) for entry in campaign.spec.estimators}
+        estimators = {entry.label: _method(entry, shelves[entry.label]) for entry in campaign.spec.estimators}
+        having = frozenset(label for label, asked in shelves.items() if asked.has_lent_what_is_drawn)
         sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
-        return cls(open_world(scenario, campaign.variant), estimators, campaign.seed, sink)
+        world = open_world(with_world(scenario, database), campaign.variant)
+        return cls(world, estimators, campaign.seed, sink, None, database, having)
 
     def watched(self, label: str, witness: Witness) -> Self:
         """Return the same trials of one estimator, shown to a witness."""
-        return replace(self, estimators={label: self.estimators[label]}, witness=witness)
+        others = tuple(other.watched(label, witness) for other in self.others[1:])
+        alone = replace(self, estimators={label: self.estimators[label]}, witness=witness, others=())
+        return replace(alone, others=(alone, *others)) if others else alone
+
+    def of(self, trial: int) -> SingleImage:
+        """Return the same with the data base of a trial alone."""
+        return self.others[trial % len(self.others)] if self.others else self
 
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and estimators."""
         records: Records = {}
         for trial in trials:
-            add_records(records, self.trial(trial))
-        self.world.source.flush()
+            add_records(records, self.of(trial).trial(trial))
+        for own in self.others or (self,):
+            own.world.source.flush()
         return records
 
     def trial(self, trial: int) -> Records:
@@ -126,7 +154,9 @@ class SingleImage:
         for label, estimator in self.estimators.items():
             key: Record = {"trial": trial, "scenario": self.world.scenario.spec.name, "estimator": label}
             call = Call(self.world.scenario.spec.name, trial, label)
-            add_records(records, self._judged(call, estimator, observation, sight), key)
+            found = self._judged(call, estimator, observation, sight)
+            found["rows"][0]["database"] = self.database if label in self.with_database else None
+            add_records(records, found, key)
             stage = STORED_IMAGE if sight.from_store else FRESH_IMAGE
             add_records(records, {"timings": [{"stage": stage, "seconds": image_seconds}]}, key)
         return records

@@ -19,7 +19,7 @@ def draw_case(again: Recomputed) -> Drawn:
     """Draw the stages of a case, as far as they came; a kind with nothing to draw says so in a note."""
     what, shown, experiment, records = str(again.case), again.shown, again.experiment, again.records
     if isinstance(shown, EstimatedImage) and isinstance(experiment, SingleImage):
-        return draw_single(experiment, shown, records, what)
+        return draw_single(experiment.of(again.case.trial), shown, records, what)
     if isinstance(shown, FollowedSequence) and isinstance(experiment, SequenceTrials):
         return draw_sequence_case(experiment, shown, records, what)
     if isinstance(shown, DetectedImage):

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from campaign.draft import drafted
+from campaign.products.databases import differs, of_database, with_knowledge, with_world
 from campaign.products.keys import content_key
 from campaign.products.kinds import product_kind
 from campaign.world import believed
@@ -34,12 +35,16 @@ def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant
 
 @dataclass(frozen=True, slots=True)
 class BuiltProduct:
-    """A product that an estimator asked for: its kind, for whom it is, and its folder below ``RUN/products``."""
+    """A product that an estimator asked for.
+
+    Its kind, for whom it is, its folder below ``RUN/products``, and the number of the data base that it belongs to.
+    """
 
     kind: str
     scenario: str
     estimator: str
     folder: str
+    database: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +75,8 @@ class Shelf:
         Told before something is built.
     draft
         Share of the images that data bases are made of, see `campaign.draft`.
+    database
+        Number of the data base, see `campaign.products.databases`.
     """
 
     def __init__(
@@ -80,19 +87,28 @@ class Shelf:
         variant: str,
         tell: Callable[[str], None] | None = None,
         draft: float = 1.0,
+        database: int = 0,
     ) -> None:
         self._true_scenario = scenario
-        self._scenario = believed(scenario)
+        self._database = database
+        self._scenario = believed(with_knowledge(with_world(scenario, database), database))
         self._folder = folder
         self._jobs = jobs
         self._variant = variant
         self._tell = tell
         self._draft = draft
         self._lent: list[tuple[str, str]] = []
+        self._has_lent_shape = False
 
-    def empty(self) -> Shelf:
-        """Return the same shelf with nothing lent yet."""
-        return Shelf(self._true_scenario, self._folder, self._jobs, self._variant, self._tell, self._draft)
+    def empty(self, database: int = 0) -> Shelf:
+        """Return the same shelf of a data base with nothing lent yet."""
+        return Shelf(self._true_scenario, self._folder, self._jobs, self._variant, self._tell, self._draft, database)
+
+    @property
+    def has_lent_what_is_drawn(self) -> bool:
+        """Tell whether what was lent would be another thing in another data base."""
+        drawn = differs(self._true_scenario)
+        return bool(self._lent) or "world" in drawn or ("knowledge" in drawn and self._has_lent_shape)
 
     @property
     def camera(self) -> Camera:
@@ -101,6 +117,7 @@ class Shelf:
 
     def shape(self) -> TriangleMesh:
         """Return the full shape that the spacecraft carries."""
+        self._has_lent_shape = True
         return load_body(self._scenario.spec.body, self._scenario.search_dirs).mesh
 
     def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
@@ -122,7 +139,7 @@ class Shelf:
             If it cannot be made of the scenario; that is kept in place of the product.
         """
         maker = product_kind(kind)
-        wanted = drafted(maker.parse(options), self._draft)
+        wanted = of_database(drafted(maker.parse(options), self._draft), self._database)
         folder = self._folder / f"{kind}-{product_key(self._scenario, kind, wanted, self._variant)}"
         if not folder.exists():
             self._fetch(kind, wanted, folder)
@@ -134,7 +151,8 @@ class Shelf:
 
     def lent_to(self, estimator: str) -> list[BuiltProduct]:
         """List the products that were asked for so far, as those of an estimator."""
-        return [BuiltProduct(kind, self._scenario.spec.name, estimator, folder) for kind, folder in self._lent]
+        name = self._scenario.spec.name
+        return [BuiltProduct(kind, name, estimator, folder, self._database) for kind, folder in self._lent]
 
     def _fetch(self, kind: str, options: SpecModel, folder: Path) -> None:
         if self._jobs == 0:
@@ -144,7 +162,8 @@ class Shelf:
         def build(place: Path) -> None:
             if self._tell is not None:
                 name = self._scenario.spec.name
-                self._tell(f"building the {_words(kind)} of {name}: {maker.announcement(options)}")
+                which = f", number {self._database}" if self._database else ""
+                self._tell(f"building the {_words(kind)} of {name}{which}: {maker.announcement(options)}")
             try:
                 facts = maker.build(self._scenario, options, place, self._jobs, self._variant) or {}
             except NoProductError as error:

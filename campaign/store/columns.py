@@ -91,6 +91,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("position_bound_m", pa.float64(), "RMS position error at the Cramer-Rao bound of its observations"),
         Column("attitude_bound_deg", pa.float64(), "RMS attitude error at that bound"),
         Column("n_landmarks", pa.int64(), "landmarks that the estimate rests on; 0 where it uses none"),
+        Column("database", pa.int64(), "number of the data base that it had, from 0; empty where it has none"),
         Column("image", pa.string(), "file name of a real image; empty when rendered"),
         Column("range_m", pa.float64(), "true distance of the camera from the body's origin"),
         Column("phase_deg", pa.float64(), "true phase angle at the body's origin"),

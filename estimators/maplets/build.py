@@ -28,6 +28,7 @@ class MapletOptions(SpecModel):
 
     spacing_m: float = Field(2.4, gt=0, description="Between neighbouring heights")
     side: int = Field(25, ge=5, le=999, description="Heights along each side of a maplet, odd")
+    seed: int | None = Field(None, ge=0, description="Of the place to begin at; the farthest one if left out")
     separation: float = Field(0.6, gt=0, le=1, description="Least distance of two centres, over a maplet's width")
 
     @model_validator(mode="after")
@@ -55,7 +56,7 @@ def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
     """
     surface = Surface(mesh)
     separation_m = options.separation * options.width_m
-    places = spread_points(surface.centroids_m, 0.5 * separation_m)
+    places = spread_points(surface.centroids_m, 0.5 * separation_m, options.seed)
     candidates = _cut(surface, places, options)
     strength = [relief(heights, options.spacing_m) for heights in candidates.heights_m]
     order = sorted(range(len(candidates)), key=lambda i: -strength[i])
@@ -65,12 +66,13 @@ def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
     return replace(chosen, provenance=_provenance(options, mesh, len(candidates)))
 
 
-def spread_points(points_m: FloatArray, radius_m: float) -> list[int]:
+def spread_points(points_m: FloatArray, radius_m: float, seed: int | None = None) -> list[int]:
     """Choose points, each the farthest from those before it, until none is farther than ``radius_m`` from one.
 
-    The first is the one farthest from the origin. Gonzalez (1985).
+    The first is the one farthest from the origin, or one that is drawn. Gonzalez (1985).
     """
-    chosen = [int(np.argmax(np.einsum("ni,ni->n", points_m, points_m)))]
+    farthest = int(np.argmax(np.einsum("ni,ni->n", points_m, points_m)))
+    chosen = [farthest if seed is None else int(np.random.default_rng(seed).integers(len(points_m)))]
     distance = np.linalg.norm(points_m - points_m[chosen[0]], axis=1)
     while distance.max() > radius_m:
         chosen.append(int(np.argmax(distance)))
@@ -127,7 +129,7 @@ def _provenance(options: MapletOptions, mesh: TriangleMesh, candidates: int) -> 
     return {
         "method": METHOD,
         "method_version": METHOD_VERSION,
-        "options": options.model_dump(mode="json"),
+        "options": options.model_dump(mode="json", exclude_none=True),
         "shape_facets": len(mesh.faces),
         "candidates": candidates,
     }

@@ -13,8 +13,9 @@ from reports.compare.craters import DETECTION, MATCHING
 from reports.compare.metrics import BORESIGHT, LATERAL, Metric
 from reports.compare.trials import CONDITIONS
 from reports.figures.curves import Points
+from reports.intervals import FloatArray
 from reports.paired import share_of
-from reports.statistics import MEDIAN, FloatArray, measure
+from reports.statistics import MEDIAN, measure
 
 ATTITUDE = "attitude_error_deg"
 SUCCESS = "success"

@@ -14,10 +14,10 @@ from reports.compare.looks import colours, credits_of, groups, titled
 from reports.compare.subjects import RunComparison, Subject
 from reports.figures.calibration import Claim, draw_calibration
 from reports.grid import Grid, number
+from reports.intervals import FloatArray
 from reports.named_figure import NamedFigure, file_stem
 from reports.records import CONTROL
 from reports.run_data import TRIAL_KEY
-from reports.statistics import FloatArray
 from reports.weighed import Judged, judge, weighed_errors, weighed_label
 
 

@@ -7,6 +7,7 @@ table at the level of one test.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,8 +17,9 @@ from numpy.typing import NDArray
 from scipy.stats import mannwhitneyu
 
 from reports.compare.trials import KEY
+from reports.intervals import FloatArray
 from reports.paired import rate_difference, sign_test
-from reports.statistics import LEVEL, MEAN, MEDIAN, FloatArray, Measured, bootstrap, content_rng, measure
+from reports.statistics import MEAN, MEDIAN, Measured, measure
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +90,7 @@ def contrast(names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, 
     if both.empty:
         return None
     difference = (both["value"] - both["value_other"]).to_numpy(dtype=np.float64)
-    clusters = both["cluster"].to_numpy()
+    clusters = coarser(both["cluster"], both["cluster_other"])
     solved = np.isfinite(difference)
     median, mean = measure(difference[solved], clusters[solved], (MEDIAN, MEAN))
     better, chance, _ = sign_test(difference[solved], clusters[solved])
@@ -98,6 +100,11 @@ def contrast(names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, 
         *names, True, int(solved.sum()), len(both), median, mean, better, chance.value, better_of_all,
         chance_of_all.value, rate_difference(mine, theirs, clusters),
     )  # fmt: skip
+
+
+def coarser(one: pd.Series, other: pd.Series) -> NDArray[np.generic]:
+    """Return the labels of the side of which less is independent: one may rest on few data bases, the other on none."""
+    return (one if one.nunique() <= other.nunique() else other).to_numpy()
 
 
 def without_failures(one: Contrast) -> Contrast:
@@ -151,14 +158,20 @@ def _superiority(one: FloatArray, other: FloatArray) -> tuple[Measured, float | 
 
 def _differences(samples: Sequence[tuple[FloatArray, NDArray[np.generic]]]) -> list[Measured]:
     """Difference of medians and of means of two independent samples."""
-    statistics = (MEDIAN, MEAN)
-    if any(not len(values) for values, _ in samples):
-        return [Measured(None)] * len(statistics)
-    drawn = []
-    for values, clusters in samples:
-        codes = np.unique(clusters, return_inverse=True)[1]
-        drawn.append(bootstrap(values, codes, statistics, content_rng(values, codes)))
-    tails = [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)]
-    ends = np.percentile(drawn[0] - drawn[1], tails, axis=1).T
-    points = [statistic.of(samples[0][0]) - statistic.of(samples[1][0]) for statistic in statistics]
-    return [Measured(p, float(low), float(high)) for p, (low, high) in zip(points, ends, strict=True)]
+    found = [measure(values, clusters, (MEDIAN, MEAN)) for values, clusters in samples]
+    return [_difference(one, other) for one, other in zip(*found, strict=True)]
+
+
+def _difference(one: Measured, other: Measured) -> Measured:
+    """Subtract two independent numbers; either end is as far off as their own ends are, added as squares.
+
+    G. Zou and A. Donner, Construction of confidence limits about effect measures, Statistics in Medicine 27, 2008.
+    """
+    if one.value is None or other.value is None:
+        return Measured(None)
+    value = one.value - other.value
+    if one.low is None or one.high is None or other.low is None or other.high is None:
+        return Measured(value)
+    below = math.hypot(one.value - one.low, other.high - other.value)
+    above = math.hypot(one.high - one.value, other.value - other.low)
+    return Measured(value, value - below, value + above)

@@ -81,7 +81,20 @@ class CampaignSpec(SpecModel):
     estimators: tuple[EstimatorEntry, ...] = Field(min_length=1, description="name, or {name: {option: value}}")
     trials: int = Field(ge=1, le=10_000_000, description="Trials of each scenario")
     seed: int = Field(ge=0, lt=2**64, description="Every random number of the campaign follows from it")
+    databases: int = Field(
+        1,
+        ge=1,
+        le=1000,
+        description="Data bases of each estimator, drawn afresh with the errors of the shape on board and, where there"
+        " are craters, with another world of them; trial t has data base t modulo their number",
+    )
     report: str | None = Field(None, description="Key of the published values to set beside the results")
+
+    @model_validator(mode="after")
+    def _databases_of_images(self) -> Self:
+        if self.databases > 1 and self.experiment != "single-image":
+            raise ValueError(f"databases: 1 is all that a campaign of {self.experiment} has: leave the key out")
+        return self
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:

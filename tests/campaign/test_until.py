@@ -15,7 +15,7 @@ from campaign.request import RunRequest
 from campaign.resolve import resolve
 from campaign.until import looks, parse_until, run_until
 from renderers.mitsuba3 import choose_variant
-from reports.statistics import MEDIAN, large_sample_interval
+from reports.statistics import MEDIAN, measure
 from scenarios.errors import BoresightError
 
 
@@ -57,12 +57,12 @@ def test_a_condition_is_read():
     assert parse_until("ci(position_error_m,rms) < 1.5e-2", "single-image").width == 0.015
 
 
-@pytest.mark.parametrize(("width", "trials", "word"), [("1e4", 10, "stopped"), ("1e-9", 24, "reached the most")])
+@pytest.mark.parametrize(("width", "trials", "word"), [("1e4", 20, "stopped"), ("1e-9", 24, "reached the most")])
 def test_it_stops_at_the_first_look_whatever_is_stored(tiny_run, tmp_path, monkeypatch, width, trials, word):
     monkeypatch.setattr(module, "_FIRST_LOOK", 10)
     folder = tmp_path / "run"
     shutil.copytree(tiny_run.folder, folder)
-    for block in sorted((folder / "rows").glob("*.parquet"))[1:] if trials == 10 else ():
+    for block in sorted((folder / "rows").glob("*.parquet"))[2:] if trials == 20 else ():
         block.unlink()
     campaign = resolve(str(tiny_run.file), variant=choose_variant().name)
     condition = parse_until(f"ci(position_error_m, median) < {width}", "single-image")
@@ -73,17 +73,37 @@ def test_it_stops_at_the_first_look_whatever_is_stored(tiny_run, tmp_path, monke
     assert word in note
 
 
-def test_intervals_of_runs_that_stop_by_width_hold_nearly_what_they_say():
-    """2,000 runs on a skewed error of known median: at the look where they stop, 9 of 10 intervals still hold it."""
-    rng, true, points = np.random.default_rng(12), np.exp(2.0), looks(1000, 10)
-    held, stops = [], []
-    for values in rng.lognormal(2.0, 0.8, (2000, points[-1])):
-        for n in points:
-            low, high = large_sample_interval(values[:n], MEDIAN)
-            if high - low < 1.8:
+def stops(rng, runs, width, points, further=1):
+    """Let runs of a skewed error of median exp(2) stop: which intervals hold it, and after how many trials."""
+    held, after = [], []
+    for values in rng.lognormal(2.0, 0.8, (runs, points[-1])):
+        met = -1
+        for look, n in enumerate(points):
+            found = measure(values[:n], np.arange(n), (MEDIAN,))[0]
+            if met < 0 and found.high - found.low < width:
+                met = look
+            if 0 <= met <= look - further:
                 break
-        held.append(low < true < high)
-        stops.append(n)
-    assert 0.90 < np.mean(held) < 0.97
-    assert len(set(stops)) > 4, "they stop at many looks"
-    assert np.mean([n < points[-1] for n in stops]) > 0.99
+        held.append(found.low < np.exp(2.0) < found.high)
+        after.append(n)
+    return np.mean(held), np.array(after)
+
+
+def test_intervals_of_runs_that_stop_by_width_hold_nearly_what_they_say():
+    """400 runs, standard error 1.3 %: at the look after the first narrow one 92 % of the intervals hold the truth."""
+    points = looks(600, 10)
+    held, after = stops(np.random.default_rng(12), 400, 2.5, points)
+    assert 0.89 < held < 0.97
+    assert len(set(after)) > 4, "they stop at many looks"
+    assert np.mean(after < points[-1]) > 0.99
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("width", [1.8, 3.5])
+def test_coverage_of_runs_that_stop_by_width(width):
+    """4,000 runs, standard error 0.4 %: one look more brings the coverage nearer to 95 %."""
+    points = looks(1000, 10)
+    first, further = (stops(np.random.default_rng(13), 4000, width, points, looks_on)[0] for looks_on in (0, 1))
+    print(f"width {width}: {100 * first:.1f} % at the first narrow look, {100 * further:.1f} % at the next")  # noqa: T201
+    assert further > first
+    assert 0.91 < further < 0.96

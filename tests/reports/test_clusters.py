@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest, bootstrap
+from scipy.stats import binomtest, bootstrap, t
 
 from reports.build import write_report
 from reports.clusters import image_set, pools
@@ -14,6 +14,7 @@ from reports.paired import BETTER, SIGN_TEST
 from reports.records import SEQUENCE, find
 from reports.run_data import read_run
 from reports.sequences import revolution_figure, revolution_series
+from reports.statistics import MEAN, measure
 from reports.vision import vision_records
 
 STARTS = 6
@@ -66,31 +67,31 @@ def pooled(run, statistic, name="error_after_1_m"):
 
 
 def test_two_sets_of_equal_starts_are_two_numbers(builder):
-    """Resamples of two numbers have the means a, (a + b) / 2 and b with 1/4, 1/2 and 1/4: the interval is [a, b]."""
+    """A mean has Student's interval of two, of its logarithm; a median of two that are apart has none."""
     run = written(builder, {"one": np.repeat([[3.0], [5.0]], STARTS, axis=1)})
-    for statistic in ("mean", "median", "RMS", "95th percentile"):
-        record = pooled(run, statistic)
-        assert (record.low, record.high) == pytest.approx((3.0, 5.0))
-        assert (record.n_ok, record.n) == (12, 12)
-    assert pooled(run, "mean").value == 4.0
+    mean, median = pooled(run, "mean"), pooled(run, "median")
+    half = t.ppf(0.975, 1) * 1.0 / 4.0  # standard error over mean
+    assert (mean.value, mean.n_ok, mean.n) == (4.0, 12, 12)
+    assert (mean.low, mean.high) == pytest.approx(4.0 * np.exp([-half, half]), rel=1e-6)
+    assert (median.value, median.low, median.high) == (4.0, None, None)
+    assert pooled(run, "95th percentile").value is None
 
 
 def test_equal_starts_give_the_interval_of_the_sets(builder):
     values = np.random.default_rng(2).gamma(3.0, 2.0, 10)
     record = pooled(written(builder, {"one": np.repeat(values[:, None], STARTS, axis=1)}), "mean")
-    theirs = bootstrap((values,), np.mean, n_resamples=20_000, method="percentile", rng=3).confidence_interval
-    width = theirs.high - theirs.low
-    assert record.value == pytest.approx(values.mean())
-    assert (record.low, record.high) == pytest.approx((theirs.low, theirs.high), abs=0.04 * width)
+    alone = measure(values, np.arange(10), (MEAN,))[0]
+    assert (record.value, record.low, record.high) == pytest.approx((alone.value, alone.low, alone.high), rel=0.05)
+    percentiles = bootstrap((values,), np.mean, n_resamples=2000, method="percentile", rng=3).confidence_interval
+    assert record.high > percentiles.high, "which is narrow"
 
 
 def test_the_deviation_is_resampled_by_sets(builder):
-    """Two sets of {0, 2} and {0, 4}: a resample of one of them has the deviation of that set's twelve."""
-    low, high = np.tile([0.0, 2.0], 3), np.tile([0.0, 4.0], 3)
-    record = pooled(written(builder, {"one": np.array([low, high])}), "deviation")
-    assert record.value == pytest.approx(np.std([*low, *high], ddof=1))
-    ends = (np.std([*low, *low], ddof=1), np.std([*high, *high], ddof=1))
-    assert (record.low, record.high) == pytest.approx(ends)
+    """Of ten sets, its interval is that of ten numbers, not of sixty."""
+    values = np.random.default_rng(3).gamma(3.0, 2.0, 10)
+    record = pooled(written(builder, {"one": np.repeat(values[:, None], STARTS, axis=1)}), "deviation")
+    assert record.value == pytest.approx(np.std(np.repeat(values, STARTS), ddof=1))
+    assert record.high - record.low > 0.8 * record.value
 
 
 def test_one_set_has_a_value_and_no_interval(builder):
@@ -128,9 +129,9 @@ def test_ratio_and_sign_test_take_the_set_as_one(builder):
         return a.mean() / b.mean()
 
     sets = one.mean(axis=1), two.mean(axis=1)
-    theirs = bootstrap(sets, ratio_of, paired=True, vectorized=False, n_resamples=5000, method="percentile", rng=1)
-    low, high = theirs.confidence_interval
-    assert (ratio.low, ratio.high) == pytest.approx((low, high), abs=0.06 * (high - low))
+    error = bootstrap(sets, ratio_of, paired=True, vectorized=False, n_resamples=5000, rng=1).standard_error
+    half = t.ppf(0.975, 6) * error * np.sqrt(7 / 6)  # the bootstrap divides by 7
+    assert (ratio.low, ratio.high) == pytest.approx((ratio.value - half, ratio.value + half), abs=0.1 * half)
 
 
 def test_scenarios_that_differ_in_more_than_the_body_are_no_pool(builder):
@@ -195,6 +196,8 @@ def test_vision_is_told_of_pools(builder):
             builder.add("vision", **key, n_features=features, repeatability=0.9, **numbers)
     records = vision_records(written(builder, errors))
     pool = find(records, scenario=POOL.format(2), measure="features_per_image", statistic="mean")
-    assert (pool.value, pool.low, pool.high, pool.n_ok) == (2000.0, 1500.0, 2500.0, 12)
+    half = t.ppf(0.975, 1) * 500.0 / 2000.0
+    assert (pool.value, pool.n_ok) == (2000.0, 12)
+    assert (pool.low, pool.high) == pytest.approx(2000.0 * np.exp([-half, half]), rel=1e-6)
     alone = find(records, scenario="sphere-1", measure="features_per_image", statistic="mean")
     assert (alone.value, alone.low) == (2500.0, None)

@@ -47,7 +47,7 @@ def test_medians_and_percentiles_are_over_the_trials_that_converged(report):
 
     assert value("arc_rms_m", "median").value == pytest.approx(2.5)
     assert value("arc_rms_m", "RMS").value == pytest.approx(np.sqrt(np.mean(np.square(ERRORS))))
-    assert value("arc_rms_m", "90th percentile").value == pytest.approx(np.quantile(ERRORS, 0.9))
+    assert value("arc_rms_m", "90th percentile").value is None, "there is none of four"
     assert value("epoch_nees", "mean").value == pytest.approx(1.0)
     assert (value("arc_rms_m", "median").n_ok, value("arc_rms_m", "median").n) == (4, 5)
 

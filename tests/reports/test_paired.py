@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import binom
+from scipy.stats import binom, binomtest, ttest_1samp
 
 from reports.build import write_report
 from reports.paired import (
@@ -66,14 +66,35 @@ def test_the_sign_test_is_the_binomial_of_the_signs(builder):
     assert found["attitude_difference_deg", SIGN_TEST].value is None
 
 
-def test_realisations_of_an_image_count_once(builder):
+def test_realisations_of_few_images_are_no_more_than_their_images(builder):
+    """20 of 30 trials better, but all of two images and none of the third: Student's t over 1, 1 and 0."""
     base = [error(20, 1)] * 30
     other = [error(19 if trial < 20 else 25, 1) for trial in range(30)]
     images = [f"{trial // 10}.png" for trial in range(30)]
     found = by_key(fill(builder, base, other, images))
     test = found["position_difference_m", SIGN_TEST]
-    assert test.n_ok == 3
-    assert test.value == 1.0
+    assert test.n_ok == 30
+    assert test.value == pytest.approx(ttest_1samp([1.0, 1.0, 0.0], 0.5).pvalue)
+
+
+def test_realisations_of_an_image_count_once(builder):
+    base = [error(20, 1)] * 80
+    other = [error(19 if trial < 60 else 25, 1) for trial in range(80)]
+    test = by_key(fill(builder, base, other, [f"{trial // 10}.png" for trial in range(80)]))[
+        "position_difference_m", SIGN_TEST
+    ]
+    assert test.n_ok == 8
+    assert test.value == pytest.approx(binomtest(6, 8).pvalue)
+
+
+def test_equal_shares_of_few_data_bases_say_no_more_than_their_trials(builder):
+    """Each of two images is better in 6 of 10: Student's t would be certain."""
+    base = [error(20, 1)] * 20
+    other = [error(19 if trial % 10 < 6 else 25, 1) for trial in range(20)]
+    test = by_key(fill(builder, base, other, [f"{trial // 10}.png" for trial in range(20)]))[
+        "position_difference_m", SIGN_TEST
+    ]
+    assert test.value == pytest.approx(binomtest(12, 20).pvalue)
 
 
 def test_failures_count_missing_and_worse_solutions(builder):

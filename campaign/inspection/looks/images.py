@@ -23,18 +23,25 @@ FloatArray = NDArray[np.float64]
 
 
 def look_at_images(experiment: SingleImage, run: RunData, of: Of) -> Look:
-    """Show the landmarks of a data base and the cameras of all trials."""
-    rows = select(run.rows, of.scenario, of.label)
+    """Show the landmarks of the first data base and the cameras of all its trials."""
+    experiment = experiment.of(0)
+    tables = (select(table, of.scenario, of.label) for table in (run.rows, run.landmarks))
+    rows, recognised = (_of_first(experiment, table) for table in tables)
     views = {int(t): experiment.world.source.view(experiment.seed, int(t)) for t in rows["trial"]}
     body = coarsened(experiment.world.body.mesh, MOST_FACES)
     places = {trial: view.T_cam_body.camera_position_m for trial, view in views.items()}
     factor, told = nearer(np.array(list(places.values())), body.radius_m)
-    marks = _marks(experiment.estimators[of.label], list(views.values()), select(run.landmarks, of.scenario, of.label))
+    marks = _marks(experiment.estimators[of.label], list(views.values()), recognised)
     errors = rows["position_error_m"].to_numpy(dtype=np.float64)
     middle = rows["position_error_m"].median()
     note = f"{len(rows)} trials. Good and bad: below and above the median error of {middle:.3g} m.{told}"
     cameras = camera_sets(rows, errors, "error {:.3g} m".format, lambda trial: places[trial] / factor)
     return Look(of.title, note, body.vertices_m, body.faces, marks, cameras)
+
+
+def _of_first(first: SingleImage, table: pd.DataFrame) -> pd.DataFrame:
+    """Choose the trials that have the first data base."""
+    return table[table["trial"] % max(len(first.others), 1) == 0]
 
 
 def _marks(estimator: object, views: Sequence[View], recognised: pd.DataFrame) -> list[Marks]:
