@@ -134,7 +134,8 @@ def widest(run: RunData, until: Until, trials: int, labels: Sequence[str]) -> tu
 def run_until(campaign: ResolvedCampaign, request: RunRequest, until: Until, listener: Listener) -> RunFolder:
     """Run a campaign until every estimator's interval in every scenario is as narrow as wanted, and one look further.
 
-    It runs at most the request. Controls, which estimate nothing, do not count. The manifest tells after how many trials it stopped, and why.
+    It runs at most the request. Controls, which estimate nothing, do not count. The manifest tells after how many
+    trials it stopped, and why.
     """
     labels = [entry.label for entry in campaign.spec.estimators if entry.name not in CONTROLS]
     if not labels:

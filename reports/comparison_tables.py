@@ -39,7 +39,9 @@ def verdict_grid(compared: Sequence[ComparedValue]) -> Grid | None:
             quantity, stage, statistic, paper, ours, _, _, verdict, _ = _compared_cells(item, several)
             rows.append((f"{quantity}, {stage}, {statistic}", paper, ours, verdict))
     heads = ("quantity", "paper", "ours [95 %]", "verdict")
-    return Grid("Beside the published values", heads, tuple(rows), frozenset({0, 3})) if rows else None
+    # Words of the paper may wrap, or a terminal has no room for the verdicts.
+    text = {0, 3} | ({1} if any('"' in row[1] for row in rows) else set())
+    return Grid("Beside the published values", heads, tuple(rows), frozenset(text)) if rows else None
 
 
 def _compared_cells(compared: ComparedValue, several: bool) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ _BRIEF_SUNS = ((0.0, 10.0), (0.0, 30.0), (50.0, 60.0))
 _BRIEF = ("Suns apart", "mode", "image pairs", "recall, %", "wrong, %")
 _NOTE = (
     "Recall: correct matches over the craters of the truth that both images detect. Wrong: over all matches. Intervals"
-    " are 95 % bootstrap intervals over pairs of images; a pair that a mode rejects has missed all its craters."
+    " are 95 % intervals over pairs of images; a pair that a mode rejects has missed all its craters."
 )
 
 

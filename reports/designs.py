@@ -176,7 +176,7 @@ class DesignData:
 
 
 _CHANGE_NOTE = (
-    "Change: the ratio of geometric means of the error over the same trials, with its 95 % bootstrap interval; above 1"
+    "Change: the ratio of geometric means of the error over the same trials, with its 95 % interval; above 1"
     " it got worse. ok: trials behind the median, of all."
 )
 

@@ -32,8 +32,8 @@ degrees, absolute     20   94.7    - 93.8 89.9
                      100   95.6 94.6 94.6 91.7
 ==================== === ====== ==== ==== ====
 
-Lognormal errors with sigma 0.8 of five data bases, 100 trials each, whose levels differ by a factor with sigma 0, 0.1, 0.3
-or 0.6: median 98.1, 96.2, 95.3, 96.1; mean 96.0, 94.7, 93.7, 91.7; RMS 93.2, 94.2, 91.7, 84.1.
+Lognormal errors with sigma 0.8 of five data bases, 100 trials each, whose levels differ by a factor with sigma 0, 0.1,
+0.3 or 0.6: median 98.1, 96.2, 95.3, 96.1; mean 96.0, 94.7, 93.7, 91.7; RMS 93.2, 94.2, 91.7, 84.1.
 
 The percentile bootstrap held 83 % of the means of 10 lognormal values with sigma 0.8, and 73 % of the mean squares of
 20. No interval of few values can know of a tail that none of them is in: an RMS of errors with such
@@ -151,8 +151,10 @@ def interval_of_sums(
     linked: OfSums = (lambda totals: np.log(of_sums(totals))) if positive else of_sums
     (value,), (spread,) = _estimates(sums, np.ones((1, n_clusters)), linked)
     below, above = _studentised(sums, linked, float(value))
-    low, high = float(value - above * spread), float(value - below * spread)
-    return (float(np.exp(low)), float(np.exp(high))) if positive else (low, high)
+    if not positive:
+        return float(value - above * spread), float(value - below * spread)
+    middle = float(of_sums(sums.sum(axis=0)[None])[0])
+    return middle * float(np.exp(-above * spread)), middle * float(np.exp(-below * spread))
 
 
 def _studentised(sums: FloatArray, of_sums: OfSums, value: float) -> tuple[float, float]:

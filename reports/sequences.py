@@ -36,7 +36,7 @@ _SIGN_NOTE = (
 )
 _RATIO_NOTE = (
     "Mean error of the line's estimator over that of the column's, over the trials of which both have one, with its"
-    " 95 % bootstrap interval; both follow the same tracks. Below 1 the line's estimator is the better."
+    " 95 % interval; both follow the same tracks. Below 1 the line's estimator is the better."
 )
 _NOTE = (
     "A landmark RMSE is over the landmarks that a frame sees, all frames of a sequence together; new ones are those"

@@ -17,7 +17,7 @@ _NUMBER = r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
 def pose_grids(records: Sequence[Record]) -> list[Grid]:
     """Tabulate pose errors after each stage, a grid for each scenario."""
     note = (
-        "Median with its 95 % bootstrap interval, RMS and 95th percentile of the error; x, y, z: root-median-square "
+        "Median with its 95 % interval, RMS and 95th percentile of the error; x, y, z: root-median-square "
         "along the camera axes (x right, y down, z along the boresight), in m. ok: trials behind the line, of all. "
         "Failures at prior: every trial, a failed one with the error of its prior."
     )

@@ -41,7 +41,7 @@ def subject_grid(found: RunComparison) -> Grid:
                 (*found.levels(subject.names), _WORDS[how], f"{n}/{subject.n}", success, *map(interval, values))
             )
     note = (
-        f"{as_title(found.metric.label)}, with 95 % bootstrap intervals of whole trials (real images: of whole"
+        f"{as_title(found.metric.label)}, with 95 % intervals of whole trials (real images: of whole"
         " images). Success: an estimate, with a position error that is not above the prior's where there is a prior."
         " Solved: the trials with a number."
     )
