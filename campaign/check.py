@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
-from campaign.check_parts import MOST, check_array, check_indices, check_numbers, check_status, check_type
-from estimators.contract import Estimate, Table
+from campaign.check_parts import (
+    MOST,
+    check_array,
+    check_covariance,
+    check_indices,
+    check_names,
+    check_numbers,
+    check_reason,
+    check_several,
+    check_status,
+    check_type,
+)
+from estimators.contract import Estimate, Stage, Table
 from scenarios.geometry import Pose
 from scenarios.observation import Observation
 
@@ -19,6 +30,7 @@ LANDMARK_NUMBERS = (
 
 _RIGID = 1e-6
 _MOST_PX = 1e6
+_PARAMETERS = 6
 
 
 def check(estimate: Estimate, observation: Observation) -> None:
@@ -32,32 +44,31 @@ def check(estimate: Estimate, observation: Observation) -> None:
     """
     check_type(estimate, Estimate)
     check_status(estimate.status, estimate.reason)
+    for what in ("poses", "covariances", "bounds", "stages"):
+        check_several(what, getattr(estimate, what))
     for stage in estimate.stages:
+        check_type(stage, Stage)
+        check_reason(stage.name)
         _check_pose(stage.T_cam_body, f"after {stage.name}")
     check_numbers(estimate.diagnostics, "diagnostics", texts=True)
     if isinstance(estimate.diagnostics.get("n_landmarks"), str):
         raise ValueError("diagnostics: n_landmarks is a text")  # noqa: TRY004  all rubbish is a ValueError
     check_numbers(estimate.timings_s, "timings_s")
-    if "landmarks" in estimate.details:
-        _check_landmarks(estimate.details["landmarks"])
-    if estimate.status == "ok":
-        _check_solution(estimate, len(observation.frames))
+    _check_details(estimate.details)
+    _check_solution(estimate, len(observation.frames))
 
 
 def _check_solution(estimate: Estimate, frames: int) -> None:
-    if len(estimate.poses) != frames:
+    """Refuse poses and covariances that are none, also of an estimate that failed; of one that is ok, their number."""
+    if estimate.status == "ok" and len(estimate.poses) != frames:
         raise ValueError(f"{len(estimate.poses)} poses for {frames} frames")
     for index, pose in enumerate(estimate.poses):
         _check_pose(pose, f"of frame {index}")
     for what, matrices in (("covariance", estimate.covariances), ("bound", estimate.bounds)):
-        _check_matrices(what, matrices, frames)
-
-
-def _check_matrices(what: str, matrices: Sequence[object], frames: int) -> None:
-    if len(matrices) not in (0, frames):
-        raise ValueError(f"{len(matrices)} {what}s for {frames} frames")
-    for matrix in matrices:
-        check_array(f"a {what}", matrix, (6, 6), MOST**2)
+        if estimate.status == "ok" and len(matrices) not in (0, frames):
+            raise ValueError(f"{len(matrices)} {what}s for {frames} frames")
+        for matrix in matrices:
+            check_covariance(f"a {what}", matrix, _PARAMETERS)
 
 
 def _check_pose(pose: Pose, which: str) -> None:
@@ -70,6 +81,18 @@ def _check_pose(pose: Pose, which: str) -> None:
         raise ValueError(
             f"the pose {which} is not rigid: rotation off by {residual:.1e}, translation {pose.translation_m}"
         )
+
+
+def _check_details(details: Mapping[str, Table]) -> None:
+    """Refuse tables that are not arrays by name, and recognised landmarks that cannot be scored."""
+    check_names("details", details)
+    for name, table in details.items():
+        check_names(f"details: {name}", table)
+        for column, values in table.items():
+            if not isinstance(values, np.ndarray) or values.dtype.kind not in "biufU":
+                raise ValueError(f"details: {name}: {column} is no array of numbers or texts")
+    if "landmarks" in details:
+        _check_landmarks(details["landmarks"])
 
 
 def _check_landmarks(table: Table) -> None:

@@ -14,6 +14,8 @@ MOST = 1e15
 """No answer has a larger length, velocity or pixel (SI): beyond it squares and their sums could overflow."""
 
 _LONGEST_REASON = 2000
+_SYMMETRIC = 1e-3
+"""Halves of a covariance differ by rounding at most, as a share of its largest number."""
 
 
 def check_type(answer: object, kind: type) -> None:
@@ -53,6 +55,26 @@ def check_array(what: str, array: object, shape: tuple[int, ...], most: float = 
         raise ValueError(f"{what} has a number beyond {most:g}")
 
 
+def check_covariance(what: str, array: object, size: int) -> None:
+    """Refuse what is no symmetric array (size, size) of finite numbers."""
+    check_array(what, array, (size, size), MOST**2)
+    matrix = np.asarray(array, dtype=np.float64)
+    if np.abs(matrix - matrix.T).max() > _SYMMETRIC * np.abs(matrix).max():
+        raise ValueError(f"{what} is not symmetric")
+
+
+def check_several(what: str, answer: object) -> None:
+    """Refuse what is neither a tuple nor a list: it could end, or be another, when it is asked again."""
+    if not isinstance(answer, tuple | list):
+        raise ValueError(f"{what} are a {type(answer).__name__}, not a tuple")  # noqa: TRY004  all rubbish is a ValueError
+
+
+def check_names(what: str, answer: object) -> None:
+    """Refuse what is no mapping by names."""
+    if not isinstance(answer, Mapping) or not all(isinstance(name, str) for name in answer):
+        raise ValueError(f"{what} of type {type(answer).__name__} have no names")
+
+
 def check_indices(what: str, array: object, shape: tuple[int, ...]) -> None:
     """Refuse what is no array of whole numbers of a shape."""
     given = _array(what, array)
@@ -68,6 +90,7 @@ def _array(what: str, array: object) -> NDArray[np.generic]:
 
 def check_numbers(numbers: Mapping[str, float | int | str], what: str, texts: bool = False) -> None:
     """Refuse a table of numbers by name in which one is not a finite number or, where it may be, a text."""
+    check_names(what, numbers)
     for name, value in numbers.items():
         try:
             finite = texts if isinstance(value, str) else np.isfinite(float(value))

@@ -9,7 +9,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.check_parts import MOST, check_array, check_indices, check_numbers, check_status, check_type
+from campaign.check_parts import (
+    MOST,
+    check_array,
+    check_covariance,
+    check_indices,
+    check_numbers,
+    check_status,
+    check_type,
+)
 from estimators.orbit.contract import Orbit, OrbitEstimate
 from scenarios.orbits.data import OrbitData
 from scenarios.orbits.draw import OrbitTruth
@@ -47,12 +55,12 @@ def _check_solution(orbit: Orbit, wanted: int, sightings: int) -> None:
     landmarks = len(orbit.numbers)
     for name, array, shape, most in (
         ("state", orbit.state, (_STATE,), MOST),
-        ("covariance", orbit.covariance, (_STATE, _STATE), MOST**2),
         ("positions_m", orbit.positions_m, (wanted, 3), MOST),
         ("velocities_m_s", orbit.velocities_m_s, (wanted, 3), MOST),
         ("position_covariances_m2", orbit.position_covariances_m2, (wanted, 3, 3), MOST**2),
     ):
         check_array(name, array, shape, most)
+    check_covariance("covariance", orbit.covariance, _STATE)
     check_indices("numbers", orbit.numbers, (landmarks,))
     if orbit.points_body_m.shape != (landmarks, 3):
         raise ValueError(f"points_body_m of shape {orbit.points_body_m.shape} is not {(landmarks, 3)}")

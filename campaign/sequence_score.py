@@ -8,7 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.check_parts import MOST, check_array, check_indices, check_numbers, check_status, check_type
+from campaign.check_parts import (
+    check_array,
+    check_covariance,
+    check_indices,
+    check_numbers,
+    check_several,
+    check_status,
+    check_type,
+)
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from scenarios.sequences import SequenceTruth
 from scenarios.sequences.frames import inertial_from_body
@@ -33,6 +41,7 @@ def check_sequence(estimate: SequenceEstimate, sequence: TrackSequence) -> None:
     """
     check_type(estimate, SequenceEstimate)
     check_status(estimate.status, estimate.reason)
+    check_several("frames", estimate.frames)
     given, there = len(estimate.frames), len(sequence.frames)
     if given > there or (estimate.status == "ok" and given < there):
         raise ValueError(f"{given} frames of {estimate.status} for {there} of the sequence")
@@ -50,7 +59,7 @@ def _check_frame(frame: FrameEstimate, index: int, known: set[int]) -> None:
     check_array(f"{where}: position_m", frame.position_m, (3,))
     check_array(f"{where}: points_m", frame.points_m, (n, 3))
     if frame.covariance_m2 is not None:
-        check_array(f"{where}: covariance_m2", frame.covariance_m2, (3, 3), MOST**2)
+        check_covariance(f"{where}: covariance_m2", frame.covariance_m2, 3)
     if frame.velocity_m_s is not None:
         check_array(f"{where}: velocity_m_s", frame.velocity_m_s, (3,))
     check_numbers({"seconds": frame.seconds}, where)

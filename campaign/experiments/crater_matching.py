@@ -133,11 +133,12 @@ class CraterMatching:
             answers[0].match(matcher, *self.images(answers[0].pair), self.known)
             return answers[0]
 
-        try:
-            return Work(call, "matcher", circumstances).judged(work, self._check, partial(self._scored, circumstances))
-        finally:
+        def show(sound: _Answer | None) -> None:
             if self.witness is not None and answers:
-                self.witness(MatchedPair(answers[0].pair, answers[0].matches))
+                self.witness(MatchedPair(answers[0].pair, None if sound is None else sound.matches))
+
+        score = partial(self._scored, circumstances)
+        return Work(call, "matcher", circumstances).judged(work, self._check, score, show)
 
     def _check(self, answer: _Answer) -> None:
         check_matches(answer.matches, *self.images(answer.pair))

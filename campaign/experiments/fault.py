@@ -27,6 +27,10 @@ class GaveUpError(Exception):
     """What ``Work.judged`` takes for a failure with a reason, not for a fault."""
 
 
+class _RubbishError(Exception):
+    """An answer breaks the contract; its cause is what the check raised."""
+
+
 @dataclass(frozen=True, slots=True)
 class Work:
     """What a method is to do in a trial.
@@ -63,30 +67,38 @@ class Work:
         score
             Returns the records of an answer, without their key.
         show
-            Is shown the answer in the end, or None where there was none, also of a trial that goes wrong.
+            Is shown the answer in the end, also of a trial that goes wrong; None where there was none, or one that
+            breaks the contract.
 
         Raises
         ------
         Exception
             What scoring raises: a fault of boresight, of which no row may be made.
         """
-        answer: T | None = None
+        sound: T | None = None
         try:
-            answer = guarded(self.call, work)
+            sound = self._sound(work, check)
         except GaveUpError as failure:
             return {"rows": [{**self.row, "status": "failed", "reason": str(failure), "n_landmarks": 0}]}
+        except _RubbishError as rubbish:
+            return self._fault(str(rubbish), rubbish.__cause__ or rubbish)
         except (Exception, SystemExit) as error:  # noqa: BLE001  the one place: a method's fault is a result
             return self._fault(_why(error), error)
         else:
-            return self._scored(answer, check, score)
+            return self._scored(sound, score)
         finally:
-            show(answer)
+            show(sound)
 
-    def _scored(self, answer: T, check: Callable[[T], None], score: Callable[[T], Records]) -> Records:
+    def _sound(self, work: Callable[[], T], check: Callable[[T], None]) -> T:
+        """Return an answer that keeps the contract; nobody else sees one that does not."""
+        answer = guarded(self.call, work)
         try:
             check(answer)
-        except Exception as error:  # noqa: BLE001  rubbish may be anything
-            return self._fault(f"returned rubbish: {error if type(error) is ValueError else _named(error)}", error)
+        except (Exception, SystemExit) as error:
+            raise _RubbishError(f"returned rubbish: {error if type(error) is ValueError else _named(error)}") from error
+        return answer
+
+    def _scored(self, answer: T, score: Callable[[T], Records]) -> Records:
         try:
             return score(answer)
         except Exception as error:

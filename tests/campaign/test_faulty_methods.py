@@ -46,6 +46,11 @@ GOOD = Estimate("ok", poses=(HERE,), covariances=(np.eye(6),), details={"landmar
         (replace(GOOD, covariances=(np.eye(6).tolist(),)), "a list, not an array"),
         (replace(GOOD, covariances=(np.full((6, 6), 1e300),)), "beyond 1e"),
         (replace(GOOD, bounds=(1j * np.eye(6),)), "of finite numbers"),
+        (replace(GOOD, covariances=(np.triu(np.ones((6, 6))),)), "not symmetric"),
+        (replace(GOOD, stages=iter(())), "stages are a tuple_iterator, not a tuple"),
+        (Estimate("failed", "late", poses=(np.eye(4),)), "a ndarray is no Pose"),
+        (replace(GOOD, details={"mine": {"a": np.array([None])}}), "mine: a is no array of numbers or texts"),
+        (replace(GOOD, diagnostics={(1, 2): 3.0}), "diagnostics of type dict have no names"),
         (replace(GOOD, diagnostics={"chi2": 1j}), "chi2 is complex, not a number"),
         (replace(GOOD, diagnostics={"chi2": np.zeros(3)}), "chi2 is ndarray, not a number"),
         (replace(GOOD, diagnostics={"n_landmarks": "many"}), "n_landmarks is a text"),
@@ -136,6 +141,18 @@ def test_what_breaks_the_contract_is_rubbish_whatever_the_check_raises():
         (row,) = WORK.judged(lambda: 1, refuse, _never)["rows"]
         assert row["status"] == "error"
         assert row["reason"] == f"the estimator returned rubbish: {said}"
+
+
+def test_a_witness_is_shown_what_keeps_the_contract_alone():
+    shown = []
+
+    def refuse(answer):
+        if answer == "rubbish":
+            raise ValueError(answer)
+
+    for answer in ("rubbish", "sound"):
+        WORK.judged(lambda answer=answer: answer, refuse, lambda answer: {"rows": []}, shown.append)
+    assert shown == [None, "sound"]
 
 
 def test_a_method_may_give_up():
