@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -10,6 +13,8 @@ from estimators.landmark.pose.stack import PoseStack
 from scenarios.geometry import Pose
 
 FloatArray = NDArray[np.float64]
+
+_QUATERNION, _TRANSLATION = ("qw", "qx", "qy", "qz"), ("tx_m", "ty_m", "tz_m")
 
 
 def pose_error(estimated: Pose, true: Pose) -> dict[str, float]:
@@ -32,6 +37,20 @@ def pose_error(estimated: Pose, true: Pose) -> dict[str, float]:
         "position_error_y_m": float(in_camera[1]),
         "position_error_z_m": float(in_camera[2]),
     }
+
+
+def pose_columns(pose: Pose, prefix: str = "") -> dict[str, float]:
+    """Write T_cam_body as columns: its unit quaternion and its translation."""
+    parts = zip((*_QUATERNION, *_TRANSLATION), (*pose.quat_wxyz, *pose.translation_m), strict=True)
+    return {f"{prefix}{name}": float(value) for name, value in parts}
+
+
+def pose_of(columns: Mapping[Any, Any], prefix: str = "") -> Pose:
+    """Read T_cam_body back from its columns."""
+    quat_wxyz, translation_m = (
+        np.array([columns[f"{prefix}{name}"] for name in names]) for names in (_QUATERNION, _TRANSLATION)
+    )
+    return Pose.from_quat_wxyz(quat_wxyz, translation_m)
 
 
 def pose_errors(estimated: PoseStack, true: PoseStack) -> dict[str, FloatArray]:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from rich.progress import track
 
 from campaign.cli.runs import find_run, not_negative
 from campaign.cli.terminal import console
@@ -13,6 +16,8 @@ from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction
+
+    from campaign.inspection.case import Case
 
 _FORMATS = ("tum", "colmap", "csv", "parquet", "latex")
 
@@ -69,7 +74,7 @@ def _tables(arguments: argparse.Namespace) -> list[Path]:
 def _poses(arguments: argparse.Namespace) -> list[Path]:
     # Imported here, as above.
     from campaign.export.colmap import write_model
-    from campaign.export.poses import check_posed, posed, trajectories
+    from campaign.export.poses import check_posed, posed, stored_images, trajectories
     from campaign.export.tum import write_trajectory
     from campaign.inspection.case import Choice, cases_of, checked_trials, chosen_rows
     from campaign.inspection.recompute import reopened
@@ -79,10 +84,13 @@ def _poses(arguments: argparse.Namespace) -> list[Path]:
     choice = Choice(arguments.scenario, arguments.estimator)
     rows = chosen_rows(read_run(folder.path).rows, choice, str(folder.path))
     trials = checked_trials(rows, arguments.trial, str(folder.path))
-    cases = cases_of(rows[rows["trial"].isin(trials)])
+    rows, written = rows[rows["trial"].isin(trials)], []
+    stored = stored_images(rows) if arguments.to == "tum" else None
+    if stored is not None:
+        return [path for name, frames in stored for path in write_trajectory(name, frames, arguments.out)]
     campaign = reopened(folder)
     check_posed(campaign)
-    written = []
+    cases = _shown(cases_of(rows))
     if arguments.to == "tum":
         for name, frames in trajectories(campaign, folder, cases):
             written += write_trajectory(name, frames, arguments.out) if frames else []
@@ -90,3 +98,10 @@ def _poses(arguments: argparse.Namespace) -> list[Path]:
     for name, found in posed(campaign, folder, cases):
         written += write_model(found, arguments.out / name) if found.frames else []
     return written
+
+
+def _shown(cases: Sequence[Case]) -> Iterable[Case]:
+    """Say that cases are worked out again, and show how many are done."""
+    printer = console()
+    printer.print(f"working out {len(cases)} trials again, for what the run does not hold of them")
+    return track(cases, "trials", console=printer, disable=not printer.is_terminal)

@@ -19,7 +19,7 @@ from campaign.guard import Call
 from campaign.products import BuiltProduct, MissingProduct, Shelf
 from campaign.products.databases import with_world
 from campaign.resolve import ResolvedCampaign
-from campaign.score import consistency, no_consistency, no_pose_error, pose_error
+from campaign.score import consistency, no_consistency, no_pose_error, pose_columns, pose_error
 from campaign.sensors import altimeter_reading
 from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
 from campaign.world import Sight, World, open_world
@@ -210,7 +210,7 @@ class SingleImage:
         final = estimate.poses[0] if estimate.status == "ok" else None
         row: Record = {
             **_circumstances(observation, sight),
-            **(no_pose_error() if final is None else pose_error(final, true)),
+            **(no_pose_error() if final is None else {**pose_error(final, true), **pose_columns(final)}),
             **_consistency(estimate, true),
             "status": estimate.status,
             "reason": estimate.reason,
@@ -272,6 +272,8 @@ def _circumstances(observation: Observation, sight: Sight) -> Record:
         "range_m": float(np.linalg.norm(true.translation_m)),
         "latitude_deg": float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
         "phase_deg": float(np.degrees(sight.view.phase_angle_rad)),
+        "time_s": sight.time_s,
+        **pose_columns(true, "true_"),
     }
 
 

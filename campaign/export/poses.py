@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from campaign.experiments.registry import Bench
@@ -14,6 +16,7 @@ from campaign.experiments.single_image import EstimatedImage, SingleImage
 from campaign.inspection.case import Case
 from campaign.inspection.recompute import Recomputed, recompute
 from campaign.resolve import ResolvedCampaign
+from campaign.score import pose_of
 from campaign.store import RunFolder
 from campaign.worker import experiment_of
 from scenarios.errors import BoresightError
@@ -57,7 +60,7 @@ class PosedFrames:
     places_m: dict[int, FloatArray]
 
 
-def posed(campaign: ResolvedCampaign, folder: RunFolder, cases: Sequence[Case]) -> Iterator[tuple[str, PosedFrames]]:
+def posed(campaign: ResolvedCampaign, folder: RunFolder, cases: Iterable[Case]) -> Iterator[tuple[str, PosedFrames]]:
     """Recompute cases and give their poses in the body's axes: a model of each sequence, or one of all single images.
 
     Yields
@@ -100,6 +103,33 @@ def _same(again: Recomputed) -> Recomputed:
     if again.sameness.differences:
         raise BoresightError(f"{again.case}: {again.sameness}: the run cannot be exported so")
     return again
+
+
+def stored_images(rows: pd.DataFrame) -> Iterator[tuple[str, list[PosedFrame]]] | None:
+    """Give the trajectories of single images as their rows hold them; None where they hold no poses.
+
+    Rows of other kinds have none, nor have those that an earlier version stored.
+    """
+    solved = rows[rows["status"] == "ok"]
+    if "true_qw" not in rows or rows["true_qw"].isna().any() or solved["qw"].isna().any():
+        return None
+    nothing = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
+    return (
+        (
+            f"{scenario}_{estimator}",
+            [
+                PosedFrame(*_image_of(row), pose_of(row, "true_"), pose_of(row), *nothing)
+                for row in own.to_dict("records")
+            ],
+        )
+        for (scenario, estimator), own in solved.groupby(["scenario", "estimator"], sort=False)
+    )
+
+
+def _image_of(row: Mapping[Hashable, Any]) -> tuple[str, float]:
+    """Name of the image of a row, and its epoch: the trial where images have none."""
+    name, trial = str(row["image"] or ""), int(row["trial"])
+    return (name, float(row["time_s"])) if name else (f"{trial:07d}.tiff", float(trial))
 
 
 def _single(shown: EstimatedImage, case: Case) -> PosedFrames:
@@ -148,7 +178,7 @@ def _sequence(shown: FollowedSequence) -> PosedFrames:
 
 
 def trajectories(
-    campaign: ResolvedCampaign, folder: RunFolder, cases: Sequence[Case]
+    campaign: ResolvedCampaign, folder: RunFolder, cases: Iterable[Case]
 ) -> Iterator[tuple[str, Sequence[PosedFrame]]]:
     """Give the trajectory of each case: of sequences in inertial space, without an estimator working again."""
     if campaign.spec.experiment != SequenceTrials.kind:

@@ -74,6 +74,16 @@ def _inertial(prefix: str, what: str) -> tuple[Column, ...]:
     return tuple(Column(f"{prefix}{axis}_m", pa.float64(), f"{axis} of the {what}") for axis in "xyz")
 
 
+def _pose(prefix: str, what: str) -> tuple[Column, ...]:
+    return (
+        *(Column(f"{prefix}q{part}", pa.float64(), f"{part} of the quaternion of {what}") for part in "wxyz"),
+        *(
+            Column(f"{prefix}t{axis}_m", pa.float64(), f"{axis} of its translation: the body in the camera")
+            for axis in "xyz"
+        ),
+    )
+
+
 TABLES: dict[str, tuple[Column, ...]] = {
     "rows": (
         *_key(),
@@ -101,6 +111,9 @@ TABLES: dict[str, tuple[Column, ...]] = {
         *_landmark_errors("root mean square over all frames of a sequence and"),
         Column("final_landmark_rmse_m", pa.float64(), "over landmarks seen twice or more, each when it was seen last"),
         Column("mean_position_nees", pa.float64(), "of a sequence: mean over the frames of nees in epochs"),
+        Column("time_s", pa.float64(), "epoch of a single image; 0 when rendered"),
+        *_pose("", "the estimated T_cam_body of a single image"),
+        *_pose("true_", "the true T_cam_body, of a real image the one that is scored against"),
     ),
     "stages": (*_key(), Column("stage", pa.string(), "prior, or a stage of the estimator"), *_pose_error()),
     "references": (
