@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from reports.comparison import VERDICT_RULE, ComparedClaim, ComparedValue
-from reports.grid import NO_VALUE, Grid, counts, value_of
+from reports.grid import NO_VALUE, Grid, counts, value_of, value_of_ended
 from reports.labels import measure_label, stage_label
-from reports.records import Record
+from reports.records import REDUCTION, SEQUENCE, Record
+
+_OF_RUNS = frozenset({SEQUENCE, REDUCTION, "orbit"})
+"""Stages of whole runs, of which those that do not end have no error; elsewhere counts are of other things."""
 
 
 def comparison_grid(compared: Sequence[ComparedValue]) -> Grid | None:
@@ -53,7 +56,7 @@ def _compared_cells(compared: ComparedValue, several: bool) -> tuple[str, ...]:
         stage_label(published.stage, timed=published.measure == "seconds"),
         published.statistic,
         published.quoted,
-        value_of(ours, interval=True),
+        (value_of_ended if ours is not None and ours.stage in _OF_RUNS else value_of)(ours, interval=True),
         counts(ours),
         f"± {published.tolerance:g}" if judged else NO_VALUE,
         compared.verdict,

@@ -9,7 +9,7 @@ from dataclasses import replace
 from reports.grid import Grid
 from reports.run_data import RunData
 
-_INTERVAL = re.compile(r"\[\S+, \S+\]$")
+_INTERVAL = re.compile(r"\[\S+, \S+\]")
 
 
 def drawn_once(run: RunData) -> str:

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from reports.content import Content, read_content
-from reports.grid import Grid
+from reports.grid import Grid, says_of_ended
 from reports.kinds import brief_grids
 from scenarios.errors import printable
 
@@ -33,7 +33,8 @@ def rich_table(grid: Grid) -> Table:
     table.show_edge, table.padding = False, 0
     for i, column in enumerate(grid.columns):
         is_text = i in grid.text
-        table.add_column(column, justify="left" if is_text else "right", no_wrap=not is_text, overflow="fold")
+        wraps = is_text or any(says_of_ended(row[i]) for row in grid.rows)
+        table.add_column(column, justify="left" if is_text else "right", no_wrap=not wraps, overflow="fold")
     for row in grid.rows:
         table.add_row(*(Text(printable(cell)) for cell in row))
     return table

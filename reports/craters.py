@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.grid import Grid, value_of
+from reports.grid import NO_VALUE, Grid, value_of
+from reports.intervals import is_told
 from reports.records import Record, unit_of
 from reports.run_data import RunData, select
 from reports.statistics import MEDIAN, RMS, cluster_interval, measure
@@ -290,7 +291,9 @@ def _image_grid(run: RunData) -> Grid:
             ("n_clean", "clean craters"),
         ):
             values = images[name].to_numpy(dtype=np.float64)
-            low, middle, high = np.percentile(values, [5.0, 50.0, 95.0])
-            rows.append((str(scenario), label, f"{low:.3g}", f"{middle:.3g}", f"{high:.3g}", str(len(values))))
+            low, middle, high = (f"{end:.3g}" for end in np.percentile(values, [5.0, 50.0, 95.0]))
+            if not is_told(len(values), 0.05):
+                low = high = NO_VALUE
+            rows.append((str(scenario), label, low, middle, high, str(len(values))))
     heads = ("scenario", "of an image", "5 %", "median", "95 %", "images")
     return Grid("Images", heads, tuple(rows), frozenset({0, 1}))

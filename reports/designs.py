@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from reports.cells import interval
 from reports.clusters import clusters_of, image_set
-from reports.grid import NO_VALUE, Grid
+from reports.grid import NO_VALUE, Grid, of_ended
 from reports.labels import measure_label, stage_label
 from reports.main_effects import main_effects
 from reports.measures import SEQUENCE_COLUMNS
@@ -149,6 +149,11 @@ class DesignData:
         errors = self.errors(scenario, outcome)
         return measure(errors.to_numpy(), self._clusters(scenario, errors), (MEDIAN,))[0]
 
+    def printed_median(self, scenario: str, outcome: Outcome) -> str:
+        """Print the median error with its interval, and of how many trials where others have none."""
+        cell, trials = interval(self.median(scenario, outcome)), self.trials(scenario, outcome)
+        return of_ended(cell, len(self.errors(scenario, outcome)), trials)
+
     def ok(self, scenarios: Sequence[str], outcome: Outcome) -> str:
         """Print n_ok/n over scenarios."""
         n_ok = sum(len(self.errors(name, outcome)) for name in scenarios)
@@ -166,13 +171,13 @@ class DesignData:
         return clusters_of(self.run, pd.DataFrame({"scenario": scenario, "trial": by_trial.index}))
 
     def effects(self, names: Sequence[str], outcome: Outcome) -> list[Measured]:
-        """Return the main effect of each axis between its first and last level; of sets of images without intervals."""
+        """Return the main effect of each axis between its first and last level; of images or data bases without."""
         levels = {name: self.levels(name).values() for name in names}
         firsts = [axis.levels[0] for axis in self.design.axes]
         high = {name: [a != b for a, b in zip(own, firsts, strict=True)] for name, own in levels.items()}
         found = main_effects({name: self.errors(name, outcome) for name in names}, high)
         seen = any(image_set(self.run.manifest.scenarios[name]) for name in names)
-        return [Measured(one.value) for one in found] if seen else found
+        return [Measured(one.value) for one in found] if seen or self.run.databases > 1 else found
 
 
 _CHANGE_NOTE = (
@@ -217,7 +222,7 @@ def _cell_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]
             levels = data.levels(name)
             cells = list(levels.values())
             for outcome in group:
-                cells.append(interval(data.median(name, outcome)))
+                cells.append(data.printed_median(name, outcome))
                 if square:
                     reference = [n for n in data.scenarios(**(matching(design, levels) or {})) if n in names]
                     cells.append(
@@ -249,7 +254,7 @@ def _axis_cells(data: DesignData, name: str, reference: str, group: list[Outcome
     cells = []
     for outcome in group:
         change = interval(data.change(name, reference, outcome)) if reference else NO_VALUE
-        cells += [interval(data.median(name, outcome)), change]
+        cells += [data.printed_median(name, outcome), change]
     return (*cells, data.ok([name], group[-1]))
 
 

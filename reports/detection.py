@@ -19,7 +19,7 @@ from scipy.stats import rankdata
 
 from reports.clusters import clusters_of
 from reports.grid import Grid, value_of
-from reports.intervals import LARGE, LEVEL
+from reports.intervals import FEW, LARGE, LEVEL
 from reports.records import CONTROL, Record, find
 from reports.resampling import RESAMPLES, content_rng, draw_counts
 from reports.run_data import RunData, select
@@ -136,8 +136,10 @@ def _areas(score: FloatArray, bad: BoolArray, counts: NDArray[np.int32]) -> Floa
 
 
 def measured_area(detection: Detection) -> Measured:
-    """Measure the area under the curve with its 95 % interval."""
+    """Measure the area under the curve with its 95 % interval; without one where few are independent."""
     codes = np.unique(detection.clusters, return_inverse=True)[1]
+    if codes.max() + 1 < FEW:
+        return Measured(area(detection.score, detection.bad))
     if codes.max() + 1 == len(codes) >= LARGE:
         return Measured(area(detection.score, detection.bad), *large_sample_area(detection.score, detection.bad))
     rng = content_rng(detection.score, detection.bad, codes)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from reports.records import Record
 
 NO_VALUE = "-"
+_OF = " of the "
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +119,22 @@ def value_of(record: Record | None, interval: bool = False) -> str:
     if not interval or record.low is None or record.high is None:
         return value
     return f"{value} [{number(scale * record.low)}, {number(scale * record.high)}]"
+
+
+def of_ended(cell: str, n_ok: int, n: int) -> str:
+    """Add to a cell over trials of which some have no value that it is of those that ended with one."""
+    return cell if n_ok == n or cell == NO_VALUE else f"{cell}{_OF}{n_ok} that ended"
+
+
+def value_of_ended(record: Record | None, interval: bool = False) -> str:
+    """Print a record's value as `value_of`, and of how many trials where others have none."""
+    cell = value_of(record, interval)
+    return cell if record is None else of_ended(cell, record.n_ok, record.n)
+
+
+def says_of_ended(cell: str) -> bool:
+    """Tell a cell of `of_ended`, which is so long that it may wrap."""
+    return _OF in cell
 
 
 def counts(record: Record | None) -> str:

@@ -9,7 +9,7 @@ import pandas as pd
 
 from reports.clusters import clusters_of
 from reports.figures.navigation import draw_counts, draw_landmark_spans
-from reports.grid import Grid, value_of
+from reports.grid import Grid, value_of_ended
 from reports.named_figure import NamedFigure, file_stem
 from reports.records import Record, find, unit_of
 from reports.run_data import TRIAL_KEY, RunData, select
@@ -97,7 +97,7 @@ def navigation_grid(records: Sequence[Record], run: RunData) -> Grid | None:
     rows = []
     for scenario, estimator in run.pairs():
         key = {"scenario": scenario, "estimator": estimator, "stage": NAVIGATION, "statistic": MEAN.name}
-        cells = [value_of(find(records, **key, measure=name), interval=False) for name in heads]
+        cells = [value_of_ended(find(records, **key, measure=name), interval=False) for name in heads]
         rows.append((scenario, estimator, *cells))
     columns = ("scenario", "estimator", *heads.values())
     return Grid("From images to the data base", columns, tuple(rows), frozenset({0, 1}), _NOTE)

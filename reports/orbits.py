@@ -10,8 +10,9 @@ from reports.clusters import clusters_of
 from reports.comparison import ComparedValue
 from reports.comparison_tables import comparison_grid
 from reports.consistency import consistency_grid
+from reports.figures.bands import band_of
 from reports.figures.orbit import draw_orbit_errors, draw_residuals
-from reports.grid import Grid, value_of
+from reports.grid import Grid, value_of_ended
 from reports.labels import count_of
 from reports.named_figure import NamedFigure, file_stem
 from reports.records import Record, find, unit_of
@@ -86,7 +87,7 @@ def _grid(records: Sequence[Record], run: RunData) -> Grid:
             where: tuple[str, str] = (scenario, estimator),
         ) -> str:
             key = {"scenario": where[0], "estimator": where[1], "stage": ORBIT, "measure": name}
-            return value_of(find(records, **key, statistic=statistic.name), interval=interval)
+            return value_of_ended(find(records, **key, statistic=statistic.name), interval=interval)
 
         own = select(run.rows, scenario, estimator)
         converged = f"{(own['status'] == 'ok').sum()}/{len(own)}"
@@ -116,8 +117,9 @@ def orbit_figures(run: RunData) -> Iterator[NamedFigure]:
             yield NamedFigure(
                 file_stem("orbit_errors", scenario),
                 draw_orbit_errors(errors, title),
-                f"{title}: median over {count_of(errors['trial'].nunique(), 'trial')} and the band of 5 to 95 % of"
-                " them; dashed: what the covariance foretells; behind the line the orbit is predicted.",
+                f"{title}: median over {count_of(errors['trial'].nunique(), 'trial')} and"
+                f" {band_of(errors['trial'].nunique())}; dashed: what the covariance foretells; behind the line the"
+                " orbit is predicted.",
                 "Position error against time for each estimator.",
             )
 

@@ -14,10 +14,11 @@ from reports.comparison_tables import comparison_grid
 from reports.consistency import consistency_grid
 from reports.contrasts import RATIO
 from reports.designs import design_grids
+from reports.figures.bands import band_of
 from reports.figures.revolutions import AFTER_REVOLUTIONS, draw_revolutions
 from reports.figures.starts import draw_starts
 from reports.figures.traces import LANDMARKS, POSITION, draw_traces
-from reports.grid import NO_VALUE, Grid, counts, number, value_of
+from reports.grid import NO_VALUE, Grid, counts, number, of_ended, value_of, value_of_ended
 from reports.labels import as_title, count_of, measure_label
 from reports.paired import BETTER, SIGN_TEST
 from reports.records import SEQUENCE, Record, find
@@ -78,7 +79,7 @@ def ratio_grids(records: Sequence[Record]) -> Iterator[Grid]:
         own = [r for r in ratios if (r.scenario, r.measure) == (scenario, name)]
         labels = list(dict.fromkeys(label for r in own for label in (r.estimator, r.reference)))
         rows = tuple(
-            (one, *(value_of(find(own, estimator=one, reference=other), interval=True) for other in labels))
+            (one, *(value_of_ended(find(own, estimator=one, reference=other), interval=True) for other in labels))
             for one in labels
         )
         title = f"{as_title(measure_label(name))}, {scenario}"
@@ -110,9 +111,9 @@ def sequence_grid(records: Sequence[Record]) -> Grid | None:
             line.scenario,
             line.estimator,
             measure_label(line.measure),
-            value_of(line, interval=True),
-            _mean_and_deviation(records, line),
-            *(value_of(_other(records, line, statistic.name)) for statistic in (RMS, P95)),
+            value_of_ended(line, interval=True),
+            of_ended(_mean_and_deviation(records, line), line.n_ok, line.n),
+            *(value_of_ended(_other(records, line, statistic.name)) for statistic in (RMS, P95)),
             line.unit,
             counts(line),
         )
@@ -154,7 +155,7 @@ def trace_figure(
     trials = here["trial"].nunique()
     return (
         draw_traces({name: here[here["estimator"] == name] for name in labels}, title, run.manifest.credits, panels),
-        f"{title}: median over {count_of(trials, 'trial')}, and the band of 5 to 95 % of them; a thin line: the"
+        f"{title}: median over {count_of(trials, 'trial')}, and {band_of(trials)}; a thin line: the"
         " first trial; a trial that failed ends with its last good frame.",
         f"Position error and landmark error against the anomaly for {', '.join(labels)}.",
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 from matplotlib.figure import Figure
 
+from reports.figures.bands import band
 from reports.figures.log_axis import mark_decades
 from reports.figures.looks import looks
 from reports.figures.style import (
@@ -59,7 +60,7 @@ def draw_orbit_errors(errors: pd.DataFrame, title: str) -> Figure:
         colour = drawn[str(name)].colour
         over = own.groupby("time_days")
         median = over["position_error_m"].median()
-        low, high = (over["position_error_m"].quantile(q) for q in (0.05, 0.95))
+        low, high = band(own["position_error_m"], own["time_days"])
         axes.plot(median.index, median, color=colour, linestyle=drawn[str(name)].line, label=str(name))
         axes.fill_between(median.index, low, high, color=colour, alpha=0.2, linewidth=0)
         axes.plot(median.index, over["position_sigma_m"].median(), color=colour, linestyle="--", linewidth=0.9)

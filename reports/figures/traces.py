@@ -8,6 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from reports.figures.bands import band
 from reports.figures.log_axis import scale_ordinate
 from reports.figures.looks import Look, looks
 from reports.figures.style import add_credits, new_figure, styled
@@ -15,7 +16,6 @@ from reports.figures.turns import mark_turns
 
 POSITION, LANDMARKS = "position_error_m", "landmark_rmse_m"
 _PANELS = {POSITION: "camera position error, m", LANDMARKS: "RMSE of the frame's landmarks, m"}
-_BAND = (0.05, 0.95)
 _BANDS_AT_MOST = 3
 
 
@@ -26,7 +26,7 @@ def draw_traces(
     credit_lines: Sequence[str] = (),
     panels: Sequence[str] = (POSITION, LANDMARKS),
 ) -> Figure:
-    """Draw the median error over trials against the anomaly, with the band of 5 to 95 % of them and the first trial.
+    """Draw the median error over trials against the anomaly, with the band of most of them and the first trial.
 
     More estimators than three have no bands: they would hide each other.
     A panel of which no estimator has a value, such as the landmarks of dead reckoning, is left out; with none, none is.
@@ -67,7 +67,7 @@ def _draw(axes: Axes, table: pd.DataFrame, name: str, label: str, look: Look, *,
     middle = over_trials.median()
     anomaly = middle.index.to_numpy(dtype=float)
     if banded:
-        low, high = (over_trials.quantile(q).to_numpy() for q in _BAND)
+        low, high = band(known[name], known["anomaly_deg"])
         axes.fill_between(anomaly, low, high, color=colour, alpha=0.18, linewidth=0)
         first = known[known["trial"] == known["trial"].min()]
         if len(first) < len(known):

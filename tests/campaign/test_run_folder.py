@@ -38,7 +38,9 @@ def test_rows_are_one_for_each_trial_and_estimator(tiny_run):
     rows = pd.read_parquet(tiny_run.folder / "rows")
     expected = list(itertools.product(range(TRIALS), ["scene"], ["prior", "landmark-harris"]))
     assert list(rows[["trial", "scenario", "estimator"]].itertuples(index=False, name=None)) == expected
-    numbers = rows.select_dtypes("number").drop(columns=["position_bound_m", "attitude_bound_deg", *SEQUENCE_COLUMNS])
+    assert list(rows["database"].fillna(-1)) == [-1, 0] * TRIALS, "the prior has none"
+    others = ["database", "position_bound_m", "attitude_bound_deg", *SEQUENCE_COLUMNS]
+    numbers = rows.select_dtypes("number").drop(columns=others)
     assert np.isfinite(numbers).all(axis=None), "this campaign has no failures, and no estimator with a bound"
     assert set(rows["status"]) == {"ok"}
 

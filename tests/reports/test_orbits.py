@@ -8,6 +8,7 @@ from terminal_text import terminal_lines
 
 from reports.build import write_report
 from reports.consistency import BAND, CONSISTENCY, INSIDE
+from reports.grid import of_ended
 from reports.orbits import ORBIT
 from reports.records import find
 from reports.weighed import AT_EPOCH
@@ -75,3 +76,23 @@ def test_the_page_counts_what_did_not_converge_and_shows_the_figures(report):
     stems = {path.stem for path in report.figures}
     assert any(stem.startswith("residuals_") for stem in stems)
     assert any(stem.startswith("orbit_errors_") for stem in stems)
+
+
+def test_errors_say_in_their_cell_that_they_are_of_the_runs_that_ended(report):
+    """Four of five converged: in the page, in Markdown and in a terminal, at every error."""
+    cell = "of the 4 that ended"
+    (line,) = [line for line in report.markdown.read_text().splitlines() if line.startswith(f"| {SCENARIO} | batch")][
+        :1
+    ]
+    cells = [one.strip() for one in line.split("|")]
+    errors = [one for one in cells[4:-1] if one != "-"]
+    assert errors
+    assert all(one.endswith(cell) for one in errors)
+    assert cell in report.html.read_text()
+    assert cell in " ".join(" ".join(terminal_lines(report.content)).split())
+
+
+def test_errors_of_runs_that_all_ended_say_nothing_of_it():
+    assert of_ended("4.27 [3.97, 5.06]", 20, 20) == "4.27 [3.97, 5.06]"
+    assert of_ended("-", 0, 20) == "-"
+    assert of_ended("4.27", 18, 20) == "4.27 of the 18 that ended"
