@@ -79,7 +79,7 @@ def _curves(data: DesignData, base: str, names: list[str], estimator: str) -> It
     if not axes:
         return
     for measure in (POSITION, ATTITUDE):
-        group = [Outcome(CONTROL, CONTROL, measure), *(o for o in _of(data, estimator) if o.measure == measure)]
+        group = [Outcome(estimator, CONTROL, measure), *(o for o in _of(data, estimator) if o.measure == measure)]
         group = [o for o in group if len(data.errors(names[0], o))]
         if not group:  # no trial at the reference came to an end
             continue
@@ -157,8 +157,6 @@ def _lines(data: DesignData, names: list[str], axis: DesignAxis, group: list[Out
 def _line_label(outcome: Outcome) -> str:
     if outcome.stage == SEQUENCE:
         return outcome.estimator
-    if outcome.estimator == CONTROL:
-        return "prior"
     return stage_label(outcome.stage) if outcome.stage else outcome.estimator
 
 

@@ -24,6 +24,7 @@ from reports.records import CONTROL, SEQUENCE, unit_of
 from reports.run_data import Design, RunData, select
 from reports.stages import errors_by_stage, final_stage
 from reports.statistics import MEAN, MEDIAN, Measured, measure
+from reports.success import MEANING, succeeded
 
 POSITION, ATTITUDE, CENTROID = "position_error_m", "attitude_error_deg", "centroid_offset_px"
 REVOLUTION_ERRORS = tuple(name for name in SEQUENCE_COLUMNS if name.startswith("error_after_"))
@@ -45,6 +46,8 @@ class Outcome:
     @property
     def label(self) -> str:
         """In words, with the unit."""
+        if self.stage == CONTROL:
+            return f"prior, {unit_of(self.measure)}"
         after = f" {stage_label(self.stage)}" if self.stage not in ("", _REPORTED, SEQUENCE) else ""
         return f"{measure_label(self.measure)}{after}, {unit_of(self.measure)}"
 
@@ -144,6 +147,11 @@ class DesignData:
         rows = self.run.rows
         return int(((rows["scenario"] == scenario) & (rows["estimator"] == outcome.estimator)).sum())
 
+    def priors(self, names: Sequence[str], estimator: str) -> list[Outcome]:
+        """Return the position error of the prior that an estimator began with, where its trials have one."""
+        prior = Outcome(estimator, CONTROL, POSITION)
+        return [prior] if any(len(self.errors(name, prior)) for name in names) else []
+
     def median(self, scenario: str, outcome: Outcome) -> Measured:
         """Return the median error with its interval."""
         errors = self.errors(scenario, outcome)
@@ -158,6 +166,14 @@ class DesignData:
         """Print n_ok/n over scenarios."""
         n_ok = sum(len(self.errors(name, outcome)) for name in scenarios)
         return f"{n_ok}/{sum(self.trials(name, outcome) for name in scenarios)}"
+
+    def counts(self, scenarios: Sequence[str], outcome: Outcome) -> tuple[str, ...]:
+        """Print the trials behind a median and, where trials have priors, those that succeeded, over scenarios."""
+        solved = self.ok(scenarios, outcome)
+        if not self.priors(scenarios, outcome.estimator):
+            return (solved,)
+        good = [succeeded(select(self.run.rows, name, outcome.estimator)) for name in scenarios]
+        return (solved, f"{sum(int(own.sum()) for own in good)}/{sum(map(len, good))}")
 
     def change(self, scenario: str, against: str, outcome: Outcome) -> Measured:
         """Return the ratio of geometric means between two scenarios, over the trials known to both."""
@@ -182,8 +198,11 @@ class DesignData:
 
 _CHANGE_NOTE = (
     "Change: the ratio of geometric means of the error over the same trials, with its 95 % interval; above 1"
-    " it got worse. ok: trials behind the median, of all."
+    " it got worse."
 )
+_COUNTED = ("ok",), "ok: trials behind the median, of all."
+_POSED = ("solved", "success"), MEANING
+"""Headings of `DesignData.counts`, and what they mean."""
 
 
 def design_grids(run: RunData) -> list[Grid]:
@@ -212,15 +231,18 @@ def _cell_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]
     """Tabulate each combination, beside the one at which both axes agree."""
     design = data.design
     square = matching(design, data.levels(names[0])) is not None
-    note = _CHANGE_NOTE if square else ""
+    note = _CHANGE_NOTE
     for estimator, group in _by_estimator(data):
         heads = [axis.label for axis in design.axes]
+        prior = data.priors(names, estimator)
+        ends, meaning = _POSED if prior else _COUNTED
+        heads += [outcome.label for outcome in prior]
         for outcome in group:
             heads += [outcome.label, *(["change"] if square else [])]
         rows = []
         for name in names:
             levels = data.levels(name)
-            cells = list(levels.values())
+            cells = [*levels.values(), *(interval(data.median(name, outcome)) for outcome in prior)]
             for outcome in group:
                 cells.append(data.printed_median(name, outcome))
                 if square:
@@ -228,17 +250,19 @@ def _cell_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]
                     cells.append(
                         NO_VALUE if reference in ([], [name]) else interval(data.change(name, reference[0], outcome))
                     )
-            rows.append((*cells, data.ok([name], group[-1])))
+            rows.append((*cells, *data.counts([name], group[-1])))
         what = " against ".join(axis.name for axis in design.axes)
         text = frozenset(range(len(design.axes)))
-        said = note + (" The reference of a line is the combination whose levels agree." if square else "")
-        yield Grid(f"{what}, {base}, {estimator}", (*heads, "ok"), tuple(rows), text, said)
+        said = [note, "The reference of a line is the combination whose levels agree."] if square else []
+        yield Grid(f"{what}, {base}, {estimator}", (*heads, *ends), tuple(rows), text, " ".join([*said, meaning]))
 
 
 def _axis_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]:
     """Tabulate each level of each axis beside the reference."""
     for estimator, group in _by_estimator(data):
-        heads = ["axis", "level"]
+        prior = data.priors(names, estimator)
+        ends, meaning = _POSED if prior else _COUNTED
+        heads = ["axis", "level", *(outcome.label for outcome in prior)]
         for outcome in group:
             heads += [outcome.label, "change"]
         reference = names[0]
@@ -247,15 +271,16 @@ def _axis_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]
             for level in axis.levels[1:]:
                 for name in (n for n in names if n != reference and data.levels(n)[axis.name] == level):
                     rows.append((axis.label, level, *_axis_cells(data, name, reference, group)))
-        yield Grid(f"One at a time, {base}, {estimator}", (*heads, "ok"), tuple(rows), frozenset({0}), _CHANGE_NOTE)
+        said = f"{_CHANGE_NOTE} {meaning}"
+        yield Grid(f"One at a time, {base}, {estimator}", (*heads, *ends), tuple(rows), frozenset({0}), said)
 
 
 def _axis_cells(data: DesignData, name: str, reference: str, group: list[Outcome]) -> tuple[str, ...]:
-    cells = []
+    cells = [interval(data.median(name, prior)) for prior in data.priors([name], group[0].estimator)]
     for outcome in group:
         change = interval(data.change(name, reference, outcome)) if reference else NO_VALUE
         cells += [data.printed_median(name, outcome), change]
-    return (*cells, data.ok([name], group[-1]))
+    return (*cells, *data.counts([name], group[-1]))
 
 
 def _effect_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]:
@@ -263,18 +288,27 @@ def _effect_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Gri
     note = (
         "Main effect: the factor by which the error changes from the first to the last level of an axis, by least"
         " squares on its logarithm over all scenarios with a constant for each trial, with its 95 % bootstrap interval."
-        " ok: trials with an estimate, of all, at either level."
+        " Trials are counted at either level."
     )
     for estimator, group in _by_estimator(data):
-        heads = ("axis", "from", "to", *(outcome.label.split(",")[0] for outcome in group), "ok from", "ok to")
+        ends, meaning = _POSED if data.priors(names, estimator) else _COUNTED
+        at_ends = (f"{head} {end}" for end in ("from", "to") for head in ends)
+        heads = ("axis", "from", "to", *(outcome.label.split(",")[0] for outcome in group), *at_ends)
         effects = [data.effects(names, outcome) for outcome in group]
         rows = []
         for k, axis in enumerate(data.design.axes):
-            ends = (axis.levels[0], axis.levels[-1])
-            sides = [[n for n in names if data.levels(n)[axis.name] == level] for level in ends]
+            levels = (axis.levels[0], axis.levels[-1])
+            sides = [[n for n in names if data.levels(n)[axis.name] == level] for level in levels]
             cells = [interval(found[k]) for found in effects]
-            rows.append((axis.label, *ends, *cells, *(data.ok(side, group[-1]) for side in sides)))
-        yield Grid(f"Main effects, {base}, {estimator}", heads, tuple(rows), frozenset({0}), note)
+            rows.append((axis.label, *levels, *cells, *(n for side in sides for n in data.counts(side, group[-1]))))
+        said = f"{note} {meaning}{_prior_note(data, names, estimator)}"
+        yield Grid(f"Main effects, {base}, {estimator}", heads, tuple(rows), frozenset({0}), said)
+
+
+def _prior_note(data: DesignData, names: list[str], estimator: str) -> str:
+    """Say the prior's error where scenarios have no line of their own: in the one whose levels are all first."""
+    found = [interval(data.median(names[0], prior)) for prior in data.priors(names[:1], estimator)]
+    return "".join(f" Median position error of the prior at the first levels: {error} m." for error in found)
 
 
 def _by_estimator(data: DesignData) -> list[tuple[str, list[Outcome]]]:

@@ -114,8 +114,8 @@ def _of_orbits(content: Content) -> Tables:
 
 def _brief_of_poses(content: Content) -> Tables:
     several = len({r.estimator for r in content.records if r.estimator and r.stage != CONTROL}) > 1
-    columns = (*(["estimator"] if several else []), "stage", "ok", "position m", "x", "y", "z", "attitude deg")
-    return [grid.keep(*columns) for grid in pose_grids(content.records)]
+    counted = (*(["estimator"] if several else []), "stage", "solved", "success")
+    return [grid.keep(*counted, "position m", "attitude deg") for grid in pose_grids(content.records)]
 
 
 def _brief_of_designs(content: Content) -> Tables:

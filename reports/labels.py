@@ -32,6 +32,7 @@ MEASURES = {
     "position_error_y_m": "position error, y",
     "position_error_z_m": "position error, z",
     "attitude_error_deg": "attitude error",
+    "success_share": "success",
     "n_landmarks": "landmarks an image",
     "four_landmarks_share": "four landmarks or more",
     "landmark_observations": "landmark observations",

@@ -26,6 +26,7 @@ from reports.statistics import (
     measure,
     measure_deviation,
 )
+from reports.success import succeeded
 
 SEQUENCE_COLUMNS = (
     "error_after_1_m",
@@ -104,7 +105,7 @@ def measure_run(run: RunData) -> tuple[Record, ...]:
 
 
 def pose_measures(run: RunData) -> list[Record]:
-    """Measure pose errors after each stage, and with failures counted at the error of their prior."""
+    """Measure pose errors after each stage, those with failures counted at the error of their prior, and success."""
     records = []
     for scenario, estimator in run.posed_pairs():
         rows = select(run.rows, scenario, estimator)
@@ -117,6 +118,10 @@ def pose_measures(run: RunData) -> list[Record]:
         for stage, errors in stages.items():
             errors = errors.assign(scenario=scenario)
             records += _Subject(scenario, estimator, stage, len(rows)).pose_records(errors, clusters_of(run, errors))
+        if estimator != CONTROL:
+            subject = _Subject(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
+            share = pd.Series(100.0 * succeeded(rows))
+            records += subject.records("success_share", share, clusters_of(run, rows), (MEAN,))
     return records
 
 

@@ -20,6 +20,7 @@ from reports.grid import Grid, counts, value_of
 from reports.records import CONTROL, Record, find, unit_of
 from reports.run_data import RunData, select
 from reports.statistics import MEAN, MEDIAN, Measured, measure
+from reports.success import succeeded
 
 PAIRED = "paired"
 """Stage of the records that set an estimator beside another, which their ``reference`` names."""
@@ -126,12 +127,6 @@ def _share_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) 
     return share_of(better, own), Measured(chance), len(better)
 
 
-def failures(rows: pd.DataFrame) -> NDArray[np.bool_]:
-    """Tell which trials failed: no estimate, or a position error above the prior's."""
-    worse = rows["position_error_m"].to_numpy() > rows["prior_position_error_m"].to_numpy()
-    return np.asarray((rows["status"] != "ok").to_numpy() | worse)
-
-
 def share_of(marked: NDArray[np.bool_], clusters: NDArray[np.generic] | None = None) -> Measured:
     """Share of marked trials with Wilson's interval, or with that of the clusters that they form if it is wider."""
     if not len(marked):
@@ -173,7 +168,7 @@ def _widened(
 
 def _failure_records(pair: _Pair, clusters: NDArray[np.generic]) -> Iterator[Record]:
     """Yield both failure rates with their intervals, and their difference, negative where there are fewer."""
-    mine, theirs = failures(pair.rows), failures(pair.base)
+    mine, theirs = ~succeeded(pair.rows), ~succeeded(pair.base)
     if not len(mine):
         return
     for name, failed in ((OWN, mine), (THEIRS, theirs)):

@@ -25,6 +25,7 @@ UNITS = {
     "attitude_error_deg": "deg",
     "position_reduction_m": "m",
     "attitude_reduction_deg": "deg",
+    "success_share": "%",
     "n_landmarks": "",
     "four_landmarks_share": "%",
     "landmark_observations": "",

@@ -9,7 +9,9 @@ from reports.labels import MEASURES, measure_label, stage_label
 from reports.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
 from reports.run_data import RunData
 from reports.statistics import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE
+from reports.success import MEANING
 
+_POSE_HEADS = ("position m", "RMS", "95th", "x", "y", "z", "attitude deg", "RMS", "95th")
 _FRAME = r"^frame \d+: "
 _NUMBER = r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
 
@@ -18,15 +20,18 @@ def pose_grids(records: Sequence[Record]) -> list[Grid]:
     """Tabulate pose errors after each stage, a grid for each scenario."""
     note = (
         "Median with its 95 % interval, RMS and 95th percentile of the error; x, y, z: root-median-square "
-        "along the camera axes (x right, y down, z along the boresight), in m. ok: trials behind the line, of all. "
-        "Failures at prior: every trial, a failed one with the error of its prior."
+        "along the camera axes (x right, y down, z along the boresight), in m. "
+        f"{MEANING} Failures at prior: every trial, one without an estimate with the error of its prior."
     )
-    heads = ("estimator", "stage", "ok", "position m", "RMS", "95th", "x", "y", "z", "attitude deg", "RMS", "95th")
+    heads = ("estimator", "stage", "solved", "success", *_POSE_HEADS)
     own = [r for r in records if r.measure == "position_error_m" and r.statistic == MEDIAN.name and r.reference == ""]
     grids = []
     for scenario in dict.fromkeys(r.scenario for r in own):
         lines = _pose_lines([r for r in own if r.scenario == scenario])
-        rows = tuple((_who(line), stage_label(line.stage), *_pose_cells(records, line)) for line in lines)
+        rows = tuple(
+            (_who(line), stage_label(line.stage), counts(line), _success(records, line), *_pose_cells(records, line))
+            for line in lines
+        )
         grids.append(Grid(f"Pose error, {scenario}", heads, rows, frozenset({0, 1}), note))
     return grids
 
@@ -39,12 +44,19 @@ def _pose_lines(own: Sequence[Record]) -> list[Record]:
     return priors[:1] + [r for r in later if r.stage != FAILURES_AT_PRIOR or r.estimator in failed]
 
 
+def _success(records: Sequence[Record], line: Record) -> str:
+    """Print the successes of all trials on the line of an estimator's final stage."""
+    key = {"scenario": line.scenario, "estimator": line.estimator, "stage": line.stage}
+    share = find(records, **key, measure="success_share", statistic=MEAN.name)
+    return NO_VALUE if share is None or share.value is None else f"{round(share.value * share.n / 100.0)}/{share.n}"
+
+
 def _who(line: Record) -> str:
     return "" if line.stage == CONTROL else line.estimator
 
 
 def _pose_cells(records: Sequence[Record], line: Record) -> tuple[str, ...]:
-    """Cells of the columns from ``ok`` on."""
+    """Cells of `_POSE_HEADS`."""
 
     def get(measure: str, statistic: str) -> Record | None:
         return find(
@@ -65,7 +77,7 @@ def _pose_cells(records: Sequence[Record], line: Record) -> tuple[str, ...]:
         ]
 
     axes = [value_of(get(f"position_error_{axis}_m", ROOT_MEDIAN_SQUARE.name)) for axis in "xyz"]
-    return (counts(line), *magnitude("position_error_m"), *axes, *magnitude("attitude_error_deg"))
+    return (*magnitude("position_error_m"), *axes, *magnitude("attitude_error_deg"))
 
 
 def reference_grid(records: Sequence[Record], run: RunData) -> Grid | None:
@@ -73,10 +85,11 @@ def reference_grid(records: Sequence[Record], run: RunData) -> Grid | None:
     medians = [r for r in records if r.measure == "position_error_m" and r.statistic == MEDIAN.name]
     ends = {(r.scenario, r.estimator, r.stage) for r in medians if r.reference}
     lines = [r for r in medians if (r.scenario, r.estimator, r.stage) in ends]
-    heads = ("estimator", "against", "ok", "position m", "RMS", "95th", "x", "y", "z", "attitude deg", "RMS", "95th")
+    heads = ("estimator", "against", "ok", *_POSE_HEADS)
     note = "No reference pose is exact truth: each error contains the error of the pose that it is measured against."
     rows = tuple(
-        (line.estimator, line.reference or run.truth_name(line.scenario), *_pose_cells(records, line)) for line in lines
+        (line.estimator, line.reference or run.truth_name(line.scenario), counts(line), *_pose_cells(records, line))
+        for line in lines
     )
     return Grid("Scored against each reference pose", heads, rows, frozenset({0, 1}), note) if rows else None
 

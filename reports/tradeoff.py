@@ -11,10 +11,11 @@ import pandas as pd
 from reports.cells import interval
 from reports.clusters import clusters_of
 from reports.grid import NO_VALUE, Grid, number
-from reports.paired import failures, share_of
+from reports.paired import share_of
 from reports.records import CONTROL
 from reports.run_data import Product, RunData, select
 from reports.statistics import MEDIAN, Measured, measure
+from reports.success import succeeded
 
 POSITION, ATTITUDE = "position_error_m", "attitude_error_deg"
 _IMAGE_STAGES = ("image", "stored_image")
@@ -103,7 +104,7 @@ def _cost(run: RunData, scenario: str, estimator: str) -> Cost:
         attitude,
         len(ok),
         len(rows),
-        share_of(failures(rows), clusters_of(run, rows)),
+        share_of(~succeeded(rows), clusters_of(run, rows)),
         _seconds(run, ok),
         _mean_of(products, lambda product: product.n_landmarks),
         _mean_of(products, lambda product: product.bytes),

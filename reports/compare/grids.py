@@ -9,10 +9,11 @@ import pandas as pd
 from reports.cells import chance, interval
 from reports.compare.pairs import Contrast
 from reports.compare.subjects import STATISTICS, RunComparison, Subject
-from reports.grid import NO_VALUE, Grid
+from reports.grid import NO_VALUE, Grid, number
 from reports.labels import as_title
 from reports.records import CONTROL, FAILURES_AT_PRIOR
 from reports.statistics import Measured
+from reports.success import MEANING
 
 FAILURES_WORST = "failures-worst"
 """Stage in which a trial without an error counts as worse than any that has one."""
@@ -32,19 +33,22 @@ def lines_of(found: RunComparison, subject: Subject) -> list[tuple[str, tuple[Me
 def subject_grid(found: RunComparison) -> Grid:
     """Tabulate each subject: over the trials that it solved and, where it failed in some, over all."""
     unit = f" {found.metric.unit}" if found.metric.unit else ""
-    heads = (*found.varied, "trials", "ok", "success % [95 %]", *(f"{name}{unit} [95 %]" for name in _HEADS))
+    prior = (f"prior{unit}",) if found.trials["prior"].notna().any() else ()
+    counted = ("trials", "solved", "success % [95 %]", *prior)
+    heads = (*found.varied, *counted, *(f"{name}{unit} [95 %]" for name in _HEADS))
     rows = []
     for subject in found.subjects:
+        before = [number(_prior(found, subject)) for _ in prior]
         for how, values, n in lines_of(found, subject):
             success = interval(subject.success, 100.0) if how == SOLVED and not _is_control(subject) else NO_VALUE
-            rows.append(
-                (*found.levels(subject.names), _WORDS[how], f"{n}/{subject.n}", success, *map(interval, values))
-            )
+            told = (_WORDS[how], f"{n}/{subject.n}", success, *before)
+            rows.append((*found.levels(subject.names), *told, *map(interval, values)))
     note = (
         f"{as_title(found.metric.label)}, with 95 % intervals of whole trials (real images: of whole"
-        " images). Success: an estimate, with a position error that is not above the prior's where there is a prior."
-        " Solved: the trials with a number."
+        f" images). {MEANING} Lines of solved trials: those with a number."
     )
+    if prior:
+        note += " Prior: the median error of the trials' priors."
     if found.metric.is_error:
         note += (
             " Failures at prior: every trial, one without an error with that of its prior. Failures worst: every trial,"
@@ -53,6 +57,12 @@ def subject_grid(found: RunComparison) -> Grid:
     text = frozenset(range(len(found.varied) + 1))
     title = f"{as_title(found.metric.label)}{f', {found.shared}' if found.shared else ''}"
     return Grid(title, heads, tuple(rows), text, note)
+
+
+def _prior(found: RunComparison, subject: Subject) -> float | None:
+    """Return the median error of the priors of all trials of a subject."""
+    known = found.of(subject)["prior"].dropna()
+    return None if known.empty else float(known.median())
 
 
 def _is_control(subject: Subject) -> bool:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from reports.clusters import clusters_of
 from reports.compare.factors import ESTIMATOR, NAMED, RUN, difference, draws, level, remainder, short_levels
 from reports.compare.metrics import BORESIGHT, COMPONENTS, LATERAL, Metric, metric_values, nothing_to_find, prior_values
-from reports.paired import failures
 from reports.records import CONTROL
 from reports.run_data import POSE_COLUMNS, RunData
+from reports.success import succeeded
 from scenarios.errors import BoresightError
 
 KEY = ["seed", "draws", "rest", "trial"]
@@ -59,7 +59,7 @@ def _of_run(run: RunData, metric: Metric, factors: Sequence[str]) -> pd.DataFram
             "rest": rows["scenario"].map(rest) + beside,
             "value": value,
             "prior": np.nan if prior is None else prior,
-            "failed": np.where(posed, failures(rows), value.isna()) | value.isna(),
+            "failed": np.where(posed, ~succeeded(rows), value.isna()) | value.isna(),
             "cluster": np.char.add(f"{seed}:", clusters_of(run, rows).astype(str)),
         }
     )

@@ -72,7 +72,8 @@ def test_a_square_of_levels_is_compared_with_its_diagonal(square):
     assert [row[:2] for row in grid.rows] == [("b", "b"), ("b", "a"), ("a", "b"), ("a", "a")]
     changes = [row[grid.columns.index("change")] for row in grid.rows]
     assert changes == ["-", "3.00 [3.00, 3.00]", "2.00 [2.00, 2.00]", "-"]
-    assert [row[-1] for row in grid.rows] == [f"{TRIALS - 1}/{TRIALS}", *[f"{TRIALS}/{TRIALS}"] * 3]
+    solved = grid.columns.index("solved")
+    assert [row[solved] for row in grid.rows] == [f"{TRIALS - 1}/{TRIALS}", *[f"{TRIALS}/{TRIALS}"] * 3]
 
 
 def test_the_median_is_that_of_the_trials_with_an_estimate(square):
@@ -104,7 +105,8 @@ def test_each_axis_is_compared_with_the_reference(builder):
     assert [row[:2] for row in grid.rows] == [
         ("reference", ""), ("the focal", "1"), ("the focal", "2"), ("the law", "b"),
     ]  # fmt: skip
-    assert [row[3].split()[0] for row in grid.rows] == ["-", "1.50", "2.50", "0.250"]
+    assert [row[4].split()[0] for row in grid.rows] == ["-", "1.50", "2.50", "0.250"]
+    assert [row[2] for row in grid.rows] == ["50.0 [50.0, 50.0]"] * 4, "the prior"
     stems = {path.stem for path in write_report(builder.folder).figures}
     assert stems == {"curves_position_rock_landmark-harris", "curves_attitude_rock_landmark-harris"}
 

@@ -13,11 +13,11 @@ from reports.paired import (
     PAIRED,
     SIGN_TEST,
     THEIRS,
-    failures,
     paired_records,
 )
 from reports.run_data import read_run, select
 from reports.statistics import MEDIAN
+from reports.success import succeeded
 
 PRIOR = ((40.0, 0.0, 0.0), 1.0)
 
@@ -101,7 +101,7 @@ def test_failures_count_missing_and_worse_solutions(builder):
     base = [error(20, 1), error(50, 1), None, error(39, 1)]
     other = [error(20, 1), error(20, 1), None, error(41, 1)]
     run = fill(builder, base, other)
-    np.testing.assert_array_equal(failures(select(run.rows, "itokawa", "base")), [False, True, True, False])
+    np.testing.assert_array_equal(succeeded(select(run.rows, "itokawa", "base")), [True, False, False, True])
     found = by_key(run)
     assert found[FAILURE_RATE, OWN].value == 0.5
     assert found[FAILURE_RATE, THEIRS].value == 0.5

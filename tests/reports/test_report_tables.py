@@ -3,6 +3,7 @@ from dataclasses import replace
 import pytest
 from terminal_text import terminal_lines
 
+from reports.compare import compare_runs
 from reports.content import read_content
 from reports.grid import Grid, number, value_of
 from reports.labels import count_of
@@ -70,8 +71,8 @@ def test_one_trial_prints_values_without_intervals_and_none_prints_dashes(builde
     builder.trial(0, ([3, 4, 0], 1), None, reason="black image")
     (grid,) = pose_grids(read_content(builder.write()).records)
     prior, final, _ = grid.rows
-    assert prior[3] == "5.00"
-    assert final[2:] == ("0/1", *("-",) * 9)
+    assert prior[4] == "5.00"
+    assert final[2:] == ("0/1", "0/1", *("-",) * 9)
 
 
 def test_reasons_that_differ_in_numbers_alone_are_counted_together(builder):
@@ -128,3 +129,21 @@ def test_terminal_table_fits_80_columns(full_run):
     assert len(rows) == 1
     assert "114/120" in rows[0]
     assert any("undecided" in line for line in lines)
+
+
+def test_one_definition_of_success_in_report_terminal_and_comparison(builder):
+    errors = ([3, 0, 0], [20, 0, 0], [4, 0, 0], None)
+    for trial, error in enumerate(errors):
+        builder.trial(trial, ([10, 0, 0], 1), None if error is None else (error, 1))
+    folder = builder.write()
+    content = read_content(folder)
+    (grid,) = pose_grids(content.records)
+    told = {row[1]: row[2:5] for row in grid.rows}
+    assert grid.columns[2:5] == ("solved", "success", "position m")
+    assert told["final"][:2] == ("3/4", "2/4")
+    assert told["prior"][1] == "-"
+    assert told["prior"][2].startswith("10.0"), "the prior's error from the rows: the run has no estimator of that name"
+    line = next(line for line in terminal_lines(folder) if line.startswith("final"))
+    assert line.split()[1:3] == ["3/4", "2/4"]
+    (subject,) = compare_runs([folder]).subjects
+    assert (subject.n_ok, subject.success.value) == (3, 0.5)
