@@ -6,14 +6,13 @@ from collections.abc import Sequence
 
 from reports.grid import NO_VALUE, Grid, counts, value_of
 from reports.labels import MEASURES, measure_label, stage_label
+from reports.reasons import unsolved
 from reports.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
 from reports.run_data import RunData
 from reports.statistics import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE
 from reports.success import MEANING
 
 _POSE_HEADS = ("position m", "RMS", "95th", "x", "y", "z", "attitude deg", "RMS", "95th")
-_FRAME = r"^frame \d+: "
-_NUMBER = r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
 
 
 def pose_grids(records: Sequence[Record]) -> list[Grid]:
@@ -158,16 +157,9 @@ def timing_grid(records: Sequence[Record]) -> Grid | None:
 
 
 def failure_grid(run: RunData) -> Grid | None:
-    """Tabulate failures by reason; None if every trial is ok.
-
-    Reasons that differ in numbers alone are one, and of sequences those of all frames.
-    """
-    failed = run.rows[run.rows["status"] != "ok"]
-    reason = failed["reason"] if run.epochs.empty else failed["reason"].str.replace(_FRAME, "", regex=True)
-    alike = reason.str.replace(_NUMBER, "n", regex=True)
-    merged = reason.groupby(alike).transform("nunique") > 1
-    failed = failed.assign(reason=reason.where(~merged, alike))
-    note = "n stands for numbers that differ from trial to trial." if merged.any() else ""
+    """Tabulate failures by reason; None if every trial is ok."""
+    failed, merged = unsolved(run)
+    note = "n stands for numbers that differ from trial to trial." if merged else ""
     keys = ["scenario", "estimator", "status", "reason"]
     tally = failed.value_counts(keys, sort=False).sort_index().sort_values(ascending=False, kind="stable")
     table = tally.reset_index().astype(str)

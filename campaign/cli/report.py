@@ -14,6 +14,7 @@ from campaign.store import RunFolder
 from reports.build import write_report
 from reports.console import console_table
 from reports.named_figure import NamedFigure
+from reports.reasons import reason_lines
 from scenarios.errors import BoresightError
 
 
@@ -22,6 +23,8 @@ def print_report(folder: RunFolder, worst: int) -> None:
     out = console()
     files = write_report(folder.path, extra=_trial_figures(folder, worst))
     out.print(console_table(files.content))
+    for line in reason_lines(files.content.run):
+        out.print(line)
     out.print(f"report: {files.html}")
 
 

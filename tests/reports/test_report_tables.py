@@ -1,13 +1,16 @@
 from dataclasses import replace
 
 import pytest
+from stored_runs import RunBuilder
 from terminal_text import terminal_lines
 
 from reports.compare import compare_runs
 from reports.content import read_content
 from reports.grid import Grid, number, value_of
 from reports.labels import count_of
+from reports.reasons import reason_lines
 from reports.records import Record
+from reports.run_data import read_run
 from reports.tables import failure_grid, pose_grids, reference_grid, timing_grid
 
 LINE = Record("s", "e", "recognition", "", "position_error_m", "m", "median", 20.94, 19.06, 121.4, 9, 10)
@@ -147,3 +150,19 @@ def test_one_definition_of_success_in_report_terminal_and_comparison(builder):
     assert line.split()[1:3] == ["3/4", "2/4"]
     (subject,) = compare_runs([folder]).subjects
     assert (subject.n_ok, subject.success.value) == (3, 0.5)
+
+
+def test_reasons_are_counted_for_the_console_the_most_frequent_first(builder):
+    for trial in range(9):
+        builder.trial(trial, ([10, 0, 0], 1), None, reason=f"{trial} landmarks of {trial + 7.5} are visible")
+    for trial in range(9, 16):
+        builder.trial(trial, ([10, 0, 0], 1), None, reason=f"for the cause {'abcdefg'[trial - 9]}")
+    builder.trial(16, ([10, 0, 0], 1), ([1, 0, 0], 1))
+    lines = reason_lines(read_run(builder.write()))
+    assert lines[0].startswith("no estimate in 16 of 17 trials")
+    assert lines[1] == "  9 failed, landmark-harris: n landmarks of n are visible"
+    assert len(lines) == 7
+    assert lines[-1].startswith("  3 for 3 more reasons")
+    solved = RunBuilder(builder.folder.parent / "solved")
+    solved.trial(0, ([10, 0, 0], 1), ([1, 0, 0], 1))
+    assert reason_lines(read_run(solved.write())) == []
