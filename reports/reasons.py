@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pandas as pd
 
 from reports.labels import count_of
@@ -25,6 +27,11 @@ def unsolved(run: RunData) -> tuple[pd.DataFrame, bool]:
     return failed.assign(reason=reason.where(~merged, alike)), bool(merged.any())
 
 
+def _items(tally: pd.Series) -> Iterator[tuple[str, str, str, int]]:
+    for estimator, status, reason, trials in tally.reset_index().itertuples(index=False, name=None):
+        yield str(estimator), str(status), str(reason), int(trials)
+
+
 def reason_lines(run: RunData) -> list[str]:
     """Say in a few lines why trials have no estimate, the most frequent reason first; none where all have one."""
     failed, _ = unsolved(run)
@@ -33,7 +40,7 @@ def reason_lines(run: RunData) -> list[str]:
     tally = failed.value_counts(["estimator", "status", "reason"], sort=False).sort_index()
     tally = tally.sort_values(ascending=False, kind="stable")
     lines = [f"no estimate in {len(failed):,} of {count_of(len(run.rows), 'trial')}, each estimator's counted:"]
-    for (estimator, status, reason), trials in tally.head(_MOST_LINES).items():
+    for estimator, status, reason, trials in _items(tally.head(_MOST_LINES)):
         why = reason if len(reason) <= _MOST_CHARACTERS else f"{reason[: _MOST_CHARACTERS - 3]}..."
         lines.append(f"  {trials:,} {status}, {estimator}: {why}")
     if len(tally) > _MOST_LINES:

@@ -2,40 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections import Counter
 from types import TracebackType
 from typing import Self
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from campaign.experiments.registry import Records
 
-_BINS_PER_DECADE = 200
 _SILENCE_S = 30.0
-
-
-class RunningMedian:
-    """A median within 0.6 % from a histogram of logarithmic bins: memory does not grow with the trials."""
-
-    def __init__(self) -> None:
-        self._bins: Counter[int] = Counter()
-
-    def add(self, value: float) -> None:
-        """Count one positive value."""
-        self._bins[math.floor(_BINS_PER_DECADE * math.log10(max(value, 1e-9)))] += 1
-
-    @property
-    def value(self) -> float | None:
-        """The median so far, or None."""
-        half, seen = self._bins.total() / 2, 0
-        for index in sorted(self._bins):
-            seen += self._bins[index]
-            if seen >= half:
-                return float(10 ** ((index + 0.5) / _BINS_PER_DECADE))
-        return None
 
 
 class NamedLines:
@@ -69,8 +46,9 @@ class ProgressListener:
             disable=not console.is_terminal,
         )  # fmt: skip
         self._task: TaskID | None = None
-        self._medians: dict[str, RunningMedian] = {}
+        self._errors: dict[tuple[str, str], list[float]] = {}
         self._done = self._total = self._fresh = 0
+        self._resumed = False
         self._began = self._last_line = time.monotonic()
 
     def __enter__(self) -> Self:
@@ -89,6 +67,7 @@ class ProgressListener:
     def started(self, done: int, total: int) -> None:
         """Show how much is stored already."""
         self._done, self._total, self._began = done, total, time.monotonic()
+        self._resumed = done > 0
         if done:
             self._console.print(f"{done} of {total} trials are stored already; continuing")
         self._task = self._bar.add_task("", total=total, completed=done, rate="", median="")
@@ -100,13 +79,26 @@ class ProgressListener:
         for row in records["rows"]:
             error = row["position_error_m"]
             if isinstance(error, float):
-                self._medians.setdefault(str(row["estimator"]), RunningMedian()).add(error)
+                self._errors.setdefault((str(row["scenario"]), str(row["estimator"])), []).append(error)
         rate = self._fresh / max(time.monotonic() - self._began, 1e-9)
-        known = [f"{label} {m.value:.3g} m" for label, m in self._medians.items() if m.value is not None]
-        median = "median " + "  ".join(known) if known else ""  # of craters or data bases there is none
+        median = self._median(str(records["rows"][-1]["scenario"])) if records["rows"] else ""
         if self._task is not None:
             self._bar.update(self._task, completed=self._done, rate=f"{rate:.1f}/s", median=median)
         self._line(rate, median)
+
+    def _median(self, scenario: str) -> str:
+        """Tell the median errors of a scenario as its table has them, over the trials that this start has run.
+
+        Of craters or data bases there is none.
+        """
+        known = [
+            f"{label} {float(np.median(errors)):.3g} m"
+            for (where, label), errors in self._errors.items()
+            if where == scenario
+        ]
+        of = f" of {scenario}" if len({where for where, _ in self._errors}) > 1 else ""
+        new = " of new trials" if self._resumed else ""
+        return f"median{of}{new} {'  '.join(known)}" if known else ""
 
     def _line(self, rate: float, median: str) -> None:
         due = time.monotonic() - self._last_line > _SILENCE_S or self._done == self._total

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import shlex
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from campaign.cli.catalog import add_overrides
 from campaign.cli.progress import ProgressListener
@@ -144,11 +146,25 @@ def _status(arguments: argparse.Namespace) -> int:
         f"started {manifest.get('created') or 'some time'}, " + (f"finished {finished}" if finished else "not finished")
     )
     if not finished:
-        out.print(f"to continue: {manifest.get('command') or 'run the campaign again into the same folder'}")
+        out.print(f"{'to end and report it' if done >= total else 'to continue'}: {_again(manifest, folder)}")
     for (scenario, estimator), group in rows.groupby(["scenario", "estimator"]):
         counts = group["status"].value_counts()
         out.print(f"  {scenario} / {estimator}: " + ", ".join(f"{n} {status}" for status, n in counts.items()))
     return 0
+
+
+def _again(manifest: Mapping[str, Any], folder: RunFolder) -> str:
+    """Say how a run goes on: as it was started last, but for all of the trials that it was ever asked for, and here."""
+    trials = str(manifest["trials"])
+    try:
+        words = shlex.split(manifest.get("command") or "")
+    except ValueError:  # a quotation that has no end
+        words = []
+    if words[:2] != ["boresight", "run"]:
+        return f"run the campaign again into the same folder, with {trials} trials of each scenario"
+    # Of an option that is given twice the last counts.
+    asked = ["--out", str(folder.path), *([] if "--until" in words else ["--trials", trials])]
+    return shlex.join([*words, *asked])
 
 
 def _report(arguments: argparse.Namespace) -> int:

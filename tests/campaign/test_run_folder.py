@@ -5,20 +5,24 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
+import shlex
 import subprocess
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
+from io import StringIO
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from rich.console import Console
 from tiny_campaign import CAMPAIGN, DATABASE, RESULTS, SCENE, TRIALS, compute, files, run, write_campaign
 from tiny_sequences import write_sequences
 
 from campaign.cli import main
-from campaign.cli.progress import RunningMedian
+from campaign.cli.progress import ProgressListener
 from campaign.experiments.single_image import SingleImage
 from campaign.paper.gather import newest_finished, run_folders
 from campaign.resolve import reload, resolve
@@ -177,6 +181,23 @@ def test_status_counts_what_is_stored(tiny_run, tmp_path, capsys):
     assert "to continue: run the campaign again" in said, "it was run from Python"
 
 
+def test_status_proposes_what_runs_the_rest(tmp_path, capsys):
+    file, out = write_sequences(tmp_path, 12), tmp_path / "run"
+    assert main(["run", str(file), "--out", str(out), "--jobs", "1"]) == 0
+    (out / "rows" / "orbit-0000002.parquet").unlink()
+    assert main(["run", str(file), "--out", str(out), "--jobs", "1", "--trials", "2"]) == 0
+    capsys.readouterr()
+    assert main(["status", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "10 of 12 trials stored" in said
+    (command,) = re.findall("to continue: boresight (.*)", said)
+    assert main(shlex.split(command)) == 0
+    assert main(["status", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "12 of 12 trials stored" in said
+    assert "to continue" not in said
+
+
 def test_status_and_report_find_the_newest_run_by_name(tiny_run, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for number in (1, 2):
@@ -224,22 +245,17 @@ def test_kept_images_read_back_as_they_were_seen(tiny_file, tmp_path):
     assert sorted(path.name for path in (out / "images" / "scene").iterdir()) == ["0000000.tiff", "0000001.tiff"]
 
 
-def test_the_running_median_is_within_its_bin():
-    rng = np.random.default_rng(3)
-    for values in (rng.lognormal(3.0, 1.0, 4001), np.array([7.0]), rng.uniform(1e-3, 1e-2, 999)):
-        median = RunningMedian()
-        assert median.value is None
-        for value in values:
-            median.add(float(value))
-        # Bins are 1/200 of a decade wide: their middle is within half of that, 0.6 %, of any value inside.
-        assert median.value == pytest.approx(np.median(values), rel=10 ** (0.5 / 200) - 1 + 1e-3)
-
-
-def test_the_running_median_takes_a_perfect_answer():
-    median = RunningMedian()
-    for value in (0.0, 0.0, 5.0):
-        median.add(value)
-    assert median.value == pytest.approx(1e-9, rel=0.01)
+@pytest.mark.parametrize("errors", [(4.1, 105.9), (0.0, 0.0, 5.0), (3.0, 9.0, 4.0, 8.0)])
+def test_the_live_median_is_that_of_the_table(errors, tmp_path):
+    out = StringIO()
+    listener = ProgressListener(Console(file=out, width=200))
+    listener.started(0, len(errors) + 1)
+    key = {"scenario": "scene", "estimator": "mine"}
+    listener.block({"rows": [{**key, "position_error_m": error} for error in errors]}, len(errors))
+    listener.block({"rows": [{**key, "position_error_m": None}]}, 1)
+    assert f"median mine {np.median(errors):.3g} m" in out.getvalue()
+    listener.block({"rows": [{**key, "scenario": "other", "position_error_m": 7.0}]}, 0)
+    assert "median of other mine 7 m" in out.getvalue()
 
 
 class ClockSetBack:
