@@ -40,7 +40,7 @@ class SpiceSpec(SpecModel):
 class ImageSetSpec(SpecModel):
     """Real images in place of rendered ones: posed by a table, or by SPICE kernels."""
 
-    prose: ClassVar = frozenset({"credit"})
+    prose: ClassVar = frozenset({"credit", "aligned"})
 
     folder: str = Field(description="Folder of the images (beside the scenario file, or under BORESIGHT_DATA)")
     table: str = Field("poses.csv", pattern=r"^[^/\\]+$", description="Table of poses in that folder")
@@ -54,6 +54,11 @@ class ImageSetSpec(SpecModel):
         description="Prefix of the columns that are scored against; with spice a name for the kernels' pose",
     )
     also_score: tuple[str, ...] = Field((), description="Prefixes of further poses to score against")
+    aligned: tuple[str, ...] = Field(
+        (),
+        description="Those of truth and also_score that were found by aligning renderings of the shape with the images:"
+        " reports say that errors against them are correlated with those of methods that do the same",
+    )
     noise_realisations: int = Field(1, ge=1, description="Pose errors drawn for each image")
     keep_clear_px: tuple[Rectangle, ...] = Field(
         (),
@@ -67,6 +72,9 @@ class ImageSetSpec(SpecModel):
         twice = sorted({prefix for prefix in prefixes if prefixes.count(prefix) > 1})
         if twice:
             raise ValueError(f"{', '.join(twice)} is named twice in truth and also_score")
+        unknown = [name for name in self.aligned if name not in prefixes]
+        if unknown:
+            raise ValueError(f"aligned names {unknown[0]}, which is neither truth nor in also_score")
         return self
 
     @model_validator(mode="after")

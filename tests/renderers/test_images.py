@@ -281,7 +281,7 @@ def test_the_conventions_hold_on_real_images():
     rendered = {"right": [], "mirrored": [], "upside down": []}
     shifts = []
     for index in range(0, len(images), 3):
-        image, view = images.image(index), images.view(index)
+        image, view = images.image(index), images.view(index, "ref")
         lambert = _painted(np.asarray(shape.vertices) * 1e3, np.asarray(shape.faces), view)
         rendered["right"].append(_correlation(image, lambert))
         rendered["mirrored"].append(_correlation(image, lambert[:, ::-1]))

@@ -308,6 +308,7 @@ NO_RESULT = {
     "name": "names the scenario in tables",
     "description": "prose",
     "images.credit": "printed below figures",
+    "images.aligned": "told in reports",
     "images.spice.instrument": "images of another camera are refused",
     "images.spice.target": "images of another body are refused",
     "body.format": "says how to read the file; a wrong one is refused",
