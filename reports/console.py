@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from rich import box
@@ -24,7 +25,14 @@ def console_table(run: Path | Content) -> Group:
         A run folder, or the content of a report that was just written.
     """
     content = read_content(run) if isinstance(run, Path) else run
-    return Group(*(rich_table(grid) for grid in brief_grids(content)))
+    return Group(*(part for grid in brief_grids(content) for part in rich_parts(grid)))
+
+
+def rich_parts(grid: Grid) -> Iterator[Table | Text]:
+    """Yield a grid as a table, and below it what was known on board, where it says so."""
+    yield rich_table(grid)
+    if grid.known:
+        yield Text(f"{printable(grid.known)}\n", style="dim")
 
 
 def rich_table(grid: Grid) -> Table:

@@ -16,6 +16,7 @@ from reports.crater_matching import matching_records
 from reports.craters import crater_records
 from reports.derived import derived_records
 from reports.detection import outlier_records
+from reports.known import known_lines
 from reports.measures import measure_run
 from reports.navigation import navigation_records
 from reports.notes import notes
@@ -104,12 +105,17 @@ def content_of(run: RunData) -> Content:
 def summary(folder: str | PathLike[str]) -> pd.DataFrame:
     """Work out every number of a run's report, as its table.csv has them: one row each, with n_ok, n and interval.
 
+    Its ``attrs["known"]`` are the lines of what on board was identical with the truth, and what was not.
+
     Raises
     ------
     BoresightError
         If the folder is not a run, or holds no finished trial.
     """
-    return read_content(Path(folder)).table()
+    content = read_content(Path(folder))
+    table = content.table()
+    table.attrs["known"] = list(known_lines(content.run))
+    return table
 
 
 def beside_published(

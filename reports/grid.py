@@ -26,6 +26,8 @@ class Grid:
         Cells, as many as columns.
     text
         Numbers of the columns that hold text; the others hold numbers and align right.
+    known
+        Of a headline: what on board is identical with the truth; it goes wherever the table goes.
     """
 
     title: str
@@ -33,26 +35,28 @@ class Grid:
     rows: tuple[tuple[str, ...], ...]
     text: frozenset[int] = frozenset({0})
     note: str = ""
+    known: str = ""
 
     def keep(self, *columns: str) -> Grid:
         """Keep only the named columns."""
         chosen = [self.columns.index(name) for name in columns]
         rows = tuple(tuple(row[i] for i in chosen) for row in self.rows)
         text = frozenset(new for new, old in enumerate(chosen) if old in self.text)
-        return Grid(self.title, columns, rows, text, self.note)
+        return Grid(self.title, columns, rows, text, self.note, self.known)
 
     def markdown(self) -> str:
         """Write as a Markdown table under its heading."""
         rule = [":--" if i in self.text else "--:" for i in range(len(self.columns))]
         cells = [self.columns, rule, *([_escape(cell) for cell in row] for row in self.rows)]
         table = "\n".join(f"| {' | '.join(row)} |" for row in cells)
-        return "\n\n".join(part for part in (f"### {self.title}", self.note, table) if part) + "\n"
+        return "\n\n".join(part for part in (f"### {self.title}", self.note, table, self.known) if part) + "\n"
 
     def latex(self) -> str:
         """Write as a LaTeX table in the style of the package booktabs, no wider than the line, its note below it."""
         columns = "".join("l" if i in self.text else "r" for i in range(len(self.columns)))
         rows = [_latex_row(row) for row in (self.columns, *self.rows)]
-        note = [rf"\par\smallskip\raggedright\footnotesize {_latex(self.note)}"] if self.note else []
+        below = [text for text in (self.note, self.known) if text]
+        note = [rf"\par\smallskip\raggedright\footnotesize {_latex(text)}" for text in below]
         return "\n".join(
             [
                 r"% needs \usepackage{booktabs,graphicx}",

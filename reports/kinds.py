@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from matplotlib.figure import Figure
 
@@ -19,6 +19,7 @@ from reports.design_figures import design_figures
 from reports.designs import design_grids
 from reports.detection import outlier_grid
 from reports.grid import Grid
+from reports.known import short_line
 from reports.named_figure import NamedFigure, file_stem
 from reports.navigation import navigation_figures, navigation_grid
 from reports.orbits import orbit_brief, orbit_figures, orbit_grids
@@ -62,14 +63,21 @@ def report_grids(content: Content) -> list[Grid]:
     """List the tables of a report, in order; of a grid of scenarios, those of the grid alone."""
     found = _kind_of(content.run).report(content)
     grids = (grid for grid in (*found, failure_grid(content.run)) if grid is not None)
-    return list(of_what_was_drawn(grids, content.run))
+    return _headed(content.run, list(of_what_was_drawn(grids, content.run)))
 
 
 def brief_grids(content: Content) -> list[Grid]:
     """List what the terminal shows at the end of a run."""
     found = _kind_of(content.run).brief(content)
     grids = (grid for grid in (*found, verdict_grid(content.compared)) if grid is not None)
-    return list(of_what_was_drawn(grids, content.run))
+    return _headed(content.run, list(of_what_was_drawn(grids, content.run)))
+
+
+def _headed(run: RunData, grids: list[Grid]) -> list[Grid]:
+    """Put what was known on board beside the headline: the first table, if it does not say so already."""
+    if not grids or grids[0].known:
+        return grids
+    return [replace(grids[0], known=short_line(run)), *grids[1:]]
 
 
 def draw_figures(content: Content) -> Iterator[NamedFigure]:
@@ -84,7 +92,7 @@ def _kind_of(run: RunData) -> _Kind:
 def _of_images(content: Content) -> Tables:
     records, run = content.records, content.run
     return (
-        *pose_grids(records),
+        *pose_grids(records, run),
         reference_grid(records, run),
         comparison_grid(content.compared),
         claim_grid(content.claims),
@@ -115,7 +123,7 @@ def _of_orbits(content: Content) -> Tables:
 def _brief_of_poses(content: Content) -> Tables:
     several = len({r.estimator for r in content.records if r.estimator and r.stage != CONTROL}) > 1
     counted = (*(["estimator"] if several else []), "stage", "solved", "success")
-    return [grid.keep(*counted, "position m", "attitude deg") for grid in pose_grids(content.records)]
+    return [grid.keep(*counted, "position m", "attitude deg") for grid in pose_grids(content.records, content.run)]
 
 
 def _brief_of_designs(content: Content) -> Tables:

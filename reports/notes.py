@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from reports.clusters import image_set
 from reports.conditional import database_line
+from reports.known import known_lines
 from reports.labels import count_of
 from reports.published import Comparison
 from reports.run_data import RunData
@@ -14,6 +15,7 @@ from reports.run_data import RunData
 def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
     """Yield the notes in the order of the report: what the run is, how its numbers are made, what is not there."""
     yield from filter(None, (run.manifest.description, *_scenario_lines(run)))
+    yield from known_lines(run)
     done, total = run.progress()
     if done < total:
         yield f"The run is not finished: {done} of {total} trials."

@@ -43,4 +43,4 @@ def _narrowed(grid: Grid, title: str) -> Grid:
     """Leave out columns in which nothing stands."""
     cells = zip(grid.columns, zip(*grid.rows, strict=True), strict=True)
     kept = grid.keep(*(name for name, column in cells if set(column) != {NO_VALUE}))
-    return Grid(title, kept.columns, kept.rows, kept.text, kept.note)
+    return Grid(title, kept.columns, kept.rows, kept.text, kept.note, kept.known)

@@ -16,8 +16,10 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from scenarios.checksums import refuse_damaged
 from scenarios.errors import BoresightError
+from scenarios.known import Known, known_on_board
 from scenarios.parquet import Layout, read_frame
 from scenarios.reading import held_to, plain_json, unreadable
+from scenarios.spec.scenario import ScenarioSpec
 
 TRIAL_KEY = ["scenario", "estimator", "trial"]
 """Columns that tell the row of a trial and method from all others."""
@@ -201,6 +203,12 @@ class Manifest(BaseModel):
     notes: tuple[str, ...] = ()
     products: tuple[Product, ...] = ()
     grid: Design | None = None
+    campaign: Mapping[str, Any] = {}
+
+    @property
+    def experiment(self) -> str:
+        """The kind of its trials; empty where it is not said."""
+        return str(self.campaign.get("experiment", ""))
 
     @field_validator("scenarios")
     @classmethod
@@ -281,6 +289,15 @@ class RunData:
     def database_of_trial(self) -> pd.Series:
         """Numbers of data bases by `TRIAL_KEY`, NaN where an estimator has none."""
         return self.rows.set_index(TRIAL_KEY)["database"]
+
+    @cached_property
+    def known(self) -> Mapping[str, Known] | None:
+        """What each scenario takes for known on board; None where one is not what this version of boresight reads."""
+        try:
+            specs = {name: ScenarioSpec.model_validate(dict(spec)) for name, spec in self.manifest.scenarios.items()}
+        except ValueError:
+            return None
+        return {name: known_on_board(spec, self.manifest.experiment) for name, spec in specs.items()}
 
     def pairs(self) -> list[tuple[str, str]]:
         """List (scenario, estimator) in the order in which the rows name them."""

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from reports.grid import NO_VALUE, Grid, counts, value_of
+from reports.known import short_line
 from reports.labels import MEASURES, measure_label, stage_label
 from reports.reasons import unsolved
 from reports.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
 from reports.run_data import RunData
 from reports.statistics import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE
 from reports.success import MEANING
+from scenarios.known import correlated
 
 _POSE_HEADS = ("position m", "RMS", "95th", "x", "y", "z", "attitude deg", "RMS", "95th")
 
 
-def pose_grids(records: Sequence[Record]) -> list[Grid]:
+def pose_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
     """Tabulate pose errors after each stage, a grid for each scenario."""
     note = (
         "Median with its 95 % interval, RMS and 95th percentile of the error; x, y, z: root-median-square "
@@ -31,7 +33,8 @@ def pose_grids(records: Sequence[Record]) -> list[Grid]:
             (_who(line), stage_label(line.stage), counts(line), _success(records, line), *_pose_cells(records, line))
             for line in lines
         )
-        grids.append(Grid(f"Pose error, {scenario}", heads, rows, frozenset({0, 1}), note))
+        known = short_line(run, scenario=scenario)
+        grids.append(Grid(f"Pose error, {scenario}", heads, rows, frozenset({0, 1}), note, known))
     return grids
 
 
@@ -85,7 +88,9 @@ def reference_grid(records: Sequence[Record], run: RunData) -> Grid | None:
     ends = {(r.scenario, r.estimator, r.stage) for r in medians if r.reference}
     lines = [r for r in medians if (r.scenario, r.estimator, r.stage) in ends]
     heads = ("estimator", "against", "ok", *_POSE_HEADS)
+    aligned = dict.fromkeys(name for known in (run.known or {}).values() for name in known.aligned)
     note = "No reference pose is exact truth: each error contains the error of the pose that it is measured against."
+    note = " ".join([note, *(f"{correlated(name)}." for name in aligned)])
     rows = tuple(
         (line.estimator, line.reference or run.truth_name(line.scenario), counts(line), *_pose_cells(records, line))
         for line in lines

@@ -40,7 +40,7 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
 def _compare(arguments: argparse.Namespace) -> int:
     # Imported here: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
     from reports.compare import compare_runs, write_comparison
-    from reports.console import rich_table
+    from reports.console import rich_parts
 
     factors = list(dict.fromkeys(filter(None, (part.strip() for part in arguments.by.split(",")))))
     if not factors:
@@ -54,6 +54,6 @@ def _compare(arguments: argparse.Namespace) -> int:
     files = write_comparison(found, out, arguments.command)
     printer = console()
     for grid in files.grids:
-        printer.print(rich_table(grid.keep(*(head for head in grid.columns if not head.startswith(_LEFT_OUT)))))
+        printer.print(*rich_parts(grid.keep(*(head for head in grid.columns if not head.startswith(_LEFT_OUT)))))
     printer.print(f"comparison: {files.markdown}")
     return 0

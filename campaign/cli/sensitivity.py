@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,9 +55,10 @@ def _sensitivity(arguments: argparse.Namespace) -> int:
     from campaign.sensitivity import analyse, make_design, parse_over
     from campaign.until import CONTROLS, STATISTICS
     from reports.compare.metrics import choose_metric, names_before_a_run
-    from reports.console import rich_table
+    from reports.console import rich_parts
     from reports.global_sensitivity import sensitivity_grid
     from reports.global_sensitivity_page import write_sensitivity
+    from reports.known import short_line
     from reports.run_data import read_run
 
     varied = [parse_over(text) for text in arguments.over]
@@ -80,12 +82,12 @@ def _sensitivity(arguments: argparse.Namespace) -> int:
     metric, statistic = choose_metric(arguments.metric, [run]), STATISTICS[arguments.statistic]
     labels = [entry.label for entry in campaign.spec.estimators if entry.name not in CONTROLS]
     found = analyse(run, design, metric, statistic, labels)
-    grid = sensitivity_grid(found, varied, metric, statistic.name)
+    grid = replace(sensitivity_grid(found, varied, metric, statistic.name), known=short_line(run))
     try:
         page = write_sensitivity(run, found, grid, design.varied, design.samples, metric)
     except OSError as error:
         raise BoresightError(explain(error.filename or folder.path, error)) from error
-    out.print(rich_table(grid))
+    out.print(*rich_parts(grid))
     for one in found:
         for key in one.unmoved:
             out.print(f"{key} changes no result of {one.estimator}: is it applied at all?")

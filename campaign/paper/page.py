@@ -12,6 +12,7 @@ from campaign.paper.gather import FinishedRun, Gathered, gather_runs, run_folder
 from campaign.paper.kinds import Paper, PaperFigure
 from campaign.resolve import CATALOG, campaign_names
 from campaign.start import RUNS
+from reports.known import short_line
 from reports.labels import count_of
 from reports.named_figure import NamedFigure
 from reports.paper import PaperLine, PaperPage, paper_lines
@@ -66,7 +67,7 @@ def paper_page(paper: Paper, runs: Path, jobs: int | None = None, draft: float =
         lines=tuple(lines),
         grids=tuple(grid for run in found.values() for grid in paper.grids(run)),
         figures=(*figures, *tables),
-        runs=tuple((name, _how(run)) for name, run in found.items()),
+        runs=tuple((name, f"{_how(run)}. {short_line(run.data)}") for name, run in found.items()),
         missing=(*missing, *without),
         refused=gathered.refused,
         credits=tuple(sorted({line for run in found.values() for line in run.manifest["credits"]})),

@@ -13,6 +13,7 @@ from reports.compare.subjects import RunComparison
 from reports.compare.trials import is_pooled_control
 from reports.figures.style import save_figure
 from reports.grid import Grid
+from reports.known import known_lines
 from reports.labels import as_title
 from reports.named_figure import NamedFigure
 from reports.provenance import stamp
@@ -76,6 +77,7 @@ def notes(found: RunComparison) -> Iterator[str]:
         done, total = run.progress()
         made = f"{run.manifest.name}, seed {run.manifest.seed}, {done} of {total} trials"
         yield f"{run.folder}: {made}" + (", not finished" if done < total else "")
+        yield from known_lines(run)
     n = sum(len(run.rows) for run in found.runs)
     pooled = sum(int(is_pooled_control(run, found.factors).sum()) for run in found.runs)
     if pooled:

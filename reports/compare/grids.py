@@ -10,6 +10,7 @@ from reports.cells import chance, interval
 from reports.compare.pairs import Contrast
 from reports.compare.subjects import STATISTICS, RunComparison, Subject
 from reports.grid import NO_VALUE, Grid, number
+from reports.known import short_line
 from reports.labels import as_title
 from reports.records import CONTROL, FAILURES_AT_PRIOR
 from reports.statistics import Measured
@@ -56,7 +57,7 @@ def subject_grid(found: RunComparison) -> Grid:
         )
     text = frozenset(range(len(found.varied) + 1))
     title = f"{as_title(found.metric.label)}{f', {found.shared}' if found.shared else ''}"
-    return Grid(title, heads, tuple(rows), text, note)
+    return Grid(title, heads, tuple(rows), text, note, short_line(*found.runs))
 
 
 def _prior(found: RunComparison, subject: Subject) -> float | None:

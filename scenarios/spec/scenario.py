@@ -19,6 +19,13 @@ from scenarios.spec.sensors import SensorsSpec
 from scenarios.spec.sequence import SequenceSpec
 from scenarios.spec.world import PAPER_POSE_ERROR, LightingSpec, PoseErrorSpec, ViewpointSpec
 
+_ONBOARD_OF = {
+    "sequence": frozenset[str](),
+    "orbit": frozenset[str](),
+    "crater_pairs": frozenset({"body", "facets", "relief", "height_error"}),
+}
+"""Keys of ``onboard`` that estimators of such scenarios are lent; what else they know is said in those sections."""
+
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
 
 
@@ -89,6 +96,20 @@ class ScenarioSpec(SpecModel):
         if onboard.distortion_error != 0.0 and self.camera.distortion is None:
             raise ValueError("onboard.distortion_error: the camera has no distortion that could be known wrongly")
         return self
+
+    @model_validator(mode="after")
+    def _onboard_has_a_part(self) -> Self:
+        heard = _ONBOARD_OF.get(self._kind, frozenset(OnboardSpec.model_fields))
+        said = [key for key, field in OnboardSpec.model_fields.items() if getattr(self.onboard, key) != field.default]
+        idle = [key for key in said if key not in heard]
+        if idle:
+            raise ValueError(f"onboard.{idle[0]} has no part in a scenario with {self._kind}: leave it out")
+        return self
+
+    @property
+    def _kind(self) -> str:
+        """Which of the sections that exclude each other is there."""
+        return next(key for key in self.alternatives[0] if getattr(self, key) is not None)
 
     @model_validator(mode="after")
     def _real_images_bring_their_own(self) -> Self:

@@ -95,6 +95,12 @@ def test_what_is_missing_is_said_in_one_line_each(page, runs):
     assert len(re.findall("^- figure 8: not drawn without a finished run of rowell2015-real or", text, re.M)) == 1
 
 
+def test_each_campaign_says_what_was_known_on_board(page):
+    text = (page / "table.md").read_text(encoding="utf-8")
+    for name in CAMPAIGNS:
+        assert re.search(rf"^- {name}: .* trials?, .*Known exactly: .*Not known exactly: ", text, re.M), name
+
+
 def test_every_published_number_has_its_line(page):
     table = pd.read_csv(page / "table.csv", keep_default_na=False)
     for name in (*CAMPAIGNS, "navcam67p-real"):

@@ -53,7 +53,7 @@ def test_markdown_keeps_a_cell_with_a_bar_in_one_piece():
 
 def test_pose_table_shows_the_common_prior_once_and_every_stage(full_run):
     content = read_content(full_run())
-    (grid,) = pose_grids(content.records)
+    (grid,) = pose_grids(content.records, content.run)
     assert [row[:3] for row in grid.rows] == [
         ("", "prior", "120/120"),
         ("landmark-harris", "after centroiding", "120/120"),
@@ -66,13 +66,15 @@ def test_pose_table_shows_the_common_prior_once_and_every_stage(full_run):
 def test_line_of_failures_is_left_out_where_there_are_none(builder):
     builder.trial(0, ([1, 0, 0], 1), ([1, 0, 0], 1))
     builder.trial(1, ([2, 0, 0], 1), ([1, 0, 0], 1))
-    (grid,) = pose_grids(read_content(builder.write()).records)
+    content = read_content(builder.write())
+    (grid,) = pose_grids(content.records, content.run)
     assert [row[1] for row in grid.rows] == ["prior", "final"]
 
 
 def test_one_trial_prints_values_without_intervals_and_none_prints_dashes(builder):
     builder.trial(0, ([3, 4, 0], 1), None, reason="black image")
-    (grid,) = pose_grids(read_content(builder.write()).records)
+    content = read_content(builder.write())
+    (grid,) = pose_grids(content.records, content.run)
     prior, final, _ = grid.rows
     assert prior[4] == "5.00"
     assert final[2:] == ("0/1", "0/1", *("-",) * 9)
@@ -140,7 +142,7 @@ def test_one_definition_of_success_in_report_terminal_and_comparison(builder):
         builder.trial(trial, ([10, 0, 0], 1), None if error is None else (error, 1))
     folder = builder.write()
     content = read_content(folder)
-    (grid,) = pose_grids(content.records)
+    (grid,) = pose_grids(content.records, content.run)
     told = {row[1]: row[2:5] for row in grid.rows}
     assert grid.columns[2:5] == ("solved", "success", "position m")
     assert told["final"][:2] == ("3/4", "2/4")

@@ -1,0 +1,38 @@
+"""What on board is identical with the truth, worked out from a scenario: each result is conditional on it."""
+
+from __future__ import annotations
+
+from scenarios.known.images import crater_detection, crater_pairs, data_bases, pose_solvers, real_images, single_images
+from scenarios.known.orbits import orbits, plans
+from scenarios.known.record import Item, Known, correlated, merged
+from scenarios.known.sequences import sequences
+from scenarios.spec.scenario import ScenarioSpec
+
+__all__ = ["Item", "Known", "correlated", "known_on_board", "merged"]
+
+_OF_VIEWS = {
+    "crater-detection": crater_detection,
+    "landmark-database": data_bases,
+    "pose-convergence": pose_solvers,
+}
+
+
+def known_on_board(spec: ScenarioSpec, experiment: str = "") -> Known:
+    """Tell what an estimator is given of the truth as it is, and what it is given wrong or not at all.
+
+    Parameters
+    ----------
+    spec
+        The scenario.
+    experiment
+        The kind of the trials, which decides what estimators are lent.
+    """
+    if spec.sequence is not None:
+        return sequences(spec.sequence)
+    if spec.orbit is not None:
+        return plans(spec.orbit) if experiment == "image-survey" else orbits(spec, spec.orbit)
+    if spec.crater_pairs is not None:
+        return crater_pairs(spec)
+    if spec.images is not None:
+        return real_images(spec, spec.images)
+    return _OF_VIEWS.get(experiment, single_images)(spec)

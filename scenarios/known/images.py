@@ -1,0 +1,168 @@
+"""What is known on board where images are looked at one by one, or craters in pairs of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from scenarios.beliefs import believed_spec
+from scenarios.draw import prior_covariance
+from scenarios.known.record import Item, Known, item, listed
+from scenarios.spec.body import BodySpec
+from scenarios.spec.camera import CameraSpec
+from scenarios.spec.distribution import Normal, Scalar
+from scenarios.spec.images import ImageSetSpec
+from scenarios.spec.scenario import ScenarioSpec
+
+ERROR_LAW = "law of the pose errors"
+THRESHOLDS = (
+    "The thresholds of the crater detectors were chosen in the world of eros-like-msi (its body, reflectance, camera,"
+    " noise, renderer and crater statistics) on other craters and views; the network of crater-learned was trained on"
+    " another body, with other craters and by another renderer"
+)
+
+
+def single_images(spec: ScenarioSpec) -> Known:
+    """Tell of estimators that are lent the shape, renderings and data bases of what the spacecraft believes in."""
+    lent = [*shape_items(spec), *_craters(spec), _reflectance(spec), *_optics(spec)]
+    remarks = () if spec.craters is None else (THRESHOLDS,)
+    return Known((*lent, Item("renderer", "exactly"), *_pose(spec), *exposure(spec)), remarks)
+
+
+def real_images(spec: ScenarioSpec, images: ImageSetSpec) -> Known:
+    """Tell of real images: nothing of the body and the camera is exact, but priors are made of the reference pose."""
+    beliefs, sun = spec.onboard, f"Sun as the pose {images.truth} has it"
+    lens = ["lens"] if spec.camera.distortion is not None else []
+    unknown = ["shape", "albedo", "reflectance", "camera", *lens, "spin", "renderer", "blur", "noise"]
+    items = [item(sun, _nothing(beliefs.sun_error_deg), _spread(beliefs.sun_error_deg)), *_pose(spec)]
+    return Known((*items, *(Item(name, "not") for name in unknown)), ("The images are real",), images.aligned)
+
+
+def crater_detection(spec: ScenarioSpec) -> Known:
+    """Tell of detectors, which see an image and the Sun's direction, and are lent no model of the body."""
+    unknown = ("craters", "shape", "reflectance")
+    nothing = [Item(name, "not") for name in (*unknown, "pose")]
+    return Known((*_optics(spec, spin=False), *nothing, *exposure(spec)), (THRESHOLDS,))
+
+
+def crater_pairs(spec: ScenarioSpec) -> Known:
+    """Tell of matchers, which are lent the smooth shape and see detections in two looks with their priors."""
+    section = spec.crater_pairs
+    rendered = section is not None and section.images is not None
+    items = [*shape_items(spec), Item("camera", "exactly"), Item("Sun", "exactly"), Item("spin", "exactly")]
+    seen = ["rims"] if rendered else ["rims", "heights of craters above the shape"]
+    items += [*_pose(spec), *(Item(name, "not") for name in seen)]
+    return Known((*items, *exposure(spec)), (THRESHOLDS,)) if rendered else Known(tuple(items))
+
+
+def pose_solvers(spec: ScenarioSpec) -> Known:
+    """Tell of pose solvers on landmarks that are drawn from their own covariances."""
+    exact = ("camera", "which landmark is which", "covariances that the landmarks are drawn from")
+    return Known((*(Item(name, "exactly") for name in exact), *_pose(spec), Item("places of the landmarks", "not")))
+
+
+def data_bases(spec: ScenarioSpec) -> Known:
+    """Tell of data bases that are made and counted, and held against no truth."""
+    lent = [*shape_items(spec), *_craters(spec), _reflectance(spec), *_optics(spec)]
+    poses = Item("poses of the images that data bases are made of", "exactly")
+    noise = [Item("blur", "absent"), Item("noise", "absent", "data bases are made of ideal images")]
+    return Known((*lent, Item("renderer", "exactly"), poses, *noise))
+
+
+def shape_items(spec: ScenarioSpec) -> Iterator[Item]:
+    """Yield the shape that estimators are lent, and the variation of its albedo where it has one."""
+    true, believed = spec.body, believed_spec(spec).body
+    smooth = "smooth shape" if spec.craters is not None else "shape"
+    yield item(smooth, _form(believed) == _form(true), _shape_error(spec))
+    patterns = [None if body.detail is None else body.detail.albedo for body in (true, believed)]
+    if any(pattern is not None and pattern.sigma > 0.0 for pattern in patterns):
+        yield item("albedo", patterns[0] == patterns[1], "taken as uniform" if patterns[1] is None else "another")
+
+
+def exposure(spec: ScenarioSpec) -> Iterator[Item]:
+    """Yield what the detector does to rendered images, of which nothing on board has a model."""
+    detector = spec.detector
+    if detector is None:
+        yield from (Item("blur", "absent"), Item("noise", "absent", "no `detector`"))
+        return
+    blurred = detector.psf_sigma_px > 0.0
+    yield Item("blur", "not", f"{detector.psf_sigma_px:g} px") if blurred else Item("blur", "absent")
+    yield Item("noise", "not")
+
+
+def _form(body: BodySpec) -> BodySpec:
+    """Return a body without its albedo, and without an error of its heights that is zero."""
+    detail = None if body.detail is None else body.detail.model_copy(update={"albedo": None})
+    wrong = body.height_error if body.height_error is not None and body.height_error.rms_m > 0.0 else None
+    return body.model_copy(update={"detail": detail, "height_error": wrong})
+
+
+def _shape_error(spec: ScenarioSpec) -> str:
+    onboard, detail = spec.onboard, spec.body.detail
+    wrong = onboard.height_error.rms_m if onboard.height_error is not None else 0.0
+    return listed(
+        [
+            "another shape" if onboard.body is not None else "",
+            f"{onboard.facets:,} facets of {detail.facets:,}" if onboard.facets and detail is not None else "",
+            f"other relief below {onboard.relief.below_m:g} m" if onboard.relief is not None else "",
+            f"heights wrong by {wrong:g} m" if wrong else "",
+        ]
+    )
+
+
+def _craters(spec: ScenarioSpec) -> Iterator[Item]:
+    """Yield the craters of a cratered body, which estimators meet in the images of data bases alone."""
+    if spec.craters is not None:
+        yield Item("craters in the images of data bases", "exactly")
+
+
+def _reflectance(spec: ScenarioSpec) -> Item:
+    true, believed = spec.brdf, believed_spec(spec).brdf
+    named = f"{believed.kind} for {true.kind}" if believed.kind != true.kind else f"{true.kind} of other parameters"
+    return item("reflectance", believed == true, named)
+
+
+def _optics(spec: ScenarioSpec, spin: bool = True) -> Iterator[Item]:
+    """Yield camera, lens, Sun and spin."""
+    onboard, believed = spec.onboard, believed_spec(spec).camera
+    du, dv = onboard.principal_point_error_px
+    focal = f"focal length wrong by {100.0 * onboard.focal_error:g} %" if onboard.focal_error else ""
+    middle = f"principal point by ({du:g}, {dv:g}) px" if du or dv else ""
+    yield item("camera", _pinhole(believed) == _pinhole(spec.camera), listed([focal, middle]))
+    if spec.camera.distortion is not None:
+        wrong = f"distortion wrong by {100.0 * onboard.distortion_error:g} %"
+        yield item("lens", believed.distortion == spec.camera.distortion, wrong)
+    yield item("Sun", _nothing(onboard.sun_error_deg), _spread(onboard.sun_error_deg))
+    if spin:
+        laws = (("pole", onboard.pole_error_deg), ("rotation", onboard.rotation_error_deg))
+        wrong = listed(f"{name} {_spread(law)}" for name, law in laws if not _nothing(law))
+        yield item("spin", not wrong, wrong)
+
+
+def _pinhole(camera: CameraSpec) -> CameraSpec:
+    return camera.model_copy(update={"distortion": None})
+
+
+def _pose(spec: ScenarioSpec) -> Iterator[Item]:
+    """Yield the pose, the law of the error that its prior has, and that of an altimeter."""
+    exact = not prior_covariance(spec.pose_error, 1.0, spec.camera.camera()).any()
+    if exact:
+        yield Item("pose", "exactly")
+        return
+    yield Item(ERROR_LAW, "exactly")
+    if spec.sensors.altimeter is not None:
+        yield Item("law of the altimeter's error", "exactly")
+    yield Item("pose", "not")
+
+
+def _nothing(law: Scalar | None) -> bool:
+    return law is None or law.second_moment == 0.0
+
+
+def _spread(law: Scalar | None) -> str:
+    """Print a law of an angle."""
+    if law is None:
+        return ""
+    if isinstance(law, Normal):
+        return f"{law.normal:g} deg, 1 sigma"
+    low, high = law.uniform
+    return f"{low:g} to {high:g} deg"

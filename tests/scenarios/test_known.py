@@ -1,0 +1,223 @@
+"""What is said to be known exactly on board follows the scenario: nothing that is made wrong stays on that list."""
+
+from __future__ import annotations
+
+import pytest
+from pydantic import ValidationError
+
+from scenarios.errors import BoresightError
+from scenarios.known import Item, Known, known_on_board, merged
+from scenarios.load import load_scenario, scenario_names
+from scenarios.spec.onboard import OnboardSpec
+from scenarios.spec.orbit import CraterSightingSpec, OrbitKnowledgeSpec, PointingSpec
+from scenarios.spec.scenario import ScenarioSpec
+from scenarios.spec.sequence import KnowledgeSpec, VisionSpec
+
+# A wrong value of every key of ``onboard``, and what is then no longer known exactly.
+WRONG = {
+    "brdf": ({"kind": "lambert", "albedo": 0.123}, "reflectance"),
+    "body": ({"shape": "contact-binary", "expected_diameter_m": [1, 2]}, "shape"),
+    "facets": (777, "shape"),
+    "relief": ({"below_m": 10, "seed": 99}, "shape"),
+    "height_error": ({"rms_m": 0.123}, "shape"),
+    "albedo": ("uniform", "albedo"),
+    "focal_error": (1e-3, "camera"),
+    "principal_point_error_px": ((1.0, 0.0), "camera"),
+    "distortion_error": (0.5, "lens"),
+    "sun_error_deg": ({"normal": 1.0}, "Sun"),
+    "pole_error_deg": ({"uniform": [0.0, 1.0]}, "spin"),
+    "rotation_error_deg": ({"normal": 0.1}, "spin"),
+}
+NEEDS = {"distortion_error": "camera.distortion={k1: -0.1}", "albedo": "body.detail.albedo={sigma: 0.1}"}
+LENT_SHAPE = frozenset({"body", "facets", "relief", "height_error"})
+OF_DETAIL = frozenset({"facets", "relief", "albedo"})
+
+
+def line_of(name: str, *overrides: str, experiment: str = "", short: bool = False) -> str:
+    return known_on_board(load_scenario(name, overrides).spec, experiment).line(short)
+
+
+def with_onboard(spec: ScenarioSpec, key: str) -> ScenarioSpec:
+    said = spec.model_dump(mode="json")
+    said["onboard"] |= {key: WRONG[key][0]}
+    return ScenarioSpec.model_validate(said)
+
+
+def heard(spec: ScenarioSpec) -> frozenset[str]:
+    """Keys of ``onboard`` that the trials of a scenario hear."""
+    shape = LENT_SHAPE if spec.crater_pairs is not None else frozenset()
+    keys = frozenset(WRONG) if spec.viewpoint is not None or spec.images is not None else shape
+    return keys if spec.body.detail is not None else keys - OF_DETAIL
+
+
+def standing(known: Known, name: str) -> str:
+    """How a thing stands: of a cratered body the smooth shape, of real images the Sun as a pose has it."""
+    named = {one.name.removeprefix("smooth ").split(" as the pose")[0]: one.standing for one in known.items}
+    return named[name]
+
+
+CASES = [(name, key) for name in scenario_names() for key in sorted(heard(load_scenario(name).spec))]
+
+
+def test_every_key_of_onboard_is_here():
+    assert WRONG.keys() == OnboardSpec.model_fields.keys()
+
+
+@pytest.mark.parametrize(("name", "key"), CASES)
+def test_what_is_made_wrong_on_board_is_no_longer_known_exactly(name: str, key: str):
+    spec = load_scenario(name, [NEEDS[key]] if key in NEEDS else []).spec
+    item = WRONG[key][1]
+    before, after = (standing(known_on_board(one), item) for one in (spec, with_onboard(spec, key)))
+    told_before = spec.images is None and spec.onboard == OnboardSpec()
+    assert after == "not"
+    assert before == "exactly" or not told_before
+    if item == "Sun":
+        assert before == "exactly"
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_only_what_estimators_are_lent_can_be_wrong_on_board(name: str):
+    """A key of ``onboard`` that a kind of trial does not hear is refused, not taken and forgotten."""
+    spec = load_scenario(name).spec
+    for key in WRONG.keys() - heard(spec) - {"albedo"}:
+        with pytest.raises(ValidationError, match="onboard"):
+            with_onboard(spec, key)
+
+
+# Keys of what is known in a sequence and in an orbit, each with another value than the one that stands there.
+SEQUENCE = {
+    "motion_error": 0,
+    "range_sigma_m": 5,
+    "ranges": 0,
+    "range_to": "lasting",
+    "position_sigma_m": 1,
+    "attitude_sigma_deg": 0.1,
+    "misalignment_sigma_deg": 0.1,
+    "pole_sigma_deg": 0.1,
+    "spin_sigma": 0.1,
+    "dynamics": "true",
+    "gm_sigma": 0.1,
+    "radiation_sigma": 0.1,
+    "velocity_sigma_m_s": 0.1,
+    "noise_m_s2": 1e-5,
+}
+SPINS = ("sequence.body_motion.kind=spin", "sequence.orbit.model=propagated")
+
+
+def test_every_key_of_what_is_known_in_a_sequence_is_here():
+    assert SEQUENCE.keys() | {"range_every"} == KnowledgeSpec.model_fields.keys()  # how often says nothing of how well
+
+
+@pytest.mark.parametrize("key", SEQUENCE)
+def test_every_key_of_what_is_known_in_a_sequence_is_told(key: str):
+    forces = ("sequence.knowledge.dynamics=true",) if key in list(SEQUENCE)[-4:] else ()
+    name = "apophis-sphere-sequence"
+    wrong = line_of(name, *SPINS, *forces, f"sequence.knowledge.{key}={SEQUENCE[key]}")
+    assert wrong != line_of(name, *SPINS, *forces)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("mismatch_share", 0.1), ("outlier_share", 0.1), ("noise_px", 0), ("mistaken", 0.1)]
+)
+def test_wrong_tracks_are_told(key: str, value: float):
+    assert key in VisionSpec.model_fields
+    base = line_of("apophis-sphere-sequence", "sequence.vision.field=fixed")
+    assert line_of("apophis-sphere-sequence", "sequence.vision.field=fixed", f"sequence.vision.{key}={value}") != base
+
+
+@pytest.mark.parametrize(
+    ("section", "model", "silent"),
+    [
+        ("knowledge", OrbitKnowledgeSpec, set()),
+        ("pointing", PointingSpec, set()),
+        (
+            "sightings",
+            CraterSightingSpec,
+            {
+                "images", "craters", "per_image", "per_image_shape", "emission_max_deg", "incidence_max_deg",
+                "margin_px", "noise_px", "wrong_within_px",
+            },
+        ),
+    ],
+)  # fmt: skip
+def test_every_key_of_what_is_known_of_an_orbit_is_told(section: str, model: type, silent: set[str]):
+    spec = load_scenario("eros-orbit").spec
+    for key in model.model_fields.keys() - silent:
+        value = getattr(getattr(spec.orbit, section), key)
+        other = 7 if isinstance(value, int) else 0.013 if value < 1 else 2 * value
+        assert line_of("eros-orbit", f"orbit.{section}.{key}={other}") != line_of("eros-orbit"), key
+
+
+def test_nothing_is_exact_of_the_chain_but_what_is_said():
+    known = known_on_board(load_scenario("eros-like-navigation").spec, "crater-navigation")
+    assert {"spin", "centre of mass", "RMS error of the shape on board"} <= set(known.exactly)
+    assert {"orbit", "shape", "gravity", "attitude", "which crater is which", "noise"} <= set(known.not_exactly)
+
+
+def test_the_line_of_an_ideal_world():
+    assert line_of("itokawa-2km-lambert") == (
+        "Known exactly: shape, reflectance, camera, Sun, spin, renderer, law of the pose errors; no blur; no noise"
+        " (no `detector`). Not known exactly: pose."
+    )
+
+
+def test_details_are_for_the_long_line():
+    coarse = "onboard={facets: 196000, height_error: {rms_m: 0.5}}"
+    long, short = (line_of("itokawa-2km-lambert", coarse, short=short) for short in (False, True))
+    assert "Not known exactly: shape (196,000 facets of 3,100,000, heights wrong by 0.5 m), pose." in long
+    assert short.endswith("Not known exactly: shape, pose.")
+
+
+def test_an_error_of_zero_is_none():
+    zero = "onboard={focal_error: 0, sun_error_deg: {normal: 0}, height_error: {rms_m: 0}, facets: 190000}"
+    assert line_of("quickstart", zero) == line_of("quickstart")
+
+
+def test_a_detector_brings_what_nothing_on_board_models():
+    assert "blur (0.8 px), noise" in line_of("quickstart", "detector={psf_sigma_px: 0.8}")
+    sharp = line_of("quickstart", "detector={psf_sigma_px: 0}")
+    assert "; no blur. Not known exactly: pose, noise." in sharp
+
+
+def test_kinds_of_trials_are_told_apart():
+    kinds = ("single-image", "crater-detection", "landmark-database", "pose-convergence")
+    assert len({line_of("eros-like-msi", experiment=kind) for kind in kinds}) == len(kinds)
+    assert line_of("eros-survey", experiment="image-survey") != line_of("eros-survey")
+
+
+def test_a_pose_without_error_is_known():
+    exact = ("pose_error={position_cam_m: {normal: [0, 0, 0]}, attitude: {angle_deg: {normal: 0}}}",)
+    assert line_of("quickstart", *exact).endswith("Not known exactly: nothing.")
+
+
+def test_real_images_share_nothing_but_what_is_made_of_the_reference():
+    known = known_on_board(load_scenario("navcam67p-real").spec)
+    assert known.exactly == ("Sun as the pose label has it", "law of the pose errors")
+    assert known.line(short=True).endswith(
+        "Errors against ref are correlated with those of methods that align renderings of the shape, for ref was found"
+        " by doing so."
+    )
+
+
+def test_only_poses_that_are_scored_can_be_called_aligned():
+    with pytest.raises(BoresightError, match="aligned names third, which is neither truth nor in also_score"):
+        load_scenario("navcam67p-real", ["images.aligned=[third]"])
+
+
+def test_lines_of_several_scenarios_join():
+    one = Known((Item("a", "exactly"), Item("b", "exactly"), Item("c", "not", "1 m"), Item("d", "absent")), ("R",))
+    other = Known(
+        (Item("a", "exactly"), Item("b", "not"), Item("c", "not", "2 m"), Item("d", "not"), Item("e", "not")),
+        ("R",),
+        ("ref",),
+    )
+    both = merged([one, other])
+    assert both.line().startswith(
+        "Known exactly: a. In some scenarios alone: b, no d. Not known exactly: c, e. R. Errors against ref"
+    )
+    assert merged([one, one]) == one
+    assert (
+        merged([Known((Item("a", "exactly"),)), Known(())])
+        .line()
+        .startswith("Known exactly: nothing. In some scenarios alone: a.")
+    )
