@@ -59,7 +59,8 @@ class MissingProduct:
 class Shelf:
     """Lends assets to estimators: camera, shape, renderers of meshes, and products kept in the run folder.
 
-    All of it is made from what the spacecraft believes of the scenario, and nothing from the truth.
+    All of it is made from what the spacecraft believes of the scenario, which is the truth wherever the section
+    ``onboard`` says nothing else.
 
     Parameters
     ----------

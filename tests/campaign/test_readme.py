@@ -12,6 +12,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from campaign.resolve import campaign_names, resolve
+from scenarios.known import known_on_board, merged
+
 README = Path(__file__).parents[2] / "README.md"
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -81,3 +84,31 @@ def test_the_estimator_of_the_page_stands_beside_ours(tutorial: Path):
     median = rows.groupby("estimator")["position_error_m"].median()
     assert (rows["status"] == "ok").all()
     assert median["my-centroid"] < 0.8 * median["prior"]
+
+
+LINES = [line for line in README.read_text(encoding="utf-8").splitlines() if "Known exactly: " in line]
+
+
+def test_every_table_of_results_says_what_was_known_on_board():
+    text = README.read_text(encoding="utf-8")
+    results = text[text.index("## What comes out") : text.index("## Campaigns")]
+    assert results.count("\n|---") == 3
+    named = " ".join(line.partition("Known exactly: ")[0] for line in LINES)
+    told = ("trade-landmarks", "compare-landmarks", "compare-onboard", "delpech2015-comparison", "cheng2003-orbit")
+    assert all(f"`{name}`" in named for name in (*told, "cheng2003-endtoend"))
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_what_was_known_on_board_is_what_the_scenarios_say(line: str):
+    """A line names campaigns, and after a colon those of their scenarios that the table shows, if not all."""
+    head, _, _ = line.partition("Known exactly: ")
+    names = re.findall(r"`([\w-]+)`", head)
+    campaigns = [resolve(name) for name in names if name in campaign_names()]
+    shown = {name for name in names if name not in campaign_names()}
+    known = [
+        known_on_board(one.spec, campaign.spec.experiment)
+        for campaign in campaigns
+        for one in campaign.scenarios
+        if not shown or one.spec.name in shown
+    ]
+    assert head + merged(known).line(short=True) == line
