@@ -49,7 +49,8 @@ def _curves(scenario: str, ones: list[Shown]) -> NamedFigure:
     return NamedFigure(
         file_stem("crater_curves", scenario),
         draw_confidence_curves(curves, title),
-        f"{title}: as the threshold on the confidence falls. Circles: at the detector's own threshold."
+        f"{title}: as the threshold on the confidence falls. Detections of listed craters that are not"
+        " detectable count neither way. Circles: at the detector's own threshold."
         " Star: what the paper claims, without a definition.",
         "Curves that rise from the left: the share of craters found against the share of false alarms.",
     )

@@ -48,9 +48,9 @@ def navigation_records(run: RunData) -> list[Record]:
 
 
 _MEASURES = (
-    "rounds", "images_taken", "craters_detected", "craters_per_image", "median_craters_per_image", "false_alarm_share",
-    "image_pairs", "matching_recall_share", "matching_wrong_share", "database_landmarks", "hits_per_landmark",
-    "mixed_share", "processing_seconds",
+    "rounds", "images_taken", "craters_detected", "craters_per_image", "median_craters_per_image",
+    "listed_false_alarm_share", "image_pairs", "matching_recall_share", "matching_wrong_share", "database_landmarks",
+    "hits_per_landmark", "mixed_share", "processing_seconds",
 )  # fmt: skip
 
 
@@ -69,7 +69,7 @@ def _measured(run: RunData) -> pd.DataFrame:
             "craters_detected": table["n_detections"],
             "craters_per_image": images.mean(),
             "median_craters_per_image": images.median(),
-            "false_alarm_share": _percent(table["n_false"], table["n_detections"]),
+            "listed_false_alarm_share": _percent(table["n_false"], table["n_detections"]),
             "image_pairs": table["n_pairs"],
             "matching_recall_share": _percent(table["n_correct"], table["n_common"]),
             "matching_wrong_share": _percent(table["n_wrong"], matches),
@@ -91,7 +91,7 @@ def navigation_grid(records: Sequence[Record], run: RunData) -> Grid | None:
         return None
     heads = {
         "rounds": "rounds", "images_taken": "images", "craters_per_image": "craters an image",
-        "false_alarm_share": "false %", "image_pairs": "pairs", "matching_recall_share": "found %",
+        "listed_false_alarm_share": "false %", "image_pairs": "pairs", "matching_recall_share": "found %",
         "matching_wrong_share": "wrong %", "database_landmarks": "landmarks", "hits_per_landmark": "images each",
         "mixed_share": "mixed %", "processing_seconds": "time s",
     }  # fmt: skip

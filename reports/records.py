@@ -51,6 +51,8 @@ UNITS = {
     "detection_share": "%",
     "clean_detection_share": "%",
     "false_alarm_share": "%",
+    "listed_false_alarm_share": "%",
+    "beyond_detectable_share": "%",
     "duplicate_share": "%",
     "detections_per_image": "",
     "best_false_alarm_share": "%",

@@ -64,6 +64,7 @@ def _ellipse(what: str) -> tuple[Column, ...]:
 
 
 def _crater_flags(of: str) -> tuple[Column, ...]:
+    """Columns of the two flags; a detection of a crater that is not detectable is neither found nor false in rates."""
     return (
         Column("detectable", pa.bool_(), f"{of} 12 px or more, seen, in the frame, lit, and not too worn or cut"),
         Column("clean", pa.bool_(), f"{of} of these, with a rim within 1 % of an ellipse and an axis ratio over 0.5"),
@@ -289,7 +290,11 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("confidence", pa.float64(), "as the detector gives it"),
         Column("kept", pa.bool_(), "whether it reaches the detector's threshold"),
         *_ellipse("the detection"),
-        Column("crater", pa.int64(), "number of the true crater that it is matched with; -1 for a false alarm"),
+        Column(
+            "crater",
+            pa.int64(),
+            "number of the listed crater that it is matched with; -1 for a false alarm",
+        ),
         Column("duplicate", pa.bool_(), "a false alarm on a crater that a more confident detection is matched with"),
         *_crater_flags("whether that crater is"),
         Column("centre_error_px", pa.float64(), "distance of its centre from that of the true ellipse"),

@@ -26,7 +26,8 @@ def crater_numbers(run: RunData) -> Mapping[str, pd.DataFrame]:
     """Return the numbers of a run that is about craters in images, by their names; none of another run.
 
     Each is a column of a table with a row for each trial and method (`TRIAL_KEY`), beside `THERE`. A share of nothing
-    is NaN: that of false alarms where nothing was detected, that of missed craters where there are none.
+    is NaN: that of false alarms where no detection is false or of a detectable crater, that of missed craters where
+    there are none.
     """
     if not run.crater_matches.empty:
         matched = run.crater_matches
@@ -36,7 +37,7 @@ def crater_numbers(run: RunData) -> Mapping[str, pd.DataFrame]:
     if not run.crater_images.empty:
         counts = detection_counts(run)
         missed, false = counts[THERE] - counts["n_hits"], counts["n_false"]
-        shares = {MISSED: _percent(missed, counts[THERE]), FALSE_ALARMS: _percent(false, counts["n_kept"])}
+        shares = {MISSED: _percent(missed, counts[THERE]), FALSE_ALARMS: _percent(false, false + counts["n_hits"])}
         numbers = dict.fromkeys((MISSED, FALSE_ALARMS, CENTRE_ERROR), counts.assign(**shares))
         return numbers | {COMMON_CENTRE_ERROR: _common_centres(run)}
     return {}

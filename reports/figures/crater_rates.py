@@ -74,7 +74,11 @@ def draw_confidence_curves(curves: Mapping[str, ConfidenceCurve], title: str) ->
     place.plot(
         [5.0], [90.0], marker="*", markersize=11, color="black", linestyle="none", label="paper: over 90, under 5"
     )
-    place.set(xlabel="false alarms among the detections, %", ylabel="craters found, %", ylim=(0, 101))
+    place.set(
+        xlabel="false alarms among those and detectable craters, %",
+        ylabel="craters found, %",
+        ylim=(0, 101),
+    )
     place.set_xlim(left=0.0)
     place.legend(loc="lower right")
     figure.suptitle(title, fontsize=9.5)
