@@ -20,8 +20,8 @@ NAVIGATION = "navigation"
 _NOTE = (
     "Of the last round. False: detections that are no crater. Wrong: matches that join two different craters; found:"
     " right matches over the craters that matched images have in common. Mixed: sightings in the data base of another"
-    " crater than most of their number. Truth has a part in these counts, and in what the chain is given: spin,"
-    " centre of mass and the RMS error of the believed shape are the true ones."
+    " crater than most of their number. Truth has a part in these counts, and in what the chain is given: centre of"
+    " mass and the RMS error of the believed shape are the true ones, and the spin where nothing else is said."
 )
 
 

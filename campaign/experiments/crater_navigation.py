@@ -1,7 +1,7 @@
 """The crater-navigation experiment: images are planned, taken, searched and matched, and an orbit comes of them.
 
 Truth takes the images and scores what comes out; the chain between sees images, telemetry and what is known before, of
-which spin, centre of mass and the RMS error of the believed shape are the true ones.
+which centre of mass and the RMS error of the believed shape are the true ones, and the spin where nothing else is said.
 """
 
 from __future__ import annotations

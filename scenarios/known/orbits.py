@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from scenarios.known.images import THRESHOLDS, exposure
-from scenarios.known.record import Item, Known, item, listed
+from scenarios.known.record import Item, Known, item, listed, spin_item
 from scenarios.spec.orbit import OrbitSpec
 from scenarios.spec.scenario import ScenarioSpec
 
@@ -30,7 +30,7 @@ def plans(section: OrbitSpec) -> Known:
 def _world(section: OrbitSpec) -> Iterator[Item]:
     """Yield the body, its spin, the forces and the orbit."""
     known = section.knowledge
-    yield Item("spin", "exactly")
+    yield spin_item(getattr(known, "pole_sigma_deg", 0.0), getattr(known, "spin_sigma", 0.0))
     yield from (Item(name, "exactly") for name in _SHARED)
     yield Item("orbit", "not", f"{known.position_m:g} m at the epoch")
     yield item("GM", not known.gm_sigma, f"{100.0 * known.gm_sigma:g} %")

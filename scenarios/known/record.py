@@ -90,6 +90,13 @@ def item(name: str, exact: bool, detail: str = "") -> Item:
     return Item(name, "exactly") if exact else Item(name, "not", detail)
 
 
+def spin_item(pole_sigma_deg: float, rate_sigma: float) -> Item:
+    """Make the item of a spin whose pole and rate, relative, are known so well."""
+    pole = f"pole {pole_sigma_deg:g} deg" if pole_sigma_deg else ""
+    rate = f"rate {100.0 * rate_sigma:g} %" if rate_sigma else ""
+    return item("spin", not (pole or rate), listed([pole, rate]))
+
+
 def merged(several: Sequence[Known]) -> Known:
     """Join what is known in several scenarios: what is so in some alone is said to be."""
     names = dict.fromkeys(one.name for known in several for one in known.items)

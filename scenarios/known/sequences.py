@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from scenarios.known.record import Item, Known, item, listed
+from scenarios.known.record import Item, Known, item, listed, spin_item
 from scenarios.spec.sequence import KnowledgeSpec, SequenceSpec
 
 
@@ -16,7 +16,7 @@ def sequences(section: SequenceSpec) -> Known:
         (
             Item("camera", "exactly"),
             _attitude(known),
-            _spin(section),
+            spin_item(known.pole_sigma_deg, known.spin_sigma),
             item("first position", not known.position_sigma_m, f"{known.position_sigma_m:g} m"),
             item("motion from frame to frame", not known.motion_error, f"{100.0 * known.motion_error:g} % of each"),
             *_ranges(known),
@@ -32,13 +32,6 @@ def _attitude(known: KnowledgeSpec) -> Item:
     parts = {"each": known.attitude_sigma_deg, "the camera's alignment": known.misalignment_sigma_deg}
     wrong = listed(f"{name} {sigma:g} deg" for name, sigma in parts.items() if sigma)
     return item("attitude", not wrong, wrong)
-
-
-def _spin(section: SequenceSpec) -> Item:
-    known = section.knowledge
-    pole = f"pole {known.pole_sigma_deg:g} deg" if known.pole_sigma_deg else ""
-    rate = f"rate {100.0 * known.spin_sigma:g} %" if known.spin_sigma else ""
-    return item("spin", not (pole or rate), listed([pole, rate]))
 
 
 def _ranges(known: KnowledgeSpec) -> Iterator[Item]:
