@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from reports.figures.style import save_figure
@@ -31,6 +31,8 @@ class CasePage:
         What makes the page again.
     traceback
         Of an estimator that raised; '' of others.
+    said
+        What the method wrote, by stream.
     credits
         Of real images.
     """
@@ -41,6 +43,7 @@ class CasePage:
     grids: Sequence[Grid]
     command: str
     traceback: str = ""
+    said: Mapping[str, str] = field(default_factory=dict)
     credits: Sequence[str] = ()
 
 

@@ -25,6 +25,10 @@ def print_report(folder: RunFolder, worst: int) -> None:
     out.print(console_table(files.content))
     for line in reason_lines(files.content.run):
         out.print(line)
+    said = folder.table("said").drop_duplicates(["scenario", "trial", "estimator"])
+    if len(said):
+        counted = ", ".join(f"{name} in {n:,}" for name, n in said["estimator"].value_counts().items())
+        out.print(f"printed or warned in trials: {counted}; boresight inspect shows what, and the table said keeps it")
     out.print(f"report: {files.html}")
 
 

@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from campaign.experiments.registry import Record, Records
 from campaign.guard import STOPPED, Call, StoppedError, guarded
+from campaign.heard import Heard
 from estimators.contract import NoProductError
 
 T = TypeVar("T")
@@ -56,7 +57,7 @@ class Work:
         score: Callable[[T], Records],
         show: Callable[[T | None], None] = _to_nobody,
     ) -> Records:
-        """Let the method work, check what it answers, score that, and show it.
+        """Let the method work, check what it answers, score that, and show it; what it says is a table ``said``.
 
         Parameters
         ----------
@@ -76,18 +77,22 @@ class Work:
             What scoring raises: a fault of boresight, of which no row may be made.
         """
         sound: T | None = None
+        heard = Heard()
         try:
-            sound = self._sound(work, check)
+            with heard.listening():
+                sound = self._sound(work, check)
         except GaveUpError as failure:
-            return {"rows": [{**self.row, "status": "failed", "reason": str(failure), "n_landmarks": 0}]}
+            row: Record = {**self.row, "status": "failed", "reason": str(failure), "n_landmarks": 0}
+            found: Records = {"rows": [row]}
         except _RubbishError as rubbish:
-            return self._fault(str(rubbish), rubbish.__cause__ or rubbish)
+            found = self._fault(str(rubbish), rubbish.__cause__ or rubbish)
         except (Exception, SystemExit) as error:  # noqa: BLE001  the one place: a method's fault is a result
-            return self._fault(_why(error), error)
+            found = self._fault(_why(error), error)
         else:
-            return self._scored(sound, score)
+            found = self._scored(sound, score)
         finally:
             show(sound)
+        return found | heard.records()
 
     def _sound(self, work: Callable[[], T], check: Callable[[T], None]) -> T:
         """Return an answer that keeps the contract; nobody else sees one that does not."""

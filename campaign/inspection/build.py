@@ -54,6 +54,7 @@ def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out:
         grids=[_row_grid(again.row), *_grids(again)],
         command=_command(folder, case),
         traceback=again.traceback,
+        said=again.said,
         credits=drawn.credits,
     )
     path = write_case(page, drawn.figures, place)

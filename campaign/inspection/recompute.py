@@ -53,6 +53,11 @@ class Recomputed:
         """Of an estimator that raised; '' of others."""
         return "\n".join(str(record["traceback"]) for record in self.records.get("tracebacks", []))
 
+    @property
+    def said(self) -> dict[str, str]:
+        """What its method wrote, by stream."""
+        return {str(record["stream"]): str(record["text"]) for record in self.records.get("said", [])}
+
 
 def reopened(folder: RunFolder) -> ResolvedCampaign:
     """Resolve the campaign of a stored run again, to recompute its trials.

@@ -13,8 +13,8 @@ from campaign.inspection.case import Case
 from campaign.store import TABLES, RunFolder
 from campaign.store.columns import schema
 
-NOT_REPRODUCIBLE = ("timings", "tracebacks")
-"""Times are never the same, and a trace names the files of the checkout that it was made in."""
+NOT_REPRODUCIBLE = ("timings", "tracebacks", "said")
+"""Times are never the same, a trace names the files of the checkout that it was made in, and methods say anything."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -313,6 +313,11 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("stage", pa.string(), "stage of the trial or of the estimator"),
         Column("seconds", pa.float64(), "wall time"),
     ),
+    "said": (
+        *_key(),
+        Column("stream", pa.string(), "stdout, stderr, or warnings of Python"),
+        Column("text", pa.string(), "what the method wrote there; only the beginning where much, which it then says"),
+    ),
     "tracebacks": (*_key(), Column("traceback", pa.string(), "Python traceback of an estimator that raised")),
 }
 

@@ -46,8 +46,8 @@ estimators:
 trials: {TRIALS}
 seed: 5
 """
-# What a run stores of its trials, but for the wall times and the tracebacks.
-RESULTS = tuple(name for name in TABLES if name not in ("timings", "tracebacks"))
+# What a run stores of its trials, but for the wall times, the tracebacks and what methods print.
+RESULTS = tuple(name for name in TABLES if name not in ("timings", "tracebacks", "said"))
 
 
 def write_campaign(folder: Path, campaign: str = CAMPAIGN, scene: str = SCENE) -> Path:
