@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from scenarios.beliefs import believed_spec
-from scenarios.draw import prior_covariance
 from scenarios.known.record import Item, Known, item, listed
 from scenarios.spec.body import BodySpec
 from scenarios.spec.camera import CameraSpec
-from scenarios.spec.distribution import Normal, Scalar
+from scenarios.spec.distribution import Normal, Normal3, Scalar, Vector3
 from scenarios.spec.images import ImageSetSpec
 from scenarios.spec.scenario import ScenarioSpec
 
@@ -144,8 +145,9 @@ def _pinhole(camera: CameraSpec) -> CameraSpec:
 
 def _pose(spec: ScenarioSpec) -> Iterator[Item]:
     """Yield the pose, the law of the error that its prior has, and that of an altimeter."""
-    exact = not prior_covariance(spec.pose_error, 1.0, spec.camera.camera()).any()
-    if exact:
+    wrong = spec.pose_error
+    laws = (wrong.position_cam_m, wrong.position_cam_px, wrong.attitude.angle_deg, wrong.attitude.rotation_vector_deg)
+    if all(map(_nothing, laws)):
         yield Item("pose", "exactly")
         return
     yield Item(ERROR_LAW, "exactly")
@@ -154,8 +156,9 @@ def _pose(spec: ScenarioSpec) -> Iterator[Item]:
     yield Item("pose", "not")
 
 
-def _nothing(law: Scalar | None) -> bool:
-    return law is None or law.second_moment == 0.0
+def _nothing(law: Scalar | Vector3 | None) -> bool:
+    """Whether a law draws zeros alone."""
+    return law is None or not np.any(law.normal if isinstance(law, Normal | Normal3) else law.uniform)
 
 
 def _spread(law: Scalar | None) -> str:

@@ -24,6 +24,7 @@ from campaign.store.folder import Block, RunFolder
 from hostile import recipes
 from hostile.target import Target
 from reports.clusters import clusters_of, pools
+from reports.known import known_lines
 from reports.run_data import read_run
 from scenarios.checksums import checksum_text
 from scenarios.errors import BoresightError
@@ -160,4 +161,5 @@ def _summed_up(run: RunFolder) -> object:
     """Read as reports do, with what they work out of the manifest."""
     found = read_run(run.path)
     names = [found.truth_name(name) for name, _ in found.pairs()]
-    return found.progress(), found.posed_pairs(), names, pools(found), clusters_of(found, found.rows)
+    told = list(known_lines(found))
+    return found.progress(), found.posed_pairs(), names, pools(found), clusters_of(found, found.rows), told
