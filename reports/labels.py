@@ -9,6 +9,7 @@ _STAGES = {
     "centroid": "after centroiding",
     "alignment": "after alignment",
     "recognition": "after recognition",
+    "choice": "after the choice",
     "range": "after the range",
     "final": "final",
     FAILURES_AT_PRIOR: "failures at prior",

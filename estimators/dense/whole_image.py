@@ -16,7 +16,13 @@ from estimators.dense.options import LevelOptions, RegistrationOptions
 from estimators.dense.registration import STAGE, register
 from estimators.landmark.centroid import Alignment, MeshView
 from estimators.landmark.pose.outliers import PoseOptions
-from estimators.landmark.recognizer import LandmarkRecognizer, MeshAligner, RecognitionOptions, borrow_database
+from estimators.landmark.recognizer import (
+    LandmarkRecognizer,
+    MeshAligner,
+    RecognitionOptions,
+    borrow_database,
+    borrow_judge,
+)
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
 from scenarios.observation import Frame
@@ -61,7 +67,8 @@ class WholeImageRecognizer(LandmarkRecognizer):
         size_m = float(np.median(np.linalg.norm(mesh.vertices_m, axis=1)))
         renderer = assets.mesh_renderer(mesh, _SAMPLES_PER_PIXEL)
         available_gradient(parsed.registration.gradient, renderer)
-        return cls(database, renderer, parsed, registering(parsed.registration, size_m))
+        judge = borrow_judge(parsed, assets)
+        return cls(database, renderer, parsed, registering(parsed.registration, size_m), judge)
 
 
 def registering(options: RegistrationOptions, size_m: float) -> MeshAligner:

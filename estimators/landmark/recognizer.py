@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Self
 
 import numpy as np
@@ -15,7 +15,7 @@ from estimators.image import image_fault
 from estimators.landmark.alignment import correlation_pair
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.centroid import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
-from estimators.landmark.consistency import centroid_residual_px, inconsistency
+from estimators.landmark.consistency import centroid_residual_px, inconsistency, likeness
 from estimators.landmark.corners import CornerOptions, Corners, detect_corners
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.matched import MatchedFrame, matched_table
@@ -59,6 +59,11 @@ class RecognitionOptions(SpecModel):
     consistency_max_px: float | None = Field(
         None, gt=0, description="A solution whose mesh, rendered, has its brightness centroid farther off fails"
     )
+    keep: Literal["always", "if-better"] = Field(
+        "always",
+        description="Whether a recognition counts in any case, as in the paper, or only where the onboard shape,"
+        " rendered at it, is more like the image than at the pose before, which is the answer where not",
+    )
 
     @property
     def image_corners(self) -> CornerOptions:
@@ -93,6 +98,8 @@ class Recognition:
         Why there is no pose; empty when there is one.
     centroid_residual_px
         Distance of the brightness centroids of the image and of the mesh rendered at the solution; None without either.
+    likeness
+        Of the onboard shape at the pose before the recognition and at its own; None where nobody asked.
     """
 
     prior: Pose
@@ -102,6 +109,18 @@ class Recognition:
     timings_s: Mapping[str, float]
     failure: str = ""
     centroid_residual_px: float | None = None
+    likeness: tuple[float, float] | None = None
+
+    @property
+    def kept(self) -> bool:
+        """Whether the recognition counts: at least as good a likeness as the pose before it, where that was asked."""
+        return self.likeness is None or self.likeness[1] >= self.likeness[0]
+
+    @property
+    def T_cam_body(self) -> Pose:
+        """The pose that is the answer."""
+        fit = None if self.solution is None else self.solution.fit
+        return fit.T_cam_body if fit is not None and self.kept else self.alignment.T_cam_body
 
 
 def shifting(options: LandmarkOptions) -> MeshAligner:
@@ -117,7 +136,12 @@ def shifting(options: LandmarkOptions) -> MeshAligner:
 
 
 def recognise(
-    frame: Frame, view: MeshView, database: LandmarkDatabase, options: RecognitionOptions, aligner: MeshAligner
+    frame: Frame,
+    view: MeshView,
+    database: LandmarkDatabase,
+    options: RecognitionOptions,
+    aligner: MeshAligner,
+    judge: MeshView | None = None,
 ) -> Recognition:
     """Run all stages on one image.
 
@@ -133,6 +157,8 @@ def recognise(
         Of corners, matching and pose.
     aligner
         Finds the pose that landmarks are first predicted from.
+    judge
+        How the onboard shape is seen, where a recognition counts only if that makes it the better likeness.
 
     Raises
     ------
@@ -161,8 +187,16 @@ def recognise(
         return Recognition(prior, alignment, corners, solution, clock.seconds, solution.failure)
     with clock("consistency"):
         residual_px = centroid_residual_px(observed.image, solution.fit.T_cam_body, view)
+        likenesses = (
+            None
+            if judge is None
+            else (
+                likeness(observed.image, alignment.T_cam_body, judge),
+                likeness(observed.image, solution.fit.T_cam_body, judge),
+            )
+        )
     failure = solution.failure or inconsistency(residual_px, options.consistency_max_px)
-    return Recognition(prior, alignment, corners, solution, clock.seconds, failure, residual_px)
+    return Recognition(prior, alignment, corners, solution, clock.seconds, failure, residual_px, likenesses)
 
 
 def borrow_database(options: DatabaseOptions, assets: Assets, borrower: str) -> LandmarkDatabase:
@@ -179,6 +213,11 @@ def borrow_database(options: DatabaseOptions, assets: Assets, borrower: str) -> 
     return database
 
 
+def borrow_judge(options: RecognitionOptions, assets: Assets) -> ImageRenderer | None:
+    """Borrow a renderer of the onboard shape where a recognition has to be the better likeness."""
+    return None if options.keep == "always" else assets.mesh_renderer(assets.shape())
+
+
 class LandmarkRecognizer:
     """Rowell et al. (2015): known landmarks by proximity of Harris corners; each frame on its own."""
 
@@ -186,8 +225,14 @@ class LandmarkRecognizer:
     version: ClassVar[int] = 2
 
     def __init__(
-        self, database: LandmarkDatabase, renderer: ImageRenderer, options: RecognitionOptions, aligner: MeshAligner
+        self,
+        database: LandmarkDatabase,
+        renderer: ImageRenderer,
+        options: RecognitionOptions,
+        aligner: MeshAligner,
+        judge: ImageRenderer | None = None,
     ) -> None:
+        self._judge = judge
         self._database = database
         self._renderer = renderer
         self._options = options
@@ -203,12 +248,14 @@ class LandmarkRecognizer:
         """Build from a campaign's options and its landmark data base."""
         parsed = parse_options(LandmarkOptions, options, cls.name)
         database = borrow_database(parsed.database, assets, cls.name)
-        return cls(database, assets.mesh_renderer(database.mesh()), parsed, shifting(parsed))
+        judge = borrow_judge(parsed, assets)
+        return cls(database, assets.mesh_renderer(database.mesh()), parsed, shifting(parsed), judge)
 
     def recognise(self, frame: Frame, camera: Camera) -> Recognition:
         """Run on one frame and keep all intermediate results."""
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
-        return recognise(frame, view, self._database, self._options, self._aligner)
+        judge = None if self._judge is None else replace(view, renderer=self._judge)
+        return recognise(frame, view, self._database, self._options, self._aligner, judge)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate the pose of each frame on its own; the first frame that fails fails the whole.
@@ -225,15 +272,16 @@ class LandmarkRecognizer:
 
     def _estimate(self, results: list[Recognition], camera: Camera) -> Estimate:
         last = results[-1]
-        fits = [result.solution.fit for result in results if result.solution and result.solution.fit]
+        kept = [result for result in results if result.kept]
+        fits = [result.solution.fit for result in kept if result.solution and result.solution.fit]
         ok = not last.failure
         return Estimate(
             status="ok" if ok else "failed",
             reason=last.failure,
-            poses=tuple(fit.T_cam_body for fit in fits) if ok else (),
-            covariances=tuple(fit.covariance for fit in fits) if ok else (),
+            poses=tuple(result.T_cam_body for result in results) if ok else (),
+            covariances=tuple(fit.covariance for fit in fits) if ok and kept == results else (),
             stages=self._stages(last),
-            details={"landmarks": landmark_table(results, self._database, camera)} if ok else {},
+            details={"landmarks": landmark_table(results, self._database, camera)} if ok and kept else {},
             diagnostics=_diagnostics(last),
             timings_s=last.timings_s,
         )
@@ -243,6 +291,8 @@ class LandmarkRecognizer:
         stages = [Stage(self._aligner.stage, result.alignment.T_cam_body)] if result.alignment.steps else []
         if result.solution is not None and result.solution.fit is not None:
             stages.append(Stage("recognition", result.solution.fit.T_cam_body))
+            if result.likeness is not None:
+                stages.append(Stage("choice", result.T_cam_body))
         return tuple(stages)
 
 
@@ -252,19 +302,22 @@ def _diagnostics(result: Recognition) -> dict[str, float | int | str]:
         diagnostics["n_corners"] = len(result.corners)
     if result.solution is not None:
         last = result.solution.rounds[-1]
-        diagnostics["n_landmarks"] = len(last.matches)
+        diagnostics["n_landmarks"] = len(last.matches) if result.kept else 0
         diagnostics["n_predicted"] = int(last.visible.sum())
         diagnostics["outlier_rounds"] = len(result.solution.rounds)
         diagnostics["stable"] = int(result.solution.stable)
         if result.solution.fit is not None:
             diagnostics["chi2"] = result.solution.fit.chi2
+    if result.likeness is not None:
+        diagnostics["kept"] = int(result.kept)
+        diagnostics["likeness_before"], diagnostics["likeness"] = result.likeness
     if result.centroid_residual_px is not None:
         diagnostics["centroid_residual_px"] = result.centroid_residual_px
     return diagnostics
 
 
 def landmark_table(results: list[Recognition], database: LandmarkDatabase, camera: Camera) -> Table:
-    """List the recognised landmarks of each frame, see `matched_table`."""
+    """List the recognised landmarks of each frame whose recognition counts, see `matched_table`."""
     return matched_table(
         [
             MatchedFrame(
@@ -274,7 +327,10 @@ def landmark_table(results: list[Recognition], database: LandmarkDatabase, camer
                 result.corners.uv_px[result.solution.rounds[-1].matches.corner],
             )
             for index, result in enumerate(results)
-            if result.corners is not None and result.solution is not None and result.solution.fit is not None
+            if result.kept
+            and result.corners is not None
+            and result.solution is not None
+            and result.solution.fit is not None
         ],
         database,
         camera,

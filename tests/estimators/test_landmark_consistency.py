@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from estimators.landmark.centroid import MeshView
-from estimators.landmark.consistency import centroid_residual_px, inconsistency
+from estimators.landmark.consistency import centroid_residual_px, inconsistency, likeness
 from estimators.landmark.signal import extract_signal
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.bodies import load_body
@@ -46,6 +46,16 @@ def test_a_wrong_pose_leaves_the_distance_of_the_centroids(view, shift_m):
 def test_a_mesh_out_of_view_has_no_centroid(view):
     observed = extract_signal(view.render(POSE), (0.0, 0.0)).image
     assert centroid_residual_px(observed, POSE.perturbed(np.zeros(3), np.array([3000.0, 0.0, 0.0])), view) is None
+
+
+def test_the_likeness_is_greatest_at_the_true_pose(view):
+    observed = extract_signal(view.render(POSE), (0.0, 0.0)).image
+    assert likeness(observed, POSE, view) == pytest.approx(1.0)
+    turned = POSE.perturbed(np.array([0.0, 0.0, 0.05]), np.zeros(3))
+    nearer, farther = (likeness(observed, POSE.perturbed(np.zeros(3), np.array([x, 0.0, 0.0])), view) for x in (5, 50))
+    assert 1.0 > nearer > farther > 0.0
+    assert likeness(observed, turned, view) < 1.0
+    assert likeness(observed, POSE.perturbed(np.zeros(3), np.array([3000.0, 0.0, 0.0])), view) == -1.0
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,13 @@ from estimators.dense.whole_image import WholeImageRecognizer
 from estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.recognizer import PRODUCT, LandmarkOptions, LandmarkRecognizer, shifting
+from estimators.landmark.signal import extract_signal
 from estimators.registry import estimator_class, estimator_names
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.bodies import load_body
 from scenarios.draw import draw_lit_view
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera
+from scenarios.geometry import Camera, View
 from scenarios.observation import Frame, Observation
 from scenarios.spec.body import BodySpec, BoulderSpec, DetailSpec
 from scenarios.spec.brdf import LambertSpec
@@ -68,6 +69,9 @@ class World:
 
     def mesh_renderer(self, mesh, samples_per_pixel=1):
         return MitsubaRenderer(mesh, self.brdf, samples_per_pixel)
+
+    def shape(self):
+        return self.body.mesh
 
     def frame(self, trial, noise_dn=0.0):
         rng = np.random.default_rng(trial)
@@ -126,6 +130,36 @@ def test_recognition_improves_on_the_prior(world, noise_dn):
     assert np.median(after, axis=0)[0] < 0.95 * attitude
     # Three pixels of this camera are 3.4 m on the body.
     assert np.nanmedian(np.concatenate(landmark_errors)) < 3.4
+
+
+def test_a_recognition_counts_only_where_it_is_the_better_likeness_if_asked(world):
+    """Else the pose before it is the answer, which rests on no landmark and has no covariance."""
+    careful, answers, offsets = recogniser(world, keep="if-better"), {0: 0, 1: 0}, []
+    for trial in range(MANY):
+        view, frame = world.frame(trial)
+        result = estimate(careful, frame)
+        kept = result.diagnostics["kept"]
+        poses = {stage.name: stage.T_cam_body for stage in result.stages}
+        looks = [_likeness(world, frame, poses[name]) for name in ("centroid", "recognition")]
+        np.testing.assert_allclose([result.diagnostics[n] for n in ("likeness_before", "likeness")], looks, atol=1e-6)
+        assert kept == int(looks[1] >= looks[0])
+        assert list(poses) == ["centroid", "recognition", "choice"]
+        assert result.poses[0] is poses["choice"] is poses["recognition" if kept else "centroid"]
+        assert (len(result.covariances), "landmarks" in result.details) == (kept, bool(kept))
+        assert bool(result.diagnostics["n_landmarks"]) == bool(kept)
+        answers[kept] += 1
+        offsets.append([errors(view, pose)[1] for pose in (result.poses[0], poses["recognition"])])
+    assert min(answers.values()) > 0
+    chosen, recognised = np.sqrt(np.mean(np.square(offsets), axis=0))
+    assert chosen < recognised
+
+
+def _likeness(world, frame, pose):
+    """numpy's own coefficient of the image and the onboard shape at a pose."""
+    shape = MitsubaRenderer(world.shape(), world.brdf, 1)
+    rendered = shape.render(View(CAMERA, pose, pose.rotation.T @ frame.sun_dir_cam))
+    signals = (extract_signal(frame.image), extract_signal(rendered, (0.0, 0.0)))
+    return np.corrcoef(*(signal.image.ravel().astype(np.float64) for signal in signals))[0, 1]
 
 
 def test_the_whole_image_turns_the_mesh_before_landmarks_are_looked_for(world):
