@@ -108,7 +108,8 @@ def _records(one: Shown) -> Iterator[Record]:
     yield _share(one, "listed_false_alarm_share", false, image)
     yield _share(one, "beyond_detectable_share", false | ~counted, image)
     yield _share(one, "duplicate_share", found["duplicate"].to_numpy(dtype=bool), image)
-    per_image = found.groupby("trial").size().reindex(one.trials, fill_value=0).to_numpy(dtype=np.float64)
+    sizes = found.groupby("trial").size().reindex(one.trials, fill_value=0)
+    per_image = np.asarray(sizes, dtype=np.float64)
     for statistic, known in zip((MEDIAN,), measure(per_image, one.trials, (MEDIAN,)), strict=True):
         bounds = (known.value, known.low, known.high)
         yield _record(one, "detections_per_image", statistic.name, bounds, len(per_image), len(per_image))
