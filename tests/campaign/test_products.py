@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,10 +17,13 @@ from campaign.products.landmark_candidates import candidates_of
 from campaign.products.spread import IN_THIS_PROCESS
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.database import LandmarkDatabase
+from estimators.maplets.build import MapletOptions, build_maplets
 from renderers.mitsuba3 import choose_variant
+from scenarios.beliefs import believed_spec
 from scenarios.bodies import load_body
 from scenarios.cache import default_cache
 from scenarios.errors import BoresightError
+from scenarios.geometry import View, look_at
 from scenarios.load import LoadedScenario, load_scenario
 
 KIND = landmark_database.KIND
@@ -199,3 +203,37 @@ def test_a_cache_that_cannot_be_written_does_not_break_a_run(tiny_run, tmp_path,
     compute(tiny_run.file, tmp_path / "run")
     assert "working without the cache" in caplog.text
     assert_same_results(tiny_run.folder, tmp_path / "run")
+
+
+def test_all_that_is_lent_is_made_of_what_the_spacecraft_believes(tmp_path):
+    """Another camera and shape on board: nothing that an estimator borrows is as in truth."""
+    (tmp_path / "scene.yaml").write_text(
+        SCENE + "onboard: {height_error: {rms_m: 3, min_wavelength_m: 20}, focal_error: 0.01}\n"
+    )
+    loaded = load_scenario(str(tmp_path / "scene.yaml"))
+    known = replace(loaded, spec=believed_spec(loaded.spec))
+    lends = shelf(loaded, tmp_path / "run", 1)
+    shapes = [load_body(one.spec.body, one.search_dirs).mesh for one in (loaded, known)]
+    options = {"spacing_m": 10.0, "side": 9}
+    of_truth, of_belief = (build_maplets(mesh, MapletOptions(**options)) for mesh in shapes)
+    lent = lends.product("maplets", options)
+    np.testing.assert_array_equal(lends.shape().vertices_m, shapes[1].vertices_m)
+    assert not np.array_equal(lends.shape().vertices_m, shapes[0].vertices_m)
+    np.testing.assert_allclose(lent.centres_m, of_belief.centres_m, atol=0.01)
+    same = len(lent) == len(of_truth) and np.allclose(lent.centres_m, of_truth.centres_m, atol=0.01)
+    assert not same
+    assert lends.camera.fx_px == pytest.approx(1.01 * loaded.spec.camera.camera().fx_px)
+    believed_key = product_key(known, "maplets", MapletOptions(**options), choose_variant().name)
+    assert [one.folder for one in lends.lent_to("lmaps")] == [f"maplets-{believed_key}"]
+
+
+def test_rendering_on_board_is_in_the_reflectance_that_is_believed(tmp_path):
+    """Lambert's law is proportional to its albedo."""
+    images = []
+    for albedo in (0.1, 0.2):
+        (tmp_path / "scene.yaml").write_text(SCENE + f"onboard: {{brdf: {{kind: lambert, albedo: {albedo}}}}}\n")
+        lends = shelf(load_scenario(str(tmp_path / "scene.yaml")), tmp_path / "run", 1)
+        view = View(lends.camera, look_at(np.array([2000.0, 0.0, 0.0]), 0.0), np.array([1.0, 0.0, 0.0]))
+        images.append(lends.mesh_renderer(lends.shape()).render(view))
+    np.testing.assert_allclose(images[1], 2.0 * images[0], rtol=1e-5)
+    assert images[0].any()

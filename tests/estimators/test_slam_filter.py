@@ -168,3 +168,14 @@ def test_new_landmark_shares_the_error_of_its_anchor(state: FilterState) -> None
     without = joined.without(np.array([True, True, True, False]))
     assert without.tracks.tolist() == [11]
     assert without.covariance.shape == (9, 9)
+
+
+def test_prediction_adds_the_whole_covariance_of_the_motion(state: FilterState) -> None:
+    """0.01 m^2 at the start and 4 m^2 of the motion; landmarks and their correlations stay."""
+    first = np.array([ORBIT_M, 0.0, 0.0])
+    uneven = np.diag([1.0, 4.0, 9.0]) + 0.5
+    frame = replace(frame_at(first, _second()), motion_covariance_m2=uneven)
+    moved = state.predicted(frame)
+    np.testing.assert_allclose(state.covariance[:3, :3], 4.01 * np.eye(3))
+    np.testing.assert_allclose(moved.covariance[:3, :3], 4.01 * np.eye(3) + uneven)
+    np.testing.assert_array_equal(moved.covariance[3:], state.covariance[3:])

@@ -325,3 +325,12 @@ def test_same_input_gives_the_same_bits_and_stays_as_it_was() -> None:
     assert [f.position_m.tobytes() for f in one] == [f.position_m.tobytes() for f in two]
     assert [f.velocity_m_s is None for f in one] == [True] + 11 * [False]
     assert before == [frame.R_cam_body.tobytes() + frame.uv_px.tobytes() for frame in wrong.frames]
+
+
+def test_propagation_adds_the_whole_covariance_of_the_motion(state: PoseState) -> None:
+    """To the position, on which nothing else of the camera depends."""
+    frame = frame_at(2)
+    moved = state.folded().propagated(frame)
+    added = moved.covariance[:3, :3] - state.folded().covariance[:3, :3]
+    np.testing.assert_allclose(added, frame.motion_covariance_m2, rtol=1e-9)
+    assert np.trace(frame.motion_covariance_m2) > 0.0

@@ -23,6 +23,7 @@ from scenarios.craters.relief import crater_relief
 from scenarios.craters.rims import find_rims
 from scenarios.craters.size import check_size, expected_size
 from scenarios.craters.surface import smooth_tiles
+from scenarios.craters.truth import CraterTruth
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, TriangleMesh
 
@@ -242,3 +243,29 @@ def test_a_line_is_no_ellipse() -> None:
 def test_bad_sections_are_refused(key: str, value: object, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         craters_spec(**{key: value})
+
+
+GOOD = {
+    "radius_px": 10.0, "visible": 1.0, "in_frame": 1.0, "lit": 1.0, "emission_deg": 30.0, "incidence_deg": 45.0,
+    "degradation": 0.2, "cut": 0.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("radius_px", 5.9), ("visible", 0.89), ("in_frame", 0.94), ("lit", 0.49), ("emission_deg", 60.0),
+        ("incidence_deg", 19.9), ("incidence_deg", 75.1), ("degradation", 0.61), ("cut", 0.26),
+    ],
+)  # fmt: skip
+def test_each_criterion_alone_keeps_a_crater_from_being_detectable(name, value):
+    """Two craters that are alike but for one thing, which is just beyond its limit in the second."""
+    numbers = {key: np.array([good, value if key == name else good]) for key, good in GOOD.items()}
+    radius = numbers.pop("radius_px")
+    ones = np.ones(2)
+    ellipses = Ellipses(np.full((2, 2), 50.0), np.column_stack([radius, radius]), np.zeros(2))
+    truth = CraterTruth(
+        crater=np.arange(2), ellipses=ellipses, deviation=0.0 * ones, centre_m=np.zeros((2, 3)),
+        diameter_m=200.0 * ones, depth_m=20.0 * ones, **numbers,
+    )  # fmt: skip
+    assert truth.detectable.tolist() == truth.clean.tolist() == [True, False]
