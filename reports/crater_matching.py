@@ -14,7 +14,7 @@ from reports.grid import NO_VALUE, Grid, value_of
 from reports.named_figure import NamedFigure, file_stem
 from reports.records import Record, unit_of
 from reports.run_data import RunData
-from reports.statistics import MEDIAN, P95, Measured, cluster_interval, measure
+from reports.statistics import MEDIAN, P95, measure, measure_share
 
 FloatArray = NDArray[np.float64]
 
@@ -133,7 +133,7 @@ def _measured(scenario: str, estimator: str, cell: _Cell, pairs: pd.DataFrame) -
     correct, wrong, common = (pairs[name].to_numpy(float) for name in ("n_correct", "n_wrong", "n_common"))
     trials = pairs["trial"].to_numpy()
     for name, part, whole in ((RECALL, correct, common), (WRONG, wrong, correct + wrong)):
-        found = _share(part, whole, trials)
+        found = measure_share(part, whole, trials)
         yield Record(
             scenario, estimator, cell.stage, "", name, unit_of(name), "share", found.value, found.low, found.high,
             int(part.sum()), int(whole.sum()),
@@ -144,18 +144,6 @@ def _measured(scenario: str, estimator: str, cell: _Cell, pairs: pd.DataFrame) -
         scenario, estimator, cell.stage, "", SECONDS, "s", MEDIAN.name, found.value, found.low, found.high,
         len(seconds), len(pairs),
     )  # fmt: skip
-
-
-def _share(part: FloatArray, whole: FloatArray, trials: NDArray[np.generic]) -> Measured:
-    """Return 100 sum(part) / sum(whole) with its interval; no value where there is nothing to share."""
-    if whole.sum() == 0.0:
-        return Measured(None)
-    bounds = cluster_interval(np.column_stack([part, whole]), trials, _percent)
-    return Measured(100.0 * float(part.sum() / whole.sum()), *bounds)
-
-
-def _percent(sums: FloatArray) -> FloatArray:
-    return np.asarray(100.0 * sums[:, 0] / np.maximum(sums[:, 1], 1.0))
 
 
 def _grid(scenario: str, own: pd.DataFrame, records: Sequence[Record], cells: Sequence[_Cell]) -> Grid:

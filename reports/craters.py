@@ -14,7 +14,7 @@ from reports.grid import NO_VALUE, Grid, value_of
 from reports.intervals import is_told
 from reports.records import Record, unit_of
 from reports.run_data import RunData, select
-from reports.statistics import MEDIAN, RMS, cluster_interval, measure
+from reports.statistics import MEDIAN, RMS, measure, measure_share
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -29,7 +29,6 @@ FALSE_SHARES = (0.01, 0.02, 0.05, 0.1, 0.2)
 _DIAMETERS_PX = (12.0, 16.0, 24.0, 36.0, 60.0, np.inf)
 _DEGRADATIONS = (0.0, 0.15, 0.3, 0.45, 0.6)
 _INCIDENCES_DEG = (20.0, 35.0, 45.0, 55.0, 65.0, 75.0)
-_TINY = 1e-12
 _LABELS = {
     "detection_share": "detectable craters found, %",
     "clean_detection_share": "clean craters found, %",
@@ -140,12 +139,8 @@ def ratio(yes: BoolArray, image: NDArray[np.int64]) -> tuple[float | None, float
     """Share (%) of what is true with its 95 % interval; None where there is nothing."""
     if len(yes) == 0:
         return None, None, None
-    numbers = np.stack([yes.astype(np.float64), np.ones(len(yes))], axis=1)
-
-    def percent(sums: FloatArray) -> FloatArray:
-        return np.asarray(100.0 * sums[:, 0] / np.maximum(sums[:, 1], _TINY), dtype=np.float64)
-
-    return 100.0 * float(yes.mean()), *cluster_interval(numbers, image, percent)
+    found = measure_share(yes.astype(np.float64), np.ones(len(yes)), image)
+    return found.value, found.low, found.high
 
 
 def _errors(one: Shown, name: str, error: FloatArray, image: NDArray[np.int64]) -> Iterator[Record]:

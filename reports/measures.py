@@ -25,6 +25,7 @@ from reports.statistics import (
     Statistic,
     measure,
     measure_deviation,
+    measure_share,
 )
 from reports.success import succeeded
 
@@ -80,6 +81,11 @@ class _Subject:
         n_ok = int(known.sum())
         return [self.record(name, s.name, m, n_ok) for s, m in zip(statistics, measured, strict=True)]
 
+    def share(self, name: str, yes: NDArray[np.bool_], clusters: NDArray[np.generic]) -> Record:
+        """Measure the share of trials of which something holds."""
+        found = measure_share(yes.astype(np.float64), np.ones(len(yes)), clusters)
+        return self.record(name, MEAN.name, found, len(yes))
+
     def pose_records(self, errors: pd.DataFrame, clusters: NDArray[np.generic]) -> list[Record]:
         """Evaluate the statistics of the five pose errors."""
         return [
@@ -120,8 +126,7 @@ def pose_measures(run: RunData) -> list[Record]:
             records += _Subject(scenario, estimator, stage, len(rows)).pose_records(errors, clusters_of(run, errors))
         if estimator != CONTROL:
             subject = _Subject(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
-            share = pd.Series(100.0 * succeeded(rows))
-            records += subject.records("success_share", share, clusters_of(run, rows), (MEAN,))
+            records.append(subject.share("success_share", succeeded(rows), clusters_of(run, rows)))
     return records
 
 
@@ -183,8 +188,8 @@ def landmark_measures(run: RunData) -> list[Record]:
         if (ok["n_landmarks"] > 0).any():
             subject = _Subject(scenario, estimator, stage, len(rows))
             records += subject.records("n_landmarks", ok["n_landmarks"], clusters_of(run, ok), (MEDIAN, MEAN))
-            enough = 100.0 * (rows["n_landmarks"].fillna(0.0) >= MIN_LANDMARKS)
-            records += subject.records("four_landmarks_share", enough, clusters_of(run, rows), (MEAN,))
+            enough = (rows["n_landmarks"].fillna(0.0) >= MIN_LANDMARKS).to_numpy()
+            records.append(subject.share("four_landmarks_share", enough, clusters_of(run, rows)))
         marks = select(run.landmarks, scenario, estimator)
         if len(marks):
             subject, count = _Subject(scenario, estimator, stage, len(marks)), Measured(*3 * (len(marks),))

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binomtest
 
-from reports.intervals import FloatArray, Interval, interval_of_sums, is_told, quantile_interval
+from reports.intervals import LEVEL, FloatArray, Interval, interval_of_sums, is_told, quantile_interval
 
 WORST = 1e150
 """Stands for the error of a failure that has none: above every error, and its square is still a number."""
@@ -112,6 +113,29 @@ def _measured(values: FloatArray, codes: NDArray[np.integer], statistic: Statist
 
 def _root(end: float, power: int) -> float:
     return end if power == 1 else float(max(end, 0.0) ** (1 / power))
+
+
+def measure_share(part: FloatArray, whole: FloatArray, clusters: NDArray[np.generic]) -> Measured:
+    """Return 100 sum(part) / sum(whole) with its interval, in percent; no value where there is nothing to share.
+
+    Of independent trials, each a yes or a no, the interval is Wilson's. So it is, by the number of clusters, where none
+    or all are a yes: what never happened in n clusters may happen in 3 / n of them.
+    """
+    if whole.sum() == 0.0:
+        return Measured(None)
+    share = float(part.sum() / whole.sum())
+    n_clusters = len(np.unique(clusters))
+    alike = n_clusters == len(whole) and bool((whole == 1.0).all())
+    if alike or share in (0.0, 1.0):
+        found = binomtest(round(share * n_clusters), n_clusters).proportion_ci(LEVEL, method="wilson")
+        return Measured(100.0 * share, 100.0 * float(found.low), 100.0 * float(found.high))
+    low, high = cluster_interval(np.column_stack([part, whole]), clusters, _percent)
+    return Measured(100.0 * share, *(None if end is None else min(max(end, 0.0), 100.0) for end in (low, high)))
+
+
+def _percent(sums: FloatArray) -> FloatArray:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(100.0 * sums[:, 0] / sums[:, 1])
 
 
 def measure_deviation(values: FloatArray, clusters: NDArray[np.generic]) -> Measured:

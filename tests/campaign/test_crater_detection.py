@@ -203,7 +203,7 @@ def test_the_terminal_shows_the_rates_of_each_detector(done: Path) -> None:
     rate = find(crater_records(read_run(done)), estimator="blobs", measure="detection_share", statistic="mean")
     lines = [line.split() for line in terminal_lines(done)]
     assert [line[1] for line in lines if line[:1] == ["blobs"]] == [number(rate.value)]
-    assert ["blind", "0", "[0,", "0]"] in [line[:4] for line in lines]
+    assert ["blind", "0", "[0,", "49.0]"] in [line[:4] for line in lines]
 
 
 def test_a_look_colours_craters_by_how_often_they_are_detected(done: Path) -> None:

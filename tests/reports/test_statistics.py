@@ -4,7 +4,18 @@ import numpy as np
 import pytest
 
 from reports.resampling import content_rng
-from reports.statistics import MEAN, MEDIAN, P95, P99, RMS, ROOT_MEDIAN_SQUARE, Measured, Statistic, measure
+from reports.statistics import (
+    MEAN,
+    MEDIAN,
+    P95,
+    P99,
+    RMS,
+    ROOT_MEDIAN_SQUARE,
+    Measured,
+    Statistic,
+    measure,
+    measure_share,
+)
 
 ALL = (MEDIAN, MEAN, RMS, ROOT_MEDIAN_SQUARE, P95)
 
@@ -66,3 +77,25 @@ def test_a_quantile_beyond_which_less_than_one_value_is_expected_has_none(statis
     assert measure(values[:least], np.arange(least), (statistic,))[0].value is not None
     if least > 1:
         assert measure(values[: least - 1], np.arange(least - 1), (statistic,)) == [Measured(None)]
+
+
+def test_a_share_that_never_failed_has_an_interval_of_how_often_it_may():
+    """Wilson's of 60 of 60 is [93.98, 100]; four clusters of fifteen tell of four alone."""
+    yes = np.ones(60)
+    alone = measure_share(yes, np.ones(60), np.arange(60))
+    assert (alone.value, alone.low, alone.high) == (100.0, pytest.approx(93.98, abs=0.01), 100.0)
+    of_images = measure_share(yes, np.ones(60), np.arange(60) // 15)
+    assert of_images.low == pytest.approx(51.01, abs=0.01)
+    assert measure_share(np.zeros(60), np.full(60, 7.0), np.arange(60)).high == pytest.approx(6.02, abs=0.01)
+    assert measure_share(np.zeros(2), np.zeros(2), np.arange(2)).value is None
+
+
+def test_a_share_of_independent_trials_has_wilsons_interval():
+    """Of 47 of 60: [66.4, 86.9]."""
+    found = measure_share(np.arange(60) < 47.0, np.ones(60), np.arange(60))
+    assert (found.low, found.high) == (pytest.approx(66.4, abs=0.1), pytest.approx(86.9, abs=0.1))
+
+
+def test_a_share_of_few_clusters_stays_a_share():
+    found = measure_share(np.array([10.0, 10.0, 9.0]), np.full(3, 10.0), np.arange(3))
+    assert 0.0 <= found.low < found.value < found.high <= 100.0
