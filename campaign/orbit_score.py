@@ -6,6 +6,8 @@ depend on which of them is wrong.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,6 +52,17 @@ def check_orbit(estimate: OrbitEstimate, data: OrbitData) -> None:
     _check_solution(estimate.orbit, len(data.wanted_s), len(data.pictures.image))
 
 
+def drawable(estimate: OrbitEstimate | None, data: OrbitData) -> OrbitEstimate | None:
+    """Leave out the orbit of a failure that nobody can draw; the orbit of an estimate that is ok is sound."""
+    if estimate is None or estimate.status == "ok" or estimate.orbit is None:
+        return estimate
+    try:
+        _check_solution(estimate.orbit, len(data.wanted_s), len(data.pictures.image))
+    except (ValueError, TypeError, AttributeError):
+        return replace(estimate, orbit=None)
+    return estimate
+
+
 def _check_solution(orbit: Orbit, wanted: int, sightings: int) -> None:
     check_type(orbit, Orbit)
     landmarks = len(orbit.numbers)
@@ -62,12 +75,11 @@ def _check_solution(orbit: Orbit, wanted: int, sightings: int) -> None:
         check_array(name, array, shape, most)
     check_covariance("covariance", orbit.covariance, _STATE)
     check_indices("numbers", orbit.numbers, (landmarks,))
-    if orbit.points_body_m.shape != (landmarks, 3):
-        raise ValueError(f"points_body_m of shape {orbit.points_body_m.shape} is not {(landmarks, 3)}")
+    check_array("points_body_m", orbit.points_body_m, (landmarks, 3))
     if orbit.used.shape != (sightings,) or orbit.used.dtype != np.bool_:
         raise ValueError(f"used of shape {orbit.used.shape} and type {orbit.used.dtype} is not ({sightings},) of bool")
-    if orbit.residuals_px.shape != (sightings, 2):
-        raise ValueError(f"residuals_px of shape {orbit.residuals_px.shape} is not {(sightings, 2)}")
+    if orbit.residuals_px.shape != (sightings, 2) or orbit.residuals_px.dtype.kind != "f":
+        raise ValueError(f"residuals_px of shape {orbit.residuals_px.shape} is not {(sightings, 2)} of numbers")
     check_array("residuals_px of used sightings", orbit.residuals_px[orbit.used], (int(orbit.used.sum()), 2))
     _check_invertible(orbit)
 
@@ -75,6 +87,8 @@ def _check_solution(orbit: Orbit, wanted: int, sightings: int) -> None:
 def _check_invertible(orbit: Orbit) -> None:
     """Refuse covariances by which an error cannot be weighed."""
     for covariance in (orbit.covariance, *orbit.position_covariances_m2):
+        if np.diag(covariance).min() < 0.0:
+            raise ValueError("a covariance has a negative variance")
         try:
             _weighted_square(np.ones(len(covariance)), covariance)
         except np.linalg.LinAlgError:

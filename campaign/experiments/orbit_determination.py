@@ -12,7 +12,7 @@ import numpy as np
 from campaign.experiments.fault import Work
 from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.guard import Call
-from campaign.orbit_score import check_orbit, orbit_errors, orbit_summary, residual_records
+from campaign.orbit_score import check_orbit, drawable, orbit_errors, orbit_summary, residual_records
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
@@ -112,7 +112,7 @@ class OrbitTrials:
 
         def show(estimate: OrbitEstimate | None) -> None:
             if self.witness is not None:
-                self.witness(DeterminedOrbit(truth, data, estimate))
+                self.witness(DeterminedOrbit(truth, data, drawable(estimate, data)))
 
         return Work(call, "estimator", row).judged(
             lambda: estimator.determine(data), lambda estimate: check_orbit(estimate, data), score, show

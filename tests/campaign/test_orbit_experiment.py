@@ -8,7 +8,7 @@ import pytest
 from orbit_worlds import orbit_world
 
 from campaign.experiments.orbit_determination import OrbitTrials
-from campaign.orbit_score import check_orbit, orbit_errors, orbit_summary, wrong_sightings
+from campaign.orbit_score import check_orbit, drawable, orbit_errors, orbit_summary, wrong_sightings
 from campaign.resolve import resolve
 from campaign.store.columns import TABLES
 from estimators.orbit.batch_filter import BatchFilter
@@ -84,11 +84,22 @@ def test_rubbish_of_an_estimator_is_refused(drawn):
         OrbitEstimate("failed", None),
         OrbitEstimate("ok", None),
         OrbitEstimate("ok", replace(orbit, state=np.full(6, np.nan))),
+        OrbitEstimate("ok", replace(orbit, points_body_m=np.full_like(orbit.points_body_m, np.nan))),
+        OrbitEstimate("ok", replace(orbit, covariance=-orbit.covariance)),
+        OrbitEstimate("ok", replace(orbit, covariance=np.triu(np.ones((6, 6))))),
         OrbitEstimate("ok", replace(orbit, positions_m=orbit.positions_m[:2])),
         OrbitEstimate("ok", orbit, diagnostics={"x": float("inf")}),
     ):
         with pytest.raises(ValueError, match=r"is|gives|has|not"):
             check_orbit(estimate, data)
+
+
+def test_the_orbit_of_a_failure_is_drawn_where_it_is_one(drawn):
+    truth, data = drawn
+    sound = OrbitEstimate("failed", _orbit(truth, data, np.zeros(3)), "too far off")
+    assert drawable(sound, data) is sound
+    for orbit in (np.eye(4), replace(sound.orbit, state=np.full(6, np.nan))):
+        assert drawable(replace(sound, orbit=orbit), data).orbit is None
 
 
 class _Raises:
