@@ -18,6 +18,7 @@ from reports.figures.fit import draw_alignment_panels, draw_fit_panels
 from reports.figures.posed import PosedLook, draw_posed
 from reports.figures.recognised import Recognised, draw_recognised
 from reports.named_figure import NamedFigure
+from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, View
 
 FloatArray = NDArray[np.float64]
@@ -45,11 +46,12 @@ def _posed(experiment: SingleImage, shown: EstimatedImage, what: str, lines: lis
     if reached is not None:
         poses["estimate"] = reached
     poses["truth"] = ("truth", truth)
-    looks = [
-        _look(experiment.world.renderer, camera, frame.sun_dir_cam, image, (name, *pose))
-        for name, pose in poses.items()
-    ]
-    none = "" if reached is not None else " There is no estimate, and no stage had a pose."
+    looks, none = [], "" if reached is not None else " There is no estimate, and no stage had a pose."
+    for name, pose in poses.items():
+        try:
+            looks.append(_look(experiment.world.renderer, camera, frame.sun_dir_cam, image, (name, *pose)))
+        except BoresightError as error:  # an estimate may stand within the body
+            none += f" Nothing can be rendered at the {pose[0]}: {error}."
     return NamedFigure(
         "poses",
         draw_posed(image, looks, what, lines),
@@ -108,7 +110,7 @@ def _recognition(experiment: SingleImage, shown: EstimatedImage, what: str, line
 
 
 def _recognised(shown: EstimatedImage, scored: list[Record]) -> Recognised | None:
-    """Collect recognised landmarks with their true errors; None of an estimator that tells of none."""
+    """Collect recognised landmarks before the camera with their true errors; None where there are none."""
     estimate = shown.estimate
     table = None if estimate is None else estimate.details.get("landmarks")
     if estimate is None or table is None or not estimate.poses or len(table["landmark"]) == 0:
@@ -116,8 +118,9 @@ def _recognised(shown: EstimatedImage, scored: list[Record]) -> Recognised | Non
     places = np.column_stack([np.asarray(table[name], dtype=np.float64) for name in ("x_m", "y_m", "z_m")])
     seen = np.column_stack([np.asarray(table[name], dtype=np.float64) for name in ("u_px", "v_px")])
     predicted = shown.observation.camera.project(estimate.poses[0].transform(places))
-    errors = [record["error_m"] for record in scored]
-    return Recognised(seen, predicted, np.array([np.nan if e is None else float(str(e)) for e in errors]))
+    errors = np.array([np.nan if record["error_m"] is None else float(str(record["error_m"])) for record in scored])
+    ahead = np.isfinite(predicted).all(axis=1)
+    return Recognised(seen[ahead], predicted[ahead], errors[ahead]) if ahead.any() else None
 
 
 def _matches(shown: EstimatedImage, found: Recognised, what: str, lines: list[str]) -> NamedFigure:

@@ -133,3 +133,42 @@ def test_rubbish_ends_no_command(group, cache, tmp_path, monkeypatch, capsys):
     said = capsys.readouterr()
     assert "Traceback" not in said.out + said.err
     assert len(said.err.splitlines()) <= 8, "at most a line for each command"
+
+
+ABSURD = """
+import numpy as np
+from estimators.contract import Estimate
+from scenarios.geometry import Pose
+
+NAMES = "u_px v_px x_m y_m z_m sxx_m2 sxy_m2 sxz_m2 syy_m2 syz_m2 szz_m2".split()
+TABLE = {"landmark": np.arange(2), **{name: np.full(2, float(name[1:3] in ("xx", "yy", "zz"))) for name in NAMES}}
+ANSWERS = {
+    "behind": lambda prior: -prior.translation_m,
+    "inside": lambda prior: np.zeros(3),
+}
+
+class Absurd:
+    version = 1
+    @classmethod
+    def from_options(cls, options, assets):
+        return cls()
+    def estimate(self, observation, *, rng):
+        prior = observation.frames[0].prior_T_cam_body
+        pose = Pose(prior.rotation, ANSWERS[self.name](prior))
+        return Estimate("ok", poses=(pose,), details={"landmarks": TABLE})
+
+for _name in ANSWERS:
+    globals()["made_" + _name] = type(_name, (Absurd,), {"name": _name})
+"""
+
+
+def test_what_keeps_the_contract_and_is_absurd_is_drawn_as_far_as_it_can_be(cache, tmp_path, monkeypatch, capsys):
+    names = install(tmp_path, "estimators", ABSURD, monkeypatch)
+    text = f"title: A\nscenarios: [scene]\nestimators: [{', '.join(names)}]\ntrials: 1\nseed: 5\n"
+    file, out = write_campaign(tmp_path / "campaign", text, SCENE), tmp_path / "run"
+    assert main(["run", str(file), "--jobs", "1", "--out", str(out), "--worst", "0"]) == 0
+    assert main(["inspect", str(out), "--trial", "0"]) == 0
+    drawn = {name: {path.stem for path in (out / "inspect" / f"scene_{name}_0000000").glob("*.png")} for name in names}
+    assert drawn == {"behind": {"poses"}, "inside": {"poses"}}, "landmarks behind the camera have no place in an image"
+    page = (out / "inspect" / "scene_inside_0000000" / "index.html").read_text()
+    assert "Nothing can be rendered at the estimate" in page
