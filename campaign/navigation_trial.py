@@ -24,6 +24,7 @@ from scenarios.observation import Frame
 from scenarios.orbits.flown import Flown, fly
 from scenarios.orbits.imaging import control_errors, epochs_s, sun_dir_inertial, true_views
 from scenarios.orbits.known import draw_knowledge, draw_radiometry
+from scenarios.orbits.rotation import UniformRotation
 from scenarios.orbits.world import OrbitWorld
 from scenarios.sequences.ground import MeshGround
 
@@ -52,8 +53,8 @@ class NavigationTrial:
         What the chain is given.
     plan
         The images, as planned and as telemetry reports them.
-    flown, views
-        The true motion, and the true view of each image: for the sights and the score alone.
+    flown, views, rotation
+        The true motion, the true view of each image, and how the body truly turns: for the sights and the score alone.
     sights
         What is seen from there.
     address
@@ -64,6 +65,7 @@ class NavigationTrial:
     plan: tuple[PlannedImage, ...]
     flown: Flown
     views: tuple[View, ...]
+    rotation: UniformRotation
     sights: CraterSights
     address: Address
     _images: dict[int, Image] = field(default_factory=dict)
@@ -96,7 +98,7 @@ class NavigationTrial:
         reported = np.stack([image.actual_R_cam_inertial for image in plan])
         views = true_views(world, flown, reported, seed, trial)
         task = NavigationTask(knowledge, shape, draw_radiometry(world, flown, seed, trial), flown.wanted_s)
-        return cls(task, plan, flown, views, sights, Address(seed, trial, 0))
+        return cls(task, plan, flown, views, world.rotation, sights, Address(seed, trial, 0))
 
     def search(self, navigator: CraterNavigation, stages: Stages) -> list[SearchedImage]:
         """Look for craters in all images, or read what was found before."""
@@ -112,7 +114,7 @@ class NavigationTrial:
             with stages.timed("imaging"):
                 self._images[number] = self.sights.image(view, address)
         pixels, attitude = self._images[number], planned.actual_R_cam_inertial
-        turn = self.task.knowledge.field.rotation.at(np.array([planned.time_s]))[0]
+        turn = self.rotation.at(np.array([planned.time_s]))[0]
         sun_dir_cam = attitude @ turn.T @ view.sun_dir_body
         drawn = self.sights.drawn(view, address)
 

@@ -30,7 +30,7 @@ def plans(section: OrbitSpec) -> Known:
 def _world(section: OrbitSpec) -> Iterator[Item]:
     """Yield the body, its spin, the forces and the orbit."""
     known = section.knowledge
-    yield spin_item(getattr(known, "pole_sigma_deg", 0.0), getattr(known, "spin_sigma", 0.0))
+    yield spin_item(known.pole_sigma_deg, known.spin_sigma)
     yield from (Item(name, "exactly") for name in _SHARED)
     yield Item("orbit", "not", f"{known.position_m:g} m at the epoch")
     yield item("GM", not known.gm_sigma, f"{100.0 * known.gm_sigma:g} %")

@@ -148,7 +148,7 @@ def _landmarks(world: OrbitWorld, knowledge: Knowledge, pictures: Pictures) -> L
         states = travelled(knowledge.field, knowledge.state, times, Pushes.none(float(times[-1])))
     except OrbitLostError:
         states = np.tile(knowledge.state, (len(times), 1))
-    turns = world.rotation.at(times)
+    turns = knowledge.field.rotation.at(times)
     rays = knowledge.camera.unproject(pictures.uv_px[first])
     rays = np.einsum("nij,nkj,nk->ni", turns[place], pictures.R_cam_inertial[image], rays)
     origins = np.einsum("nij,nj->ni", turns[place], states[place, :3])

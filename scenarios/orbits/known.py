@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from scenarios.draw import Stream, generator
 from scenarios.orbits.data import Knowledge, Radiometry
 from scenarios.orbits.flown import DAY_S, Flown
 from scenarios.orbits.harmonics import Harmonics
+from scenarios.orbits.rotation import UniformRotation
 from scenarios.orbits.world import OrbitWorld
 
 FloatArray = NDArray[np.float64]
@@ -26,7 +28,7 @@ def draw_knowledge(world: OrbitWorld, state: FloatArray, seed: int, trial: int) 
     harmonics = Harmonics(believed.gm_m3_s2 * gm, believed.radius_m, believed.c, believed.s)
     return Knowledge(
         camera=world.camera,
-        field=world.field(harmonics, light),
+        field=world.field(harmonics, light, _believed_rotation(world, rng)),
         state=state + error,
         position_sigma_m=known.position_m / np.sqrt(3.0),
         velocity_sigma_m_s=float(rate * known.position_m / np.sqrt(3.0)),
@@ -40,6 +42,20 @@ def draw_knowledge(world: OrbitWorld, state: FloatArray, seed: int, trial: int) 
         noise_m_s2=spec.light.noise_share * float(np.linalg.norm(world.light_m_s2)),
         noise_time_s=spec.light.noise_days * DAY_S,
     )
+
+
+def _believed_rotation(world: OrbitWorld, rng: np.random.Generator) -> UniformRotation:
+    """Draw how the body is believed to turn: its axis and its rate wrong, of which nothing tells the estimator.
+
+    The phase at the epoch is right: it and the landmarks' longitudes are one unknown by two names.
+    """
+    known, true = world.spec.knowledge, world.rotation
+    if not known.pole_sigma_deg and not known.spin_sigma:
+        return true
+    across_rad = np.radians(known.pole_sigma_deg) * rng.normal(size=2)
+    longer = 1.0 + known.spin_sigma * rng.normal()
+    tilt = Rotation.from_rotvec([*across_rad, 0.0]).as_matrix()
+    return UniformRotation(tilt @ true.R_body_inertial, longer * true.rate_rad_s)
 
 
 def draw_radiometry(world: OrbitWorld, flown: Flown, seed: int, trial: int) -> Radiometry | None:

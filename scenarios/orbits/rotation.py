@@ -12,7 +12,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class UniformRotation:
-    """A body that turns about its own z axis, which stands still in inertial space.
+    """A body that turns about its own z axis, which stands still in inertial space; as it is, or as it is believed.
 
     Parameters
     ----------

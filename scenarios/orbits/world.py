@@ -91,7 +91,7 @@ class OrbitWorld:
 
     @property
     def rotation(self) -> UniformRotation:
-        """How the body turns, which is known."""
+        """How the body turns in truth."""
         return UniformRotation(np.eye(3), 2.0 * np.pi / (3600.0 * self.spec.asteroid.rotation_h))
 
     @property
@@ -105,9 +105,9 @@ class OrbitWorld:
         of_shape = 0.5 * self.believed.shape.rms_m / self.believed.harmonics.radius_m
         return float(np.hypot(self.spec.asteroid.anomaly_sigma, of_shape))
 
-    def field(self, harmonics: Harmonics, light_factor: float = 1.0) -> Field:
-        """Return the forces with these harmonics."""
-        return Field(harmonics, self.rotation, self.light_m_s2 * light_factor)
+    def field(self, harmonics: Harmonics, light_factor: float = 1.0, rotation: UniformRotation | None = None) -> Field:
+        """Return the forces with these harmonics, of a body that turns as in truth or as it is believed to."""
+        return Field(harmonics, rotation or self.rotation, self.light_m_s2 * light_factor)
 
 
 def centre_of_mass(mesh: TriangleMesh) -> FloatArray:

@@ -105,6 +105,10 @@ class OrbitKnowledgeSpec(SpecModel):
     position_m: float = Field(1000.0, gt=0, description="Length of the error of the position at the epoch")
     gm_sigma: float = Field(1e-3, ge=0, lt=1, description="Of GM, relative")
     light_sigma: float = Field(0.1, ge=0, lt=1, description="Of the size of solar pressure, relative")
+    pole_sigma_deg: float = Field(
+        0.0, ge=0, le=90, description="Of the spin axis about each of two axes across it; nothing estimates it"
+    )
+    spin_sigma: float = Field(0.0, ge=0, lt=1, description="Of the rate of rotation, relative; nothing estimates it")
     shape_degree: int = Field(
         34, ge=2, le=34, description="Of the a priori shape, as spherical harmonics of the radius"
     )

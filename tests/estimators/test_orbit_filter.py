@@ -18,6 +18,7 @@ from estimators.orbit.registry import orbit_estimator_class
 from estimators.orbit.solve import Limits, Prior, Robust, adjust, linearise
 from scenarios.errors import BoresightError
 from scenarios.orbits.draw import draw_orbit
+from scenarios.orbits.rotation import UniformRotation
 
 LEAST_SQUARES = Robust(np.inf, 1.0)
 
@@ -72,6 +73,26 @@ def test_derivatives_are_central_differences(clean):
         step[:, axis] = 0.01
         ahead, behind = (predicted(replace(start, points=start.points + s))[0] for s in (step, -step))
         np.testing.assert_allclose(here.sightings.by_point[..., axis], (ahead - behind) / 0.02, atol=1e-5)
+
+
+def test_a_tilted_axis_is_the_same_as_data_that_are_turned_by_hand(solved):
+    _, data = draw_orbit(orbit_world(knowledge={"pole_sigma_deg": 0.3, "spin_sigma": 1e-4}), 5, 0)
+    known, pictures, radio = data.knowledge, data.pictures, data.radiometry
+    spin = known.field.rotation
+    turn = spin.R_body_inertial
+    field = replace(
+        known.field, rotation=UniformRotation(np.eye(3), spin.rate_rad_s), light_m_s2=turn @ known.field.light_m_s2
+    )
+    state = np.concatenate([turn @ known.state[:3], turn @ known.state[3:]])
+    turned = replace(
+        data,
+        knowledge=replace(known, field=field, state=state),
+        pictures=replace(pictures, R_cam_inertial=pictures.R_cam_inertial @ turn.T),
+        radiometry=replace(radio, earth_dir=turn @ radio.earth_dir),
+    )
+    orbit, other = (BatchFilter().determine(one).orbit for one in (data, turned))
+    np.testing.assert_allclose(orbit.positions_m @ turn.T, other.positions_m, atol=0.01)
+    assert np.linalg.norm(orbit.positions_m - solved.orbit.positions_m, axis=1).max() > 1.0
 
 
 def test_the_reduced_solution_is_that_of_scipys_least_squares(clean):

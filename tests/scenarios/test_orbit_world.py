@@ -11,6 +11,7 @@ from scenarios.geometry import TriangleMesh
 from scenarios.orbits.draw import draw_orbit
 from scenarios.orbits.elements import state_at_epoch
 from scenarios.orbits.horizon import Horizons
+from scenarios.orbits.known import draw_knowledge
 from scenarios.orbits.shape import fitted
 from scenarios.orbits.sightings import merged_numbers
 from scenarios.sequences.ground import MeshGround
@@ -97,6 +98,23 @@ def test_stated_errors_are_drawn_as_stated():
     numbers = merged_numbers(truth.points_body_m, 0.25, np.random.default_rng(0))
     assert (numbers != np.arange(len(numbers))).sum() == round(0.25 * len(numbers))
     assert np.unique(numbers, return_counts=True)[1].max() == 2
+
+
+def test_the_believed_spin_is_off_by_what_is_stated_and_all_else_is_the_same():
+    world = orbit_world(knowledge={"pole_sigma_deg": 2.0, "spin_sigma": 1e-3})
+    (truth, exact), (same, wrong) = draw_orbit(orbit_world(), 5, 0), draw_orbit(world, 5, 0)
+    np.testing.assert_array_equal(same.states, truth.states)
+    for name in ("R_cam_inertial", "uv_px", "landmark"):
+        np.testing.assert_array_equal(getattr(wrong.pictures, name), getattr(exact.pictures, name))
+    np.testing.assert_array_equal(wrong.knowledge.state, exact.knowledge.state)
+    assert abs(wrong.landmarks.positions_body_m - exact.landmarks.positions_body_m).max() > 1.0
+    spins = [draw_knowledge(world, truth.states[0], 5, trial).field.rotation for trial in range(400)]
+    poles = np.array([spin.at(np.zeros(1))[0].T @ [0.0, 0.0, 1.0] for spin in spins])
+    assert np.degrees(poles[:, :2].std(axis=0)) == pytest.approx([2.0, 2.0], rel=0.15)  # 4 sigma of 400 draws
+    assert np.degrees(poles[:, :2].mean(axis=0)) == pytest.approx([0.0, 0.0], abs=0.4)
+    ratios = np.array([spin.rate_rad_s for spin in spins]) / exact.knowledge.field.rotation.rate_rad_s
+    assert ratios.std() == pytest.approx(1e-3, rel=0.15)
+    assert ratios.mean() == pytest.approx(1.0, abs=2e-4)
 
 
 def test_the_same_trial_gives_the_same_bits_and_another_does_not():

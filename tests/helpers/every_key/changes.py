@@ -279,6 +279,8 @@ CHANGES |= {
         "knowledge.gm_sigma": "0.01",
         "knowledge.light_sigma": "0.3",
         "knowledge.shape_degree": "3",
+        "knowledge.pole_sigma_deg": "1",
+        "knowledge.spin_sigma": "0.01",
     }.items()
 }
 CHANGES |= {
