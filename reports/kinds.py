@@ -14,7 +14,7 @@ from reports.consistency import consistency_grid
 from reports.content import Content
 from reports.crater_figures import crater_figures
 from reports.crater_matching import matching_brief, matching_figures, matching_grids
-from reports.craters import crater_brief, crater_grids
+from reports.craters import crater_brief, crater_grids, shown
 from reports.design_figures import design_figures
 from reports.designs import design_grids
 from reports.detection import outlier_grid
@@ -25,6 +25,7 @@ from reports.navigation import navigation_figures, navigation_grid
 from reports.orbits import orbit_brief, orbit_figures, orbit_grids
 from reports.paired import paired_grid
 from reports.records import CONTROL
+from reports.rims import rim_grid
 from reports.run_data import RunData
 from reports.run_figures import image_figures
 from reports.sensitivity import mesh_variants, sensitivity_grid
@@ -110,6 +111,7 @@ def _of_images(content: Content) -> Tables:
 def _of_craters(content: Content) -> Tables:
     return (
         *crater_grids(content.records, content.run),
+        rim_grid(list(shown(content.run))),
         comparison_grid(content.compared),
         timing_grid(content.records),
     )
