@@ -266,5 +266,5 @@ def test_progress_tells_a_median_where_there_are_position_errors(error_m, told):
     out = io.StringIO()
     with ProgressListener(Console(file=out)) as listener:
         listener.started(0, 1)
-        listener.block({"rows": [{"position_error_m": error_m, "estimator": "mine"}]}, 1)
+        listener.block({"rows": [{"position_error_m": error_m, "scenario": "scene", "estimator": "mine"}]}, 1)
     assert out.getvalue().endswith(told)

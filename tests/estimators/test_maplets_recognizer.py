@@ -179,7 +179,7 @@ def test_the_data_base_is_asked_for_by_its_options(world):
     MapletNavigator.from_options(OPTIONS, world)
     ((kind, options),) = world.asked
     assert kind == PRODUCT
-    assert options == {"spacing_m": 4.0, "side": 21, "separation": 0.6}
+    assert options == {"spacing_m": 4.0, "side": 21, "separation": 0.6, "seed": None}
 
 
 def test_a_stored_data_base_gives_the_same_pose(world, navigator, tmp_path):

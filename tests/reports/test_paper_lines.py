@@ -16,7 +16,7 @@ from reports.run_data import RunData
 
 def made_by(labels: list[str]) -> Content:
     records = tuple(
-        Record("scene", label, "orbit", "", "arc_rms_m", "m", "median", 10.0 + k, None, None, 1, 1)
+        Record("eros-like-navigation", label, "orbit", "", "arc_rms_m", "m", "median", 10.0 + k, None, None, 1, 1)
         for k, label in enumerate(labels)
     )
     comparison = load_published("cheng2003-endtoend")
