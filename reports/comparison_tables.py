@@ -93,8 +93,13 @@ def ordered_values(ours: Sequence[Record | None], names: Sequence[str]) -> str:
     parts: list[str] = []
     for before, record, name in zip((None, *ours), ours, names, strict=False):
         parts += [_relation(before, record)] if parts else []
-        parts.append(f"{name} {value_of(record, interval=True)} {record.unit}" if record else NO_VALUE)
+        parts.append(_named(record, name) if record else NO_VALUE)
     return " ".join(parts) or NO_VALUE
+
+
+def _named(record: Record, name: str) -> str:
+    unit = "" if record.measure == "seconds" else record.unit  # a time is printed with its own
+    return f"{name} {value_of(record, interval=True)} {unit}".strip()
 
 
 def _relation(before: Record | None, after: Record | None) -> str:

@@ -63,14 +63,15 @@ class _Kind:
 def report_grids(content: Content) -> list[Grid]:
     """List the tables of a report, in order; of a grid of scenarios, those of the grid alone."""
     found = _kind_of(content.run).report(content)
-    grids = (grid for grid in (*found, failure_grid(content.run)) if grid is not None)
+    grids = (grid for grid in (*found, claim_grid(content.claims), failure_grid(content.run)) if grid is not None)
     return _headed(content.run, list(of_what_was_drawn(grids, content.run)))
 
 
 def brief_grids(content: Content) -> list[Grid]:
     """List what the terminal shows at the end of a run."""
     found = _kind_of(content.run).brief(content)
-    grids = (grid for grid in (*found, verdict_grid(content.compared)) if grid is not None)
+    told = (verdict_grid(content.compared), claim_grid([one for one in content.claims if not one.claim.unmeasured]))
+    grids = (grid for grid in (*found, *told) if grid is not None)
     return _headed(content.run, list(of_what_was_drawn(grids, content.run)))
 
 
@@ -96,7 +97,6 @@ def _of_images(content: Content) -> Tables:
         *pose_grids(records, run),
         reference_grid(records, run),
         comparison_grid(content.compared),
-        claim_grid(content.claims),
         trade_grid(run),
         detail_grid(records),
         diagnostic_grid(records),

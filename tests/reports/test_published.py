@@ -311,6 +311,16 @@ def test_a_statement_may_order_stages_and_scenarios_of_one_estimator():
     assert " s, prior " in claim_values(found)
 
 
+def test_a_time_has_its_unit_once():
+    claim = Claim(text="it is faster", order=("a", "b"), measure="seconds", stage="cycle", place="p")
+    records = [
+        replace(OURS, estimator=label, stage="cycle", measure="seconds", unit="s", value=s, low=s, high=s)
+        for label, s in (("a", 0.01), ("b", 0.02))
+    ]
+    (found,) = compare_claims(records, Comparison(conditions="c", claims=(claim,)))
+    assert claim_values(found) == "a 10.0 ms [10.0, 10.0] < b 20.0 ms [20.0, 20.0]"
+
+
 def test_of_all_cases_none_may_fail():
     claim = Claim(text="in all test cases", solves="e", share=1, stage="recognition", place="p")
     for n_ok, verdict in ((20, "reproduced"), (19, "differs (lower)")):
