@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
+from campaign.captured import Captured
 from campaign.experiments.registry import Record, Records
 from campaign.guard import STOPPED, Call, StoppedError, guarded
-from campaign.heard import Heard
 from estimators.contract import NoProductError
 
 T = TypeVar("T")
@@ -77,9 +77,9 @@ class Work:
             What scoring raises: a fault of boresight, of which no row may be made.
         """
         sound: T | None = None
-        heard = Heard()
+        captured = Captured()
         try:
-            with heard.listening():
+            with captured.capturing():
                 sound = self._sound(work, check)
         except GaveUpError as failure:
             row: Record = {**self.row, "status": "failed", "reason": str(failure), "n_landmarks": 0}
@@ -92,7 +92,7 @@ class Work:
             found = self._scored(sound, score)
         finally:
             show(sound)
-        return found | heard.records()
+        return found | captured.records()
 
     def _sound(self, work: Callable[[], T], check: Callable[[T], None]) -> T:
         """Return an answer that keeps the contract; nobody else sees one that does not."""

@@ -1,6 +1,7 @@
-"""What a method prints and warns of at its work: kept for its trial, and away from the terminal.
+"""Captures what a method prints and warns of while it works: stored with its trial, and not shown on the terminal.
 
-Heard is what goes through Python. What compiled code writes to the file descriptors itself goes where it went before.
+Only what goes through Python is captured. What compiled code writes to the file descriptors itself goes where it went
+before.
 """
 
 from __future__ import annotations
@@ -16,19 +17,19 @@ MOST_CHARACTERS = 4000
 """Kept of each stream in a trial; the rest is counted."""
 
 
-class Heard:
+class Captured:
     """Collects what one method says in one trial."""
 
     def __init__(self) -> None:
         self._streams = {"stdout": _Bounded(), "stderr": _Bounded(), "warnings": _Bounded()}
 
     @contextmanager
-    def listening(self) -> Iterator[None]:
-        """Hear what is said in here; filters of warnings stay as they are, but each place may warn again."""
+    def capturing(self) -> Iterator[None]:
+        """Capture what is written in here; filters of warnings stay as they are, but each place may warn again."""
         with ExitStack() as stack:
             caught = stack.enter_context(warnings.catch_warnings(record=True))
-            stack.enter_context(redirect_stdout(_Ear(sys.stdout, self._streams["stdout"])))
-            stack.enter_context(redirect_stderr(_Ear(sys.stderr, self._streams["stderr"])))
+            stack.enter_context(redirect_stdout(_Redirected(sys.stdout, self._streams["stdout"])))
+            stack.enter_context(redirect_stderr(_Redirected(sys.stderr, self._streams["stderr"])))
             try:
                 yield
             finally:
@@ -61,15 +62,15 @@ class _Bounded:
         return f"{kept}\n[cut here: {left:,} more characters]" if left else kept
 
 
-class _Ear:
+class _Redirected:
     """Stands for a stream: takes what this thread and those that it starts write, and passes on what others do.
 
     A bar of progress, for one, is drawn by a thread that was there before.
     """
 
-    def __init__(self, stream: IO[str], heard: _Bounded) -> None:
+    def __init__(self, stream: IO[str], kept: _Bounded) -> None:
         self._stream = stream
-        self._heard = heard
+        self._kept = kept
         # Threads themselves, whose numbers go to others when they end.
         self._others = {*threading.enumerate()} - {threading.current_thread()}
 
@@ -78,7 +79,7 @@ class _Ear:
             raise TypeError(f"write() argument must be str, not {type(text).__name__}")
         if threading.current_thread() in self._others:
             return self._stream.write(text)
-        self._heard.add(text)
+        self._kept.add(text)
         return len(text)
 
     def writelines(self, lines: list[str]) -> None:

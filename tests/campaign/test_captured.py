@@ -13,10 +13,10 @@ from test_rubbish import install
 from tiny_campaign import boresight, files
 from tiny_sequences import SCENE
 
+from campaign.captured import MOST_CHARACTERS, Captured
 from campaign.cli import main
 from campaign.experiments.fault import Work
 from campaign.guard import Call
-from campaign.heard import MOST_CHARACTERS, Heard
 
 MODULE = """
 import sys, warnings
@@ -86,14 +86,14 @@ def test_what_estimators_say_is_kept_for_their_trials(loud, tmp_path, capsys):
 
 
 def test_a_silent_method_leaves_nothing():
-    heard = Heard()
-    with heard.listening():
+    captured = Captured()
+    with captured.capturing():
         pass
-    assert heard.records() == {}
+    assert captured.records() == {}
 
 
 def test_other_threads_are_passed_on_and_streams_stay_open(capsys):
-    heard, go, gone = Heard(), threading.Event(), threading.Event()
+    captured, go, gone = Captured(), threading.Event(), threading.Event()
 
     def bar():
         go.wait(10)
@@ -102,7 +102,7 @@ def test_other_threads_are_passed_on_and_streams_stay_open(capsys):
 
     other = threading.Thread(target=bar)
     other.start()
-    with heard.listening():
+    with captured.capturing():
         go.set()
         assert gone.wait(10)
         mine = threading.Thread(target=lambda: sys.stdout.write("of mine\n"))
@@ -113,7 +113,7 @@ def test_other_threads_are_passed_on_and_streams_stay_open(capsys):
     other.join()
     sys.stdout.write("still open\n")
     assert capsys.readouterr().out == "bar\nstill open\n"
-    assert heard.records() == {"said": [{"stream": "stdout", "text": "of mine\n?"}]}
+    assert captured.records() == {"said": [{"stream": "stdout", "text": "of mine\n?"}]}
 
 
 def test_a_warning_that_is_to_be_an_error_stays_one():
