@@ -30,6 +30,11 @@ PlainValue = Annotated[JsonValue, AfterValidator(_finite)]
 """Whatever a file may hold where the schema leaves it open, but for numbers that are not finite."""
 
 
+def is_none(value: object) -> bool:
+    """Tell a key that is not given, for keys that digests leave out then: what lacks them is the same as ever."""
+    return value is None
+
+
 class SpecModel(BaseModel):
     """Frozen; unknown keys and non-finite numbers are refused.
 

@@ -6,11 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from scenarios.spec.base import SpecModel
-
-
-def _is_none(value: object) -> bool:
-    return value is None
+from scenarios.spec.base import SpecModel, is_none
 
 
 class SizesSpec(SpecModel):
@@ -84,7 +80,7 @@ class DetailSpec(SpecModel):
     roughness: RoughnessSpec | None = None
     albedo: AlbedoSpec | None = None
     # Left out of digests where it is not given: a body without it is the same as ever.
-    redrawn: RedrawnSpec | None = Field(None, exclude_if=_is_none, description="Small relief from another seed")
+    redrawn: RedrawnSpec | None = Field(None, exclude_if=is_none, description="Small relief from another seed")
 
 
 class HeightErrorSpec(SpecModel):
@@ -119,7 +115,7 @@ class BodySpec(SpecModel):
         ge=20,
         le=1_000_000,
         # Left out of digests where it is not given: a body without it is the same as ever.
-        exclude_if=_is_none,
+        exclude_if=is_none,
         description="At least so many even facets are laid over the shape before the detail, which slivers would fold",
     )
     detail: DetailSpec | None = None

@@ -6,14 +6,10 @@ from typing import Literal
 
 from pydantic import Field
 
-from scenarios.spec.base import SpecModel
+from scenarios.spec.base import SpecModel, is_none
 from scenarios.spec.body import BodySpec, HeightErrorSpec, RedrawnSpec
 from scenarios.spec.brdf import BrdfSpec
 from scenarios.spec.distribution import Scalar
-
-
-def _is_none(value: object) -> bool:
-    return value is None
 
 
 class OnboardSpec(SpecModel):
@@ -31,7 +27,7 @@ class OnboardSpec(SpecModel):
     )
     relief: RedrawnSpec | None = Field(
         None,
-        exclude_if=_is_none,
+        exclude_if=is_none,
         description="Small relief that nobody has seen: other boulders, craters and roughness",
     )
     height_error: HeightErrorSpec | None = Field(None, description="Error of the shape's heights")

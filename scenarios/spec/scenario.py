@@ -6,7 +6,7 @@ from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from scenarios.spec.base import SpecModel
+from scenarios.spec.base import SpecModel, is_none
 from scenarios.spec.body import BodySpec
 from scenarios.spec.brdf import BrdfSpec, LambertSpec
 from scenarios.spec.camera import CameraSpec, DetectorSpec, RenderingSpec
@@ -27,10 +27,6 @@ _ONBOARD_OF = {
 """Keys of ``onboard`` that estimators of such scenarios are lent; what else they know is said in those sections."""
 
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
-
-
-def _is_none(value: object) -> bool:
-    return value is None
 
 
 class ScenarioSpec(SpecModel):
@@ -65,7 +61,7 @@ class ScenarioSpec(SpecModel):
     orbit: OrbitSpec | None = Field(
         None,
         # Left out of digests where it is not given: other scenarios are the same as ever.
-        exclude_if=_is_none,
+        exclude_if=is_none,
         description="Weeks of images of craters from an orbit, instead of viewpoint",
     )
     pose_error: PoseErrorSpec = PAPER_POSE_ERROR
@@ -99,9 +95,9 @@ class ScenarioSpec(SpecModel):
 
     @model_validator(mode="after")
     def _onboard_has_a_part(self) -> Self:
-        heard = _ONBOARD_OF.get(self._kind, frozenset(OnboardSpec.model_fields))
+        lent = _ONBOARD_OF.get(self._kind, frozenset(OnboardSpec.model_fields))
         said = [key for key, field in OnboardSpec.model_fields.items() if getattr(self.onboard, key) != field.default]
-        idle = [key for key in said if key not in heard]
+        idle = [key for key in said if key not in lent]
         if idle:
             raise ValueError(f"onboard.{idle[0]} has no part in a scenario with {self._kind}: leave it out")
         return self
