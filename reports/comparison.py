@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
-from scipy.stats import binomtest
-
+from reports.intervals import wilson
 from reports.published import Claim, Comparison, PublishedValue, Term
 from reports.records import CONTROL, DERIVED, Record, find
 
@@ -115,10 +114,10 @@ def judge_solved(ours: Record | None, share: float = 0.9) -> Verdict:
         return "not measured"
     if share == 1:
         return "reproduced" if ours.n_ok == ours.n else "differs (lower)"
-    interval = binomtest(ours.n_ok, ours.n).proportion_ci(0.95, method="wilson")
-    if interval.low > share:
+    low, high = wilson(ours.n_ok, ours.n)
+    if low > share:
         return "reproduced"
-    return "differs (lower)" if interval.high < share else "undecided"
+    return "differs (lower)" if high < share else "undecided"
 
 
 def judge_order(ascending: Sequence[Record | None]) -> Verdict:

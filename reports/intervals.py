@@ -47,6 +47,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtr, ndtri, stdtrit
+from scipy.stats import binomtest
 
 from reports.resampling import RESAMPLES, content_rng, draw_counts
 
@@ -63,6 +64,12 @@ _TAIL = 0.5 * (1.0 - LEVEL)
 _STEP = 1e-5  # of a derivative, relative to the sums
 _CHUNK = 4_000_000  # numbers held at a time while resampling
 _NONE: Interval = (None, None)
+
+
+def wilson(k: int, n: int) -> tuple[float, float]:
+    """Return Wilson's interval of a share of which k of n independent trials, n >= 1, are an example."""
+    found = binomtest(k, n).proportion_ci(LEVEL, method="wilson")
+    return float(found.low), float(found.high)
 
 
 def is_told(n: int, quantile: float) -> bool:

@@ -17,6 +17,7 @@ from scipy.stats import binomtest, ttest_1samp
 
 from reports.clusters import clusters_of
 from reports.grid import Grid, counts, value_of
+from reports.intervals import wilson
 from reports.records import CONTROL, Record, find, unit_of
 from reports.run_data import RunData, select
 from reports.statistics import MEAN, MEDIAN, Measured, measure
@@ -104,9 +105,8 @@ def sign_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) ->
     better, decided = int((signs < 0.0).sum()), int((signs != 0.0).sum())
     if not decided:
         return Measured(None), Measured(None), 0
-    test = binomtest(better, decided)
-    low, high = test.proportion_ci(method="wilson")
-    return Measured(better / decided, float(low), float(high)), Measured(float(test.pvalue)), decided
+    chance = float(binomtest(better, decided).pvalue)
+    return Measured(better / decided, *wilson(better, decided)), Measured(chance), decided
 
 
 def _share_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) -> tuple[Measured, Measured, int]:
@@ -131,8 +131,7 @@ def share_of(marked: NDArray[np.bool_], clusters: NDArray[np.generic] | None = N
     """Share of marked trials with Wilson's interval, or with that of the clusters that they form if it is wider."""
     if not len(marked):
         return Measured(None)
-    low, high = binomtest(int(marked.sum()), len(marked)).proportion_ci(method="wilson")
-    alone = Measured(float(marked.mean()), float(low), float(high))
+    alone = Measured(float(marked.mean()), *wilson(int(marked.sum()), len(marked)))
     return _widened(alone, marked.astype(np.float64), clusters, (0.0, 1.0))
 
 

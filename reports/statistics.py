@@ -14,9 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 
-from reports.intervals import LEVEL, FloatArray, Interval, interval_of_sums, is_told, quantile_interval
+from reports.intervals import FloatArray, Interval, interval_of_sums, is_told, quantile_interval, wilson
 
 WORST = 1e150
 """Stands for the error of a failure that has none: above every error, and its square is still a number."""
@@ -127,8 +126,7 @@ def measure_share(part: FloatArray, whole: FloatArray, clusters: NDArray[np.gene
     n_clusters = len(np.unique(clusters))
     alike = n_clusters == len(whole) and bool((whole == 1.0).all())
     if alike or share in (0.0, 1.0):
-        found = binomtest(round(share * n_clusters), n_clusters).proportion_ci(LEVEL, method="wilson")
-        return Measured(100.0 * share, 100.0 * float(found.low), 100.0 * float(found.high))
+        return Measured(100.0 * share, *(100.0 * end for end in wilson(round(share * n_clusters), n_clusters)))
     low, high = cluster_interval(np.column_stack([part, whole]), clusters, _percent)
     return Measured(100.0 * share, *(None if end is None else min(max(end, 0.0), 100.0) for end in (low, high)))
 
