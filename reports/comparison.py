@@ -124,8 +124,10 @@ def judge_order(ascending: Sequence[Record | None]) -> Verdict:
     """Tell whether values with intervals ascend: apart they must be, in the stated order or in another."""
     bounds: list[tuple[float, float]] = []
     for record in ascending:
-        if record is None or record.low is None or record.high is None:
+        if record is None or record.value is None:
             return "not measured"
+        if record.low is None or record.high is None:
+            return "undecided"
         bounds.append((record.low, record.high))
     if all(first[1] < second[0] for first, second in pairwise(bounds)):
         return "reproduced"

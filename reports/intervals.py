@@ -60,6 +60,9 @@ LARGE = 10_000
 """Clusters from which on resampling brings nothing: what is studentised is nearly normal."""
 FEW = 10
 """Clusters below which resamples are too much alike for it: Student's t is taken."""
+_WIDEST = float(np.log(100.0))
+"""Logarithm of the greatest ratio of the ends. Beyond it one or two huge values make the mean: resamples without them,
+a third or more, know nothing of it, and the studentised bootstrap has no bound. Errors of this kind have a median."""
 _TAIL = 0.5 * (1.0 - LEVEL)
 _STEP = 1e-5  # of a derivative, relative to the sums
 _CHUNK = 4_000_000  # numbers held at a time while resampling
@@ -148,7 +151,7 @@ def interval_of_sums(
     Returns
     -------
     low, high
-        None below two clusters.
+        None below two clusters, and where the bootstrap of something positive fails: see ``_WIDEST``.
     """
     n_clusters = int(codes.max()) + 1
     if n_clusters < 2:
@@ -160,6 +163,8 @@ def interval_of_sums(
     below, above = _studentised(sums, linked, float(value))
     if not positive:
         return float(value - above * spread), float(value - below * spread)
+    if n_clusters >= FEW and (above - below) * spread > _WIDEST:
+        return _NONE
     middle = float(of_sums(sums.sum(axis=0)[None])[0])
     return middle * float(np.exp(-above * spread)), middle * float(np.exp(-below * spread))
 

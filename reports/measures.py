@@ -25,7 +25,7 @@ from reports.statistics import (
     Statistic,
     measure,
     measure_deviation,
-    measure_share,
+    share_of,
 )
 from reports.success import succeeded
 
@@ -83,8 +83,9 @@ class _Subject:
 
     def share(self, name: str, yes: NDArray[np.bool_], clusters: NDArray[np.generic]) -> Record:
         """Measure the share of trials of which something holds."""
-        found = measure_share(yes.astype(np.float64), np.ones(len(yes)), clusters)
-        return self.record(name, MEAN.name, found, len(yes))
+        found = share_of(yes, clusters)
+        percent = (None if number is None else 100.0 * number for number in (found.value, found.low, found.high))
+        return self.record(name, MEAN.name, Measured(*percent), len(yes))
 
     def pose_records(self, errors: pd.DataFrame, clusters: NDArray[np.generic]) -> list[Record]:
         """Evaluate the statistics of the five pose errors."""

@@ -20,7 +20,7 @@ from reports.grid import Grid, counts, value_of
 from reports.intervals import wilson
 from reports.records import CONTROL, Record, find, unit_of
 from reports.run_data import RunData, select
-from reports.statistics import MEAN, MEDIAN, Measured, measure
+from reports.statistics import MEDIAN, Measured, measure, share_of, widened
 from reports.success import succeeded
 
 PAIRED = "paired"
@@ -127,14 +127,6 @@ def _share_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) 
     return share_of(better, own), Measured(chance), len(better)
 
 
-def share_of(marked: NDArray[np.bool_], clusters: NDArray[np.generic] | None = None) -> Measured:
-    """Share of marked trials with Wilson's interval, or with that of the clusters that they form if it is wider."""
-    if not len(marked):
-        return Measured(None)
-    alone = Measured(float(marked.mean()), *wilson(int(marked.sum()), len(marked)))
-    return _widened(alone, marked.astype(np.float64), clusters, (0.0, 1.0))
-
-
 def rate_difference(
     mine: NDArray[np.bool_], theirs: NDArray[np.bool_], clusters: NDArray[np.generic] | None = None
 ) -> Measured:
@@ -150,19 +142,7 @@ def rate_difference(
     centre = (alone - other) / more
     half = float(_NORMAL_95 * np.sqrt(alone + other + 1.0 - (alone - other) ** 2 / more) / more)
     found = Measured((alone - other) / n, max(centre - half, -1.0), min(centre + half, 1.0))
-    return _widened(found, mine.astype(np.float64) - theirs.astype(np.float64), clusters, (-1.0, 1.0))
-
-
-def _widened(
-    alone: Measured, values: NDArray[np.float64], clusters: NDArray[np.generic] | None, ends: tuple[float, float]
-) -> Measured:
-    """Widen the interval of independent trials to that of their clusters; none where there is a single cluster."""
-    if clusters is None or len(np.unique(clusters)) == len(values):
-        return alone
-    found = measure(values, clusters, (MEAN,))[0]
-    if found.low is None or found.high is None or alone.low is None or alone.high is None:
-        return Measured(alone.value)
-    return Measured(alone.value, max(min(found.low, alone.low), ends[0]), min(max(found.high, alone.high), ends[1]))
+    return widened(found, mine.astype(np.float64) - theirs.astype(np.float64), clusters, (-1.0, 1.0))
 
 
 def _failure_records(pair: _Pair, clusters: NDArray[np.generic]) -> Iterator[Record]:

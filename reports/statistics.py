@@ -114,8 +114,33 @@ def _root(end: float, power: int) -> float:
     return end if power == 1 else float(max(end, 0.0) ** (1 / power))
 
 
+def share_of(marked: NDArray[np.bool_], clusters: NDArray[np.generic] | None = None) -> Measured:
+    """Share of marked trials with Wilson's interval, or with that of the clusters that they form if it is wider.
+
+    Where none or all are marked, nothing tells how alike the trials of a cluster are: they are taken as independent.
+    """
+    if not len(marked):
+        return Measured(None)
+    alone = Measured(float(marked.mean()), *wilson(int(marked.sum()), len(marked)))
+    return widened(alone, marked.astype(np.float64), clusters, (0.0, 1.0))
+
+
+def widened(
+    alone: Measured, values: FloatArray, clusters: NDArray[np.generic] | None, ends: tuple[float, float]
+) -> Measured:
+    """Widen the interval of independent trials to that of their clusters; none where there is a single cluster."""
+    if clusters is None or len(np.unique(clusters)) == len(values):
+        return alone
+    found = measure(values, clusters, (MEAN,))[0]
+    if found.low is None or found.high is None or alone.low is None or alone.high is None:
+        return Measured(alone.value)
+    return Measured(alone.value, max(min(found.low, alone.low), ends[0]), min(max(found.high, alone.high), ends[1]))
+
+
 def measure_share(part: FloatArray, whole: FloatArray, clusters: NDArray[np.generic]) -> Measured:
     """Return 100 sum(part) / sum(whole) with its interval, in percent; no value where there is nothing to share.
+
+    It is for what an image holds, as craters, whose images are the clusters; of trials it is `share_of`.
 
     Of independent trials, each a yes or a no, the interval is Wilson's. So it is, by the number of clusters, where none
     or all are a yes: what never happened in n clusters may happen in 3 / n of them.

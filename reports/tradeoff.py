@@ -11,10 +11,9 @@ import pandas as pd
 from reports.cells import interval
 from reports.clusters import clusters_of
 from reports.grid import NO_VALUE, Grid, number
-from reports.paired import share_of
 from reports.records import CONTROL
 from reports.run_data import Product, RunData, select
-from reports.statistics import MEDIAN, Measured, measure
+from reports.statistics import MEDIAN, Measured, measure, share_of
 from reports.success import succeeded
 
 POSITION, ATTITUDE = "position_error_m", "attitude_error_deg"

@@ -17,9 +17,8 @@ from scipy.stats import chi2
 
 from reports.clusters import clusters_of
 from reports.intervals import FloatArray
-from reports.paired import share_of
 from reports.run_data import TRIAL_KEY, RunData, select
-from reports.statistics import MEAN, MEDIAN, Measured, measure
+from reports.statistics import MEAN, MEDIAN, Measured, measure, share_of
 
 NEES, NIS = "nees", "innovation"
 AT_EPOCH = f"{NEES}_at_epoch"

@@ -14,8 +14,7 @@ from reports.compare.metrics import BORESIGHT, LATERAL, Metric
 from reports.compare.trials import CONDITIONS
 from reports.figures.curves import Points
 from reports.intervals import FloatArray
-from reports.paired import share_of
-from reports.statistics import MEDIAN, measure
+from reports.statistics import MEDIAN, measure, share_of
 
 ATTITUDE = "attitude_error_deg"
 SUCCESS = "success"

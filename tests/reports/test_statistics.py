@@ -15,6 +15,7 @@ from reports.statistics import (
     Statistic,
     measure,
     measure_share,
+    share_of,
 )
 
 ALL = (MEDIAN, MEAN, RMS, ROOT_MEDIAN_SQUARE, P95)
@@ -99,3 +100,11 @@ def test_a_share_of_independent_trials_has_wilsons_interval():
 def test_a_share_of_few_clusters_stays_a_share():
     found = measure_share(np.array([10.0, 10.0, 9.0]), np.full(3, 10.0), np.arange(3))
     assert 0.0 <= found.low < found.value < found.high <= 100.0
+
+
+def test_a_share_of_trials_is_bounded_by_trials_where_all_of_every_cluster_succeed():
+    """Nothing tells then how alike trials of a data base are; 100 of 100 is Wilson's [96.3, 100] in all tables."""
+    data_base = np.arange(100) % 5
+    assert share_of(np.ones(100, dtype=bool), data_base).low == pytest.approx(0.963, abs=0.001)
+    alike, apart = share_of(data_base < 1, np.arange(100)), share_of(data_base < 1, data_base)
+    assert apart.low < alike.low < alike.value == apart.value == 0.2 < alike.high < apart.high
