@@ -35,6 +35,9 @@ degrees, absolute     20   94.7    - 93.8 89.9
 Lognormal errors with sigma 0.8 of five data bases, 100 trials each, whose levels differ by a factor with sigma 0, 0.1,
 0.3 or 0.6: median 98.1, 96.2, 95.3, 96.1; mean 96.0, 94.7, 93.7, 91.7; RMS 93.2, 94.2, 91.7, 84.1.
 
+Standard deviations of 20, 50 and 100 lognormal values with sigma 0.5: 87.4, 89.6 and 91.1; with sigma 0.8: 76.1, 84.4
+and 88.7. Of fewer than 20 there is no interval.
+
 The percentile bootstrap held 83 % of the means of 10 lognormal values with sigma 0.8, and 73 % of the mean squares of
 20. No interval of few values can know of a tail that none of them is in: an RMS of errors with such
 tails is less certain than its interval says.
@@ -61,8 +64,8 @@ LARGE = 10_000
 FEW = 10
 """Clusters below which resamples are too much alike for it: Student's t is taken."""
 _WIDEST = float(np.log(100.0))
-"""Logarithm of the greatest ratio of the ends. Beyond it one or two huge values make the mean: resamples without them,
-a third or more, know nothing of it, and the studentised bootstrap has no bound. Errors of this kind have a median."""
+"""Logarithm of the greatest ratio of the ends. Beyond it there are two or three values, or one or two huge ones make
+the mean: resamples without them, a third or more, know nothing of it, and the studentised bootstrap has no bound."""
 _TAIL = 0.5 * (1.0 - LEVEL)
 _STEP = 1e-5  # of a derivative, relative to the sums
 _CHUNK = 4_000_000  # numbers held at a time while resampling
@@ -151,7 +154,7 @@ def interval_of_sums(
     Returns
     -------
     low, high
-        None below two clusters, and where the bootstrap of something positive fails: see ``_WIDEST``.
+        None below two clusters, and of something positive where they would be further apart than ``_WIDEST``.
     """
     n_clusters = int(codes.max()) + 1
     if n_clusters < 2:
@@ -163,7 +166,7 @@ def interval_of_sums(
     below, above = _studentised(sums, linked, float(value))
     if not positive:
         return float(value - above * spread), float(value - below * spread)
-    if n_clusters >= FEW and (above - below) * spread > _WIDEST:
+    if (above - below) * spread > _WIDEST:
         return _NONE
     middle = float(of_sums(sums.sum(axis=0)[None])[0])
     return middle * float(np.exp(-above * spread)), middle * float(np.exp(-below * spread))

@@ -60,6 +60,8 @@ P95 = Statistic("95th percentile", 0.95)
 P99 = Statistic("99th percentile", 0.99)
 DEVIATION = "deviation"
 """Name of the standard deviation of a sample, which is no power mean."""
+LEAST_SPREAD = 20
+"""Clusters from which on a deviation has an interval."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,10 +164,15 @@ def _percent(sums: FloatArray) -> FloatArray:
 
 
 def measure_deviation(values: FloatArray, clusters: NDArray[np.generic]) -> Measured:
-    """Return the standard deviation (with n - 1) of ``values`` (n,) with its interval, as `measure` does."""
+    """Return the standard deviation (with n - 1) of ``values`` (n,) with its interval, as `measure` does.
+
+    There is none below `LEAST_SPREAD` clusters: of eight skewed errors it would hold the truth in 60 to 75 % of cases.
+    """
     if len(values) < 2:
         return Measured(None)
     deviation = float(values.std(ddof=1))
+    if len(np.unique(clusters)) < LEAST_SPREAD:
+        return Measured(deviation)
     centred = values - values.mean()
     interval = cluster_interval(
         np.stack([np.ones_like(centred), centred, centred**2], axis=1),

@@ -80,6 +80,13 @@ def test_a_deviation_of_normal_values_has_nearly_the_interval_of_chi_square():
     assert (found.low, found.high) == pytest.approx(ends, abs=0.02)
 
 
+def test_a_deviation_of_few_values_has_no_interval():
+    values = np.random.default_rng(12).lognormal(size=20)
+    assert measure_deviation(values[:19], np.arange(19)).low is None
+    found = measure_deviation(values, np.arange(20))
+    assert found.low < found.value < found.high
+
+
 def test_very_many_values_are_not_resampled():
     values = np.random.default_rng(8).gamma(2.0, 10.0, size=LARGE)
     found = measure(values, np.arange(LARGE), (MEAN,))[0]
@@ -101,13 +108,15 @@ def test_a_mean_that_one_huge_value_makes_has_no_interval():
     mean, median = measure(values, np.arange(100), (MEAN, MEDIAN))
     assert (mean.low, mean.high) == (None, None) and mean.value > 100.0
     assert 2.0 < median.low < median.high < 4.0
+    two = measure(np.array([20.0, 40.0]), np.arange(2), (MEAN,))[0]
+    assert (two.value, two.low) == (30.0, None)
     assert None not in interval_of_sums(with_ones(np.minimum(values, 30.0)), np.arange(100), mean_of, positive=True)
 
 
 def coverage(statistic, truth, draw, repetitions):
-    """Count how often the interval holds the truth; ``draw`` gives values and clusters."""
+    """Count how often the interval holds the truth; ``draw`` gives values and clusters. None fails."""
     held = [measure(*draw(), (statistic,))[0] for _ in range(repetitions)]
-    return np.mean([one.low <= truth <= one.high for one in held])
+    return np.mean([one.low is not None and one.low <= truth <= one.high for one in held])
 
 
 def lognormal_truth(statistic, deviation):
@@ -181,6 +190,19 @@ def test_coverage_of_independent_values(kind, n, least):
             truth = lognormal_truth(statistic, kind)
             found = coverage(statistic, truth, lambda: (rng.lognormal(0, kind, n), np.arange(n)), repetitions)
         print(f"{kind} n {n} {statistic.name}: {100 * found:.1f} %")  # noqa: T201  figures for the docstring
+        assert wanted < found < 0.975
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("n", "least"), [(20, (0.83, 0.73)), (50, (0.86, 0.81)), (100, (0.88, 0.84))])
+def test_coverage_of_deviations(n, least):
+    """3,000 repetitions; prints what stands in the table of `reports.intervals`."""
+    rng = np.random.default_rng(n)
+    for sigma, wanted in zip((0.5, 0.8), least, strict=True):
+        truth = np.sqrt(np.expm1(sigma**2) * np.exp(sigma**2))
+        held = [measure_deviation(rng.lognormal(0, sigma, n), np.arange(n)) for _ in range(3000)]
+        found = np.mean([one.low is not None and one.low <= truth <= one.high for one in held])
+        print(f"{sigma} n {n} deviation: {100 * found:.1f} %")  # noqa: T201  figures for the docstring
         assert wanted < found < 0.975
 
 
