@@ -32,7 +32,7 @@ def detected(
     """Draw the images of a scenario with the most detectable craters, once for each detector."""
     experiment = _opened(campaign, folder, scenario)
     for trial in _richest(run, scenario):
-        _, frame, _ = experiment.see(trial)
+        _, frame, _ = experiment.of(trial).see(trial)
         for label in labels:
             rows = select(run.rows, scenario, label)
             if (rows.loc[rows["trial"] == trial, "status"] == "ok").any():
@@ -48,7 +48,7 @@ def stages_of(
     if not isinstance(detector, CraterClassic):
         return
     for trial in _richest(run, scenario)[:1]:
-        _, frame, camera = experiment.see(trial)
+        _, frame, camera = experiment.of(trial).see(trial)
         stages = detector.stages(frame, camera)
         arcs = {"shaded": [a.uv_px for a in stages.shaded], "lit": [a.uv_px for a in stages.lit]}
         small, large = stages.edges

@@ -31,6 +31,11 @@ def of_what_was_drawn(grids: Iterable[Grid], run: RunData) -> Iterator[Grid]:
 
 def database_line(run: RunData) -> str:
     """Say what the data bases of a run mean for its intervals; '' where it has none."""
+    if run.databases > 1 and not run.manifest.products:
+        return (
+            f"The world of craters was drawn {run.databases} times; trials have them in turn. Intervals take the world"
+            " for what is independent (Student's t over them), so that they tell of other worlds too."
+        )
     if run.databases > 1:
         return (
             f"Each estimator's data base was drawn {run.databases} times, with the errors of the shape on board where"

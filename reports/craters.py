@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from reports.clusters import clusters_of
 from reports.grid import NO_VALUE, Grid, value_of
 from reports.intervals import is_told
 from reports.records import Record, unit_of
@@ -48,9 +49,10 @@ _LABELS = {
 _BRIEF_SHARES = ("detection_share", "clean_detection_share", "false_alarm_share")
 _NOTE = (
     "Over the detections that reach the detector's threshold (`confidence_min`), which was chosen on images of another"
-    " world before this run; intervals are 95 %, with images as the unit. A"
-    " detection is matched with a crater whose centre lies within max(0.3 r, 1.5 px) and whose radius differs by less"
-    " than 0.36 in its logarithm, one to one; every crater of 150 m or more is listed for that. False alarms lead with"
+    " world before this run; intervals are 95 %, with images, or worlds of craters where"
+    " there are several, as the unit. A detection is matched with a crater whose centre lies within max(0.3 r, 1.5 px)"
+    " and whose radius differs by less than 0.36 in its logarithm, one to one; every crater of 150 m or"
+    " more is listed for that. False alarms lead with"
     " the same craters that recall is of: a detection of a listed crater that is not detectable counts neither way, as"
     " difficult objects do in Pascal VOC (Everingham et al. 2010, IJCV 88, 303); detectors of craters are mostly held"
     " against whole catalogues (as Silburt et al. 2019, Icarus 317, 27), which is the second rate, and the third counts"
@@ -65,12 +67,14 @@ _NOTE = (
 class Shown:
     """What one detector was shown and found: images, true craters with what was found of each, and detections.
 
-    Craters and detections have a column ``kept``: whether by the detector's own threshold.
+    Craters and detections have the columns ``kept``: whether by the detector's own threshold; ``world``: within which
+    a crater has one number; ``unit``: what is independent of all others, the world where there are several, else the
+    image.
     """
 
     scenario: str
     estimator: str
-    trials: NDArray[np.int64]
+    images: pd.DataFrame
     craters: pd.DataFrame
     detections: pd.DataFrame
 
@@ -79,13 +83,15 @@ def shown(run: RunData) -> Iterator[Shown]:
     """Yield each detector's images, of the trials that it did not fail on for a fault of its own."""
     for scenario, estimator in run.pairs():
         rows = select(run.rows, scenario, estimator)
-        trials = np.sort(rows["trial"].to_numpy(dtype=np.int64))
-        found = select(run.detections, scenario, estimator)
-        here = run.craters[(run.craters["scenario"] == scenario) & run.craters["trial"].isin(trials)]
+        images = rows[["scenario", "trial"]].sort_values("trial")
+        unit = clusters_of(run, images)
+        images = images.assign(unit=unit, world=unit if run.databases > 1 else "")
+        found = select(run.detections, scenario, estimator).merge(images, on=["scenario", "trial"])
+        here = run.craters.merge(images, on=["scenario", "trial"])
         matched = found.loc[found["crater"] >= 0, ["trial", "crater", "confidence", "kept"]]
         craters = here.merge(matched, on=["trial", "crater"], how="left")
         craters["kept"] = craters["kept"].eq(True)
-        yield Shown(scenario, estimator, trials, craters, found)
+        yield Shown(scenario, estimator, images, craters, found)
 
 
 def crater_records(run: RunData) -> list[Record]:
@@ -97,32 +103,32 @@ def _records(one: Shown) -> Iterator[Record]:
     craters, found = one.craters, one.detections[one.detections["kept"].to_numpy(dtype=bool)]
     was_found = craters["kept"].to_numpy(dtype=bool)
     detectable, clean = craters["detectable"].to_numpy(dtype=bool), craters["clean"].to_numpy(dtype=bool)
-    of_image = craters["trial"].to_numpy(dtype=np.int64)
-    yield _share(one, "detection_share", was_found[detectable], of_image[detectable])
-    yield _share(one, "clean_detection_share", was_found[clean], of_image[clean])
+    around = craters["unit"].to_numpy()
+    yield _share(one, "detection_share", was_found[detectable], around[detectable])
+    yield _share(one, "clean_detection_share", was_found[clean], around[clean])
     false = found["crater"].to_numpy() < 0
     counted = counts_as_detection(found)
-    image = found["trial"].to_numpy(dtype=np.int64)
-    yield _share(one, "false_alarm_share", false[counted], image[counted])
-    yield _share(one, "listed_false_alarm_share", false, image)
-    yield _share(one, "beyond_detectable_share", false | ~counted, image)
-    yield _share(one, "duplicate_share", found["duplicate"].to_numpy(dtype=bool), image)
-    sizes = found.groupby("trial").size().reindex(one.trials, fill_value=0)
+    unit = found["unit"].to_numpy()
+    yield _share(one, "false_alarm_share", false[counted], unit[counted])
+    yield _share(one, "listed_false_alarm_share", false, unit)
+    yield _share(one, "beyond_detectable_share", false | ~counted, unit)
+    yield _share(one, "duplicate_share", found["duplicate"].to_numpy(dtype=bool), unit)
+    sizes = found.groupby("trial").size().reindex(one.images["trial"], fill_value=0)
     per_image = np.asarray(sizes, dtype=np.float64)
-    for statistic, known in zip((MEDIAN,), measure(per_image, one.trials, (MEDIAN,)), strict=True):
+    for statistic, known in zip((MEDIAN,), measure(per_image, one.images["unit"].to_numpy(), (MEDIAN,)), strict=True):
         bounds = (known.value, known.low, known.high)
         yield _record(one, "detections_per_image", statistic.name, bounds, len(per_image), len(per_image))
     best = (found["rank"] < BEST).to_numpy()
-    yield _share(one, "best_false_alarm_share", false[best & counted], image[best & counted])
+    yield _share(one, "best_false_alarm_share", false[best & counted], unit[best & counted])
     good = best & ~false
     error = found["centre_error_px"].to_numpy(dtype=np.float64)
-    yield _share(one, "best_within_1px_share", error[good] <= 1.0, image[good])
-    yield from _errors(one, "best_centre_error_px", error[good], image[good])
+    yield _share(one, "best_within_1px_share", error[good] <= 1.0, unit[good])
+    yield from _errors(one, "best_centre_error_px", error[good], unit[good])
     axes = found[["major_error_px", "minor_error_px"]].to_numpy(dtype=np.float64)
     for prefix, which in (("", "detectable"), ("clean_", "clean")):
         seen = found[which].to_numpy(dtype=bool) & ~false
-        yield from _errors(one, f"{prefix}centre_error_px", error[seen], image[seen])
-        yield from _errors(one, f"{prefix}axes_error_px", np.abs(axes[seen]).ravel(), np.repeat(image[seen], 2))
+        yield from _errors(one, f"{prefix}centre_error_px", error[seen], unit[seen])
+        yield from _errors(one, f"{prefix}axes_error_px", np.abs(axes[seen]).ravel(), np.repeat(unit[seen], 2))
 
 
 def counts_as_detection(found: pd.DataFrame) -> BoolArray:
@@ -130,21 +136,21 @@ def counts_as_detection(found: pd.DataFrame) -> BoolArray:
     return np.asarray((found["crater"] < 0) | found["detectable"].astype(bool))
 
 
-def _share(one: Shown, name: str, yes: BoolArray, image: NDArray[np.int64]) -> Record:
-    """Measure a share in percent, images being drawn as a whole."""
-    return _record(one, name, "mean", ratio(yes, image), len(yes), len(yes))
+def _share(one: Shown, name: str, yes: BoolArray, unit: NDArray[np.generic]) -> Record:
+    """Measure a share in percent, images or worlds being drawn as a whole."""
+    return _record(one, name, "mean", ratio(yes, unit), len(yes), len(yes))
 
 
-def ratio(yes: BoolArray, image: NDArray[np.int64]) -> tuple[float | None, float | None, float | None]:
+def ratio(yes: BoolArray, unit: NDArray[np.generic]) -> tuple[float | None, float | None, float | None]:
     """Share (%) of what is true with its 95 % interval; None where there is nothing."""
     if len(yes) == 0:
         return None, None, None
-    found = measure_share(yes.astype(np.float64), np.ones(len(yes)), image)
+    found = measure_share(yes.astype(np.float64), np.ones(len(yes)), unit)
     return found.value, found.low, found.high
 
 
-def _errors(one: Shown, name: str, error: FloatArray, image: NDArray[np.int64]) -> Iterator[Record]:
-    for statistic, known in zip((MEDIAN, RMS), measure(error, image, (MEDIAN, RMS)), strict=True):
+def _errors(one: Shown, name: str, error: FloatArray, unit: NDArray[np.generic]) -> Iterator[Record]:
+    for statistic, known in zip((MEDIAN, RMS), measure(error, unit, (MEDIAN, RMS)), strict=True):
         yield _record(one, name, statistic.name, (known.value, known.low, known.high), len(error), len(error))
 
 
@@ -232,8 +238,7 @@ def _curve_grid(ones: Sequence[Shown]) -> Grid:
             cells = []
             for name in ("detectable", "clean"):
                 chosen = one.craters[name].to_numpy(dtype=bool)
-                image = one.craters["trial"].to_numpy(dtype=np.int64)
-                cells.append(_cell(ratio(above[chosen], image[chosen])))
+                cells.append(_cell(ratio(above[chosen], one.craters["unit"].to_numpy()[chosen])))
             kept = int((one.detections["confidence"] >= threshold).sum())
             listed = f"{100 * curve.listed_false_share[allowed[-1]]:.1f}"
             own = (one.scenario, one.estimator, f"{100 * wanted:g}", listed, f"{threshold:.3g}")
@@ -279,12 +284,12 @@ def binned_rates(
 ) -> Mapping[tuple[float, float], tuple[tuple[float | None, float | None, float | None], int]]:
     """Rates of detectable craters found, with intervals, and their numbers, between edges of something of theirs."""
     craters = one.craters[one.craters["detectable"].astype(bool)]
-    of, image = values(craters), craters["trial"].to_numpy(dtype=np.int64)
+    of, unit = values(craters), craters["unit"].to_numpy()
     was_found = craters["kept"].to_numpy(dtype=bool)
     rates = {}
     for low, high in pairwise(edges):
         within = (of >= low) & ((of < high) | ((of == high) & (high == edges[-1])))
-        rates[low, high] = ratio(was_found[within], image[within]), int(within.sum())
+        rates[low, high] = ratio(was_found[within], unit[within]), int(within.sum())
     return rates
 
 

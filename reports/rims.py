@@ -74,7 +74,7 @@ def _spread(values: FloatArray) -> float:
 def _redetected(craters: pd.DataFrame) -> float:
     """Share of the looks at known craters, those that two other images show detected, in which they are detected."""
     kept = craters["kept"].to_numpy(dtype=bool)
-    elsewhere = craters.groupby("crater")["kept"].transform("sum").to_numpy(dtype=np.int64) - kept
+    elsewhere = craters.groupby(["world", "crater"])["kept"].transform("sum").to_numpy(dtype=np.int64) - kept
     looks = (
         (elsewhere >= 2)
         & (craters["in_frame"].to_numpy() >= _IN_FRAME)

@@ -17,6 +17,7 @@ from campaign.experiments.registry import Bench, Record, Records, Witness, add_r
 from campaign.experiments.single_image import SingleImage
 from campaign.guard import Call
 from campaign.products import BuiltProduct, Shelf
+from campaign.products.databases import of_database, with_world
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
 from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
@@ -56,6 +57,8 @@ class CraterDetection:
         Called with the trial and its image, to keep it; or None.
     witness
         Shown the `DetectedImage` of every trial; or None.
+    others
+        The same in each world of craters, this one the first, where there are several: trials have them in turn.
     """
 
     world: World
@@ -63,6 +66,7 @@ class CraterDetection:
     seed: int
     keep_image: ImageSink | None = None
     witness: Witness | None = None
+    others: tuple[CraterDetection, ...] = ()
 
     kind: ClassVar[str] = "crater-detection"
     version: ClassVar[int] = 2
@@ -76,32 +80,47 @@ class CraterDetection:
 
     @classmethod
     def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
-        """Refuse wrong options and a scenario without craters, and build the surface, which workers then only read."""
+        """Refuse wrong options and a scenario without craters, and build the surfaces, which workers then only read."""
         del shelf
         _detectors(campaign)
         if scenario.spec.craters is None or scenario.spec.viewpoint is None:
             raise BoresightError(
                 f"{scenario.path}: craters and viewpoint are needed by the experiment {cls.kind}: add the sections"
             )
-        cratered_surface(scenario.spec.body, scenario.spec.craters, scenario.search_dirs)
+        for number in range(campaign.spec.databases):
+            craters = of_database(scenario.spec.craters, number)
+            cratered_surface(scenario.spec.body, craters, scenario.search_dirs)
         return []
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> CraterDetection:
-        """Open the world and build the detectors."""
+        """Open the worlds and build the detectors."""
         sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
-        return cls(open_world(scenario, campaign.variant), _detectors(campaign), campaign.seed, sink)
+        numbers = range(campaign.spec.databases)
+        worlds = (open_world(with_world(scenario, number), campaign.variant) for number in numbers)
+        first, *others = (cls(world, _detectors(campaign), campaign.seed, sink) for world in worlds)
+        return replace(first, others=(first, *others)) if others else first
 
     def watched(self, label: str, witness: Witness) -> Self:
         """Return the same trials of one detector, shown to a witness."""
-        return replace(self, detectors={label: self.detectors[label]}, witness=witness)
+        alone = replace(self, detectors={label: self.detectors[label]}, witness=witness, others=())
+        others = tuple(other.watched(label, witness) for other in self.others[1:])
+        return replace(alone, others=(alone, *others)) if others else alone
+
+    def of(self, trial: int) -> CraterDetection:
+        """Return the same in the world of a trial alone."""
+        return self.others[trial % len(self.others)] if self.others else self
 
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and detectors."""
         records: Records = {}
         for trial in trials:
-            add_records(records, self.trial(trial))
-        self.world.source.flush()
+            found = self.of(trial).trial(trial)
+            for row in found["rows"]:
+                row["database"] = trial % len(self.others) if self.others else None
+            add_records(records, found)
+        for own in self.others or (self,):
+            own.world.source.flush()
         return records
 
     def trial(self, trial: int) -> Records:

@@ -86,13 +86,14 @@ class CampaignSpec(SpecModel):
         ge=1,
         le=1000,
         description="Data bases of each estimator, drawn afresh with the errors of the shape on board and, where there"
-        " are craters, with another world of them; trial t has data base t modulo their number",
+        " are craters, with another world of them, which is all that detection of craters has; trial t has data base"
+        " t modulo their number",
     )
     report: str | None = Field(None, description="Key of the published values to set beside the results")
 
     @model_validator(mode="after")
     def _databases_of_images(self) -> Self:
-        if self.databases > 1 and self.experiment != "single-image":
+        if self.databases > 1 and self.experiment not in {"single-image", "crater-detection"}:
             raise ValueError(f"databases: 1 is all that a campaign of {self.experiment} has: leave the key out")
         return self
 

@@ -246,6 +246,22 @@ def test_same_seed_same_rows(folder: Path, done: Path) -> None:
         pd.testing.assert_frame_equal(first, second)
 
 
+def test_worlds_of_craters_are_the_unit_where_there_are_several(folder: Path, done: Path) -> None:
+    """Trials 0 and 2 are of the first world, the one of a campaign with a single world, and the others of another."""
+    (folder / "worlds.yaml").write_text(CAMPAIGN + "databases: 2\n")
+    assert run(folder / "worlds.yaml", folder / "worlds") == 3
+    several, one = (RunFolder(path).table("craters").set_index("trial") for path in (folder / "worlds", done))
+    pd.testing.assert_frame_equal(several.loc[[0, 2]], one.loc[[0, 2]])
+    assert not several.loc[[1, 3]].reset_index().equals(one.loc[[1, 3]].reset_index())
+    assert (
+        RunFolder(folder / "worlds").table("rows").groupby("trial")["database"].unique().str[0].tolist() == [0, 1] * 2
+    )
+    ours = next(iter(shown(read_run(folder / "worlds"))))
+    assert ours.craters.groupby("trial")["unit"].nunique().eq(1).all() and ours.craters["unit"].nunique() == 2
+    assert "The world of craters was drawn 2 times" in (folder / "worlds" / "report" / "report.md").read_text()
+    assert main(["inspect", str(folder / "worlds"), "--trial", "1", "--estimator", "blobs"]) == 0
+
+
 def test_scenario_without_craters_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     head, tail = SCENE.split("craters:")
     (folder / "scene2.yaml").write_text(head + tail.split("\n", 2)[2])

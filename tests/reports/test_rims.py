@@ -28,14 +28,21 @@ def seen(n=4000, wild=0.05):
 def looks():
     """Craters by image: one detected in all three that it is well seen in, one in one of three, one once alone."""
     rows = [(7, image, True) for image in range(3)] + [(8, 0, True), (8, 1, False), (8, 2, False), (9, 0, True)]
-    table = pd.DataFrame(rows, columns=["crater", "trial", "kept"]).assign(in_frame=1.0, emission_deg=30.0)
+    table = pd.DataFrame(rows, columns=["crater", "trial", "kept"]).assign(world="", in_frame=1.0, emission_deg=30.0)
     hidden = table.head(3).assign(kept=False, emission_deg=70.0)
     dark = table.head(3).assign(kept=False, emission_deg=30.0).assign(incidence_deg=85.0)
     return pd.concat([table.assign(incidence_deg=40.0), hidden.assign(incidence_deg=40.0), dark], ignore_index=True)
 
 
 def detector(detections, craters):
-    return Shown("scene", "own", np.arange(3), craters, detections)
+    images = pd.DataFrame({"trial": np.arange(3), "unit": np.arange(3)})
+    return Shown("scene", "own", images, craters, detections)
+
+
+def test_craters_of_one_number_in_several_worlds_are_several():
+    """In worlds of their own, no crater is seen in two other images."""
+    apart = looks().assign(world=lambda table: table["trial"])
+    assert rim_scatter(detector(seen(), apart)).redetected == 0.0 < rim_scatter(detector(seen(), looks())).redetected
 
 
 def test_the_scatter_that_was_put_in_comes_out():

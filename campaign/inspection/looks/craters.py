@@ -32,13 +32,19 @@ _MOST_PAIRS = 60
 
 
 def look_at_detections(experiment: CraterDetection, run: RunData, of: Of) -> Look:
-    """Show the craters by how often they are detected when they could be, and the cameras of all images."""
+    """Show the craters by how often they are detected when they could be, and the cameras of all images.
+
+    Of several worlds the first is shown.
+    """
     rows = select(run.rows, of.scenario, of.label)
+    rows = rows[rows["trial"] % max(len(experiment.others), 1) == 0]
     ground = experiment.world.ground
     if ground is None:
         raise BoresightError(f"{run.folder}: --look: the scenario {of.scenario} has no craters")
     there = run.craters[(run.craters["scenario"] == of.scenario) & run.craters["detectable"].astype(bool)]
+    there = there[there["trial"].isin(rows["trial"])]
     found = select(run.detections, of.scenario, of.label)
+    found = found[found["trial"].isin(rows["trial"])]
     found = found[found["kept"].astype(bool) & found["detectable"].astype(bool) & (found["crater"] >= 0)]
     chances = there.groupby("crater").size()
     hits = found.groupby("crater").size().reindex(chances.index).fillna(0)
