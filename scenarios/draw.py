@@ -62,7 +62,7 @@ def estimator_generator(seed: int, trial: int) -> np.random.Generator:
     """Return the generator that an estimator draws from in a trial.
 
     It begins with a one-way hash of its address: from a generator of ``generator`` the campaign's seed could be read,
-    and with it the truth be drawn again.
+    and with it the truth be drawn again. It cannot be read from this one, but whoever guesses it can try the guess.
     """
     address = f"boresight estimator {seed} {int(Stream.ESTIMATOR)} {trial}".encode()
     return np.random.default_rng(int.from_bytes(hashlib.blake2b(address, digest_size=16).digest(), "little"))
