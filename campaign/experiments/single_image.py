@@ -23,7 +23,7 @@ from campaign.resolve import ResolvedCampaign
 from campaign.score import consistency, no_consistency, no_pose_error, pose_columns, pose_error
 from campaign.sensors import altimeter_reading
 from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
-from campaign.world import Sight, World, open_world
+from campaign.world import Sight, World, check_bodies, open_world
 from estimators.contract import Estimate, Estimator, Table
 from estimators.registry import estimator_class
 from renderers.rectify import rectify
@@ -96,8 +96,9 @@ class SingleImage:
     def prepare(
         cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf
     ) -> list[BuiltProduct | MissingProduct]:
-        """Refuse wrong options, and let every estimator ask for its products."""
+        """Refuse wrong options and bodies, and let every estimator ask for its products."""
         check_options(campaign.spec.estimators, shelf.camera)
+        check_bodies(scenario)
         products: list[BuiltProduct | MissingProduct] = []
         for number, entry in product(range(campaign.spec.databases), campaign.spec.estimators):
             asked = shelf.empty(number)
