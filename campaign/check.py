@@ -14,6 +14,7 @@ from campaign.check_parts import (
     check_names,
     check_numbers,
     check_reason,
+    check_seconds,
     check_several,
     check_status,
     check_type,
@@ -53,7 +54,7 @@ def check(estimate: Estimate, observation: Observation) -> None:
     check_numbers(estimate.diagnostics, "diagnostics", texts=True)
     if isinstance(estimate.diagnostics.get("n_landmarks"), str):
         raise ValueError("diagnostics: n_landmarks is a text")  # noqa: TRY004  all rubbish is a ValueError
-    check_numbers(estimate.timings_s, "timings_s")
+    check_seconds(estimate.timings_s, "timings_s")
     _check_details(estimate.details)
     _check_solution(estimate, len(observation.frames))
 

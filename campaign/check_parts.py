@@ -88,13 +88,30 @@ def _array(what: str, array: object) -> NDArray[np.generic]:
     return array
 
 
-def check_numbers(numbers: Mapping[str, float | int | str], what: str, texts: bool = False) -> None:
-    """Refuse a table of numbers by name in which one is not a finite number or, where it may be, a text."""
+def check_numbers(
+    numbers: Mapping[str, float | int | str], what: str, texts: bool = False, least: float = -MOST
+) -> None:
+    """Refuse a table of numbers by name in which one is not from ``least`` to `MOST` or, where it may be, a text."""
     check_names(what, numbers)
     for name, value in numbers.items():
-        try:
-            finite = texts if isinstance(value, str) else np.isfinite(float(value))
-        except (TypeError, ValueError, OverflowError):
-            raise ValueError(f"{what}: {name} is {type(value).__name__}, not a number") from None
-        if not finite:
-            raise ValueError(f"{what}: {name} is {value}")
+        if texts and isinstance(value, str):
+            continue
+        _check_number(f"{what}: {name}", value, least)
+
+
+def check_seconds(seconds: Mapping[str, float], what: str) -> None:
+    """Refuse times in which one is no number, or negative: the clock that they are taken with does not go back."""
+    check_numbers(seconds, what, least=0.0)
+
+
+def _check_number(what: str, value: float | int | str, least: float) -> None:
+    try:
+        number = None if isinstance(value, str) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = None
+    if number is None:
+        raise ValueError(f"{what} is {type(value).__name__}, not a number")
+    if not np.isfinite(number):
+        raise ValueError(f"{what} is {value}")
+    if not least <= number <= MOST:
+        raise ValueError(f"{what} is {number:g}, not a number from {least:g} to {MOST:g}")

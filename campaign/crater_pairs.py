@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from campaign.crater_score import check_detections, match_detections
+from campaign.experiments.methods import Unbuilt, able, built
 from campaign.image_store import ImageStore
 from estimators.craters.contract import CraterDetector
 from estimators.craters.registry import crater_detector_class
@@ -25,6 +26,7 @@ from scenarios.geometry import Camera, Ellipses, View
 from scenarios.load import LoadedScenario
 from scenarios.observation import Frame
 from scenarios.sequences.ground import MeshGround
+from scenarios.spec.campaign import EstimatorSpec
 from scenarios.spec.crater_pairs import CraterPairsSpec, RenderedLooksSpec
 from scenarios.spec.world import PoseErrorSpec
 
@@ -91,7 +93,7 @@ class RenderedPairs:
     renderer: TiledRenderer
     rims: Rims
     detector: Detector | None
-    finders: Mapping[str, CraterDetector]
+    finders: Mapping[str, CraterDetector | Unbuilt]
     store: ImageStore
 
     def looks(self, seed: int, trial: int) -> Looks:
@@ -107,7 +109,7 @@ class RenderedPairs:
             seen.append((view, frame, crater_truth(self.rims, view, self.renderer)))
 
         def seen_by(detector: str) -> CraterPair:
-            first, second = (self._look(self.finders[detector], *one) for one in seen)
+            first, second = (self._look(able(self.finders[detector]), *one) for one in seen)
             return CraterPair(first, second, *angles)
 
         # Matchers that share a detector see the same craters, which are looked for once.
@@ -173,9 +175,13 @@ def open_pairs(
         raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.images renders them")
     surface = cratered_surface(spec.body, spec.craters, scenario.search_dirs)
     renderer = TiledRenderer(surface, spec.brdf, spec.rendering.samples_per_pixel, choose_variant(variant))
-    finders = {name: crater_detector_class(name).from_options({}) for name in detectors}
+    finders = {name: _finder(name, spec.name) for name in detectors}
     exposed = None if spec.detector is None else Detector(spec.detector)
     store = ImageStore.open(scenario, variant, Stream.TRUTH, section)
     return RenderedPairs(
         section, section.images, spec.pose_error, camera, ground, renderer, surface.rims, exposed, finders, store
     )
+
+
+def _finder(name: str, scenario: str) -> CraterDetector | Unbuilt:
+    return built(EstimatorSpec(name=name, label=name), scenario, lambda: crater_detector_class(name).from_options({}))

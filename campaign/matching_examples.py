@@ -8,6 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from campaign.experiments.crater_matching import CraterMatching, right_matches
+from campaign.experiments.methods import able
 from campaign.experiments.registry import Bench
 from campaign.resolve import ResolvedCampaign
 from campaign.worker import experiment_of
@@ -37,7 +38,7 @@ def matching_example(
         return None
     pair = experiment.pair(trial, label)
     images = experiment.images(pair)
-    matches = experiment.matchers[label].match(*images, experiment.known)
+    matches = able(experiment.matchers[label]).match(*images, experiment.known)
     right = right_matches(matches, pair)
     angles = f"views {pair.view_deg:.0f} deg and Suns {pair.sun_deg:.0f} deg apart"
     title = f"{label}, {scenario}, trial {trial}: {angles}"

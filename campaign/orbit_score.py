@@ -17,6 +17,7 @@ from campaign.check_parts import (
     check_covariance,
     check_indices,
     check_numbers,
+    check_seconds,
     check_status,
     check_type,
 )
@@ -44,7 +45,7 @@ def check_orbit(estimate: OrbitEstimate, data: OrbitData) -> None:
     check_type(estimate, OrbitEstimate)
     check_status(estimate.status, estimate.reason)
     check_numbers(estimate.diagnostics, "diagnostics")
-    check_numbers({"seconds": estimate.seconds}, "an estimate")
+    check_seconds({"seconds": estimate.seconds}, "an estimate")
     if estimate.status == "failed":
         return
     if estimate.orbit is None:

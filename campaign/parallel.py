@@ -25,7 +25,7 @@ from joblib.externals.loky import ProcessPoolExecutor
 from campaign.guard import guarding
 from campaign.image_store import store_is_on, store_switched
 from renderers.mitsuba3.gpus import gpu_of_worker
-from scenarios.errors import BoresightError
+from scenarios.errors import MachineError
 
 T = TypeVar("T")
 Call = tuple[object, ...]
@@ -47,7 +47,7 @@ _IDLE_S = 60.0
 def no_replacement(lost: Sequence[Call], note: Path) -> Sequence[Call]:
     """Give up when a process ends under its work."""
     del lost, note
-    raise BoresightError(
+    raise MachineError(
         "a worker process was killed, most likely because memory ran out: use fewer --jobs; the same command"
         " continues the run"
     )

@@ -13,6 +13,7 @@ from campaign.check_parts import (
     check_covariance,
     check_indices,
     check_numbers,
+    check_seconds,
     check_several,
     check_status,
     check_type,
@@ -62,7 +63,7 @@ def _check_frame(frame: FrameEstimate, index: int, known: set[int]) -> None:
         check_covariance(f"{where}: covariance_m2", frame.covariance_m2, 3)
     if frame.velocity_m_s is not None:
         check_array(f"{where}: velocity_m_s", frame.velocity_m_s, (3,))
-    check_numbers({"seconds": frame.seconds}, where)
+    check_seconds({"seconds": frame.seconds}, where)
     tracks = set(frame.tracks.tolist())
     if len(tracks) != n or not tracks <= known:
         raise ValueError(f"{where}: its landmarks are of tracks not seen so far, or of one twice")

@@ -187,6 +187,18 @@ def check_craters(scenario: LoadedScenario) -> None:
         raise BoresightError(f"{scenario.path}: {error}") from error
 
 
+def check_bodies(scenario: LoadedScenario) -> None:
+    """Refuse a body that cannot be read, the true one and the believed one, and views from inside it.
+
+    Whatever is made of them would fail, and that would be taken for the fault of the method that asks for it.
+    """
+    spec = scenario.spec
+    mesh = load_body(spec.body, scenario.search_dirs).mesh
+    load_body(believed_spec(spec).body, scenario.search_dirs)
+    if spec.viewpoint is not None:
+        _check_range(scenario, mesh, spec.viewpoint)
+
+
 def typical_range_m(scenario: LoadedScenario) -> float:
     """Return the range of a scenario's views: of its viewpoint, or the median over its real images."""
     spec = scenario.spec

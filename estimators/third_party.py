@@ -8,7 +8,7 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Generic, TypeVar, cast
 
-from scenarios.errors import BoresightError
+from scenarios.errors import BoresightError, one_line
 
 T = TypeVar("T")
 
@@ -51,8 +51,9 @@ class Registry(Generic[T]):
             raise BoresightError(f"estimator {name!r} is unknown; there are: {', '.join(self.names())}")
         try:
             found = points[0].load()
-        except (ImportError, AttributeError) as error:
-            raise BoresightError(f"estimator {name!r} cannot be imported from {points[0].value}: {error}") from error
+        except Exception as error:  # a module of others may raise anything
+            said = one_line(error) or type(error).__name__
+            raise BoresightError(f"estimator {name!r} cannot be imported from {points[0].value}: {said}") from error
         missing = [part for part in self.parts if not hasattr(found, part)]
         if missing:
             raise BoresightError(f"estimator {name!r} ({points[0].value}) lacks {', '.join(missing)} of the contract")

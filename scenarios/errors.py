@@ -14,6 +14,10 @@ class BoresightError(Exception):
         super().__init__("\n".join(_shown(line) for line in str(message).split("\n")))
 
 
+class MachineError(BoresightError):
+    """The machine is at fault, and no input: the same command goes on when that is mended."""
+
+
 def printable(text: str) -> str:
     """Escape what would break a line or steer a terminal."""
     return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)

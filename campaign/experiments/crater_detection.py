@@ -13,10 +13,11 @@ import numpy as np
 from campaign.crater_score import NONE, check_detections, ellipse_errors, match_detections
 from campaign.experiments.fault import GaveUpError, Work
 from campaign.experiments.kept_images import ImageSink, image_sink
+from campaign.experiments.methods import Unbuilt, able, methods, missing
 from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.experiments.single_image import SingleImage
 from campaign.guard import Call
-from campaign.products import BuiltProduct, Shelf
+from campaign.products import MissingProduct, Shelf
 from campaign.products.databases import of_database, with_world
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
@@ -50,7 +51,7 @@ class CraterDetection:
     world
         The scenario in this process, with craters.
     detectors
-        Label to detector.
+        Label to detector; of one that cannot be built, why.
     seed
         Seed of the campaign.
     keep_image
@@ -62,7 +63,7 @@ class CraterDetection:
     """
 
     world: World
-    detectors: Mapping[str, CraterDetector]
+    detectors: Mapping[str, CraterDetector | Unbuilt]
     seed: int
     keep_image: ImageSink | None = None
     witness: Witness | None = None
@@ -79,10 +80,10 @@ class CraterDetection:
         return crater_detector_class(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
         """Refuse wrong options and a scenario without craters, and build the surfaces, which workers then only read."""
         del shelf
-        _detectors(campaign)
+        detectors = _detectors(campaign, scenario)
         if scenario.spec.craters is None or scenario.spec.viewpoint is None:
             raise BoresightError(
                 f"{scenario.path}: craters and viewpoint are needed by the experiment {cls.kind}: add the sections"
@@ -90,7 +91,7 @@ class CraterDetection:
         for number in range(campaign.spec.databases):
             craters = of_database(scenario.spec.craters, number)
             cratered_surface(scenario.spec.body, craters, scenario.search_dirs)
-        return []
+        return missing(scenario, detectors)
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> CraterDetection:
@@ -98,7 +99,8 @@ class CraterDetection:
         sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
         numbers = range(campaign.spec.databases)
         worlds = (open_world(with_world(scenario, number), campaign.variant) for number in numbers)
-        first, *others = (cls(world, _detectors(campaign), campaign.seed, sink) for world in worlds)
+        detectors = _detectors(campaign, scenario)
+        first, *others = (cls(world, detectors, campaign.seed, sink) for world in worlds)
         return replace(first, others=(first, *others)) if others else first
 
     def watched(self, label: str, witness: Witness) -> Self:
@@ -163,11 +165,12 @@ class CraterDetection:
         return crater_truth(ground.rims, sight.view, renderer)
 
 
-def _detected(detector: CraterDetector, frame: Frame, camera: Camera) -> tuple[CraterDetections, float]:
+def _detected(detector: CraterDetector | Unbuilt, frame: Frame, camera: Camera) -> tuple[CraterDetections, float]:
     """Let a detector work; return what it finds and the seconds that it took."""
+    finder = able(detector)
     started = time.perf_counter()
     try:
-        found = detector.detect(frame, camera)
+        found = finder.detect(frame, camera)
     except BoresightError as error:
         raise GaveUpError(str(error)) from error
     return found, time.perf_counter() - started
@@ -272,7 +275,5 @@ def _circumstances(sight: Sight) -> Record:
     }
 
 
-def _detectors(campaign: ResolvedCampaign) -> dict[str, CraterDetector]:
-    return {
-        entry.label: crater_detector_class(entry.name).from_options(entry.options) for entry in campaign.spec.estimators
-    }
+def _detectors(campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, CraterDetector | Unbuilt]:
+    return methods(campaign, scenario, lambda entry: crater_detector_class(entry.name).from_options(entry.options))

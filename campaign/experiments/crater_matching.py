@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from campaign.check_parts import check_array, check_indices, check_reason
 from campaign.crater_pairs import BY_GEOMETRY, Looks, PairSource, check_detectors, open_pairs
 from campaign.experiments.fault import Work
+from campaign.experiments.methods import Unbuilt, able, methods, missing
 from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.guard import Call
-from campaign.products import BuiltProduct, Shelf
+from campaign.products import MissingProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
@@ -30,6 +31,7 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, View
 from scenarios.load import LoadedScenario
 from scenarios.sequences.ground import MeshGround
+from scenarios.spec.campaign import EstimatorSpec
 from scenarios.spec.crater_pairs import CraterPairsSpec
 
 
@@ -56,7 +58,7 @@ class CraterMatching:
     known
         The a priori shape.
     matchers
-        Label to matcher.
+        Label to matcher; of one that cannot be built, why.
     detectors
         Label to the name of the detector whose craters the matcher sees, `campaign.crater_pairs.BY_GEOMETRY` for none.
     seed
@@ -69,7 +71,7 @@ class CraterMatching:
     source: PairSource
     camera: Camera
     known: MeshGround
-    matchers: Mapping[str, CraterMatcher]
+    matchers: Mapping[str, CraterMatcher | Unbuilt]
     detectors: Mapping[str, str]
     seed: int
     witness: Witness | None = None
@@ -86,12 +88,11 @@ class CraterMatching:
         return known(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
         """Refuse wrong options and a missing section; there is nothing to build."""
         del shelf
         check_detectors(scenario, _section(scenario), _detectors(campaign))
-        _matchers(campaign)
-        return []
+        return missing(scenario, _matchers(campaign, scenario))
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> CraterMatching:
@@ -102,7 +103,7 @@ class CraterMatching:
         detectors = _detectors(campaign)
         source = open_pairs(scenario, _section(scenario), campaign.variant, set(detectors.values()))
         camera = spec.camera.camera().pinhole
-        return cls(spec.name, source, camera, known, _matchers(campaign), detectors, campaign.seed)
+        return cls(spec.name, source, camera, known, _matchers(campaign, scenario), detectors, campaign.seed)
 
     def watched(self, label: str, witness: Witness) -> Self:
         """Return the same trials of one matcher, shown to a witness."""
@@ -123,14 +124,15 @@ class CraterMatching:
         """Return the pair of a trial as a matcher sees it."""
         return self.source.looks(self.seed, trial).seen_by(self.detectors[label])
 
-    def _judged(self, call: Call, matcher: CraterMatcher, looks: Looks) -> Records:
+    def _judged(self, call: Call, matcher: CraterMatcher | Unbuilt, looks: Looks) -> Records:
         """Let a detector and a matcher work and score the matches: records without their key, whatever goes wrong."""
         circumstances = _circumstances(looks.first)
         answers: list[_Answer] = []
 
         def work() -> _Answer:
+            able_matcher = able(matcher)
             answers.append(_Answer(looks.seen_by(self.detectors[call.label])))
-            answers[0].match(matcher, *self.images(answers[0].pair), self.known)
+            answers[0].match(able_matcher, *self.images(answers[0].pair), self.known)
             return answers[0]
 
         def show(sound: _Answer | None) -> None:
@@ -260,12 +262,12 @@ def _section(scenario: LoadedScenario) -> CraterPairsSpec:
     return scenario.spec.crater_pairs
 
 
-def _matchers(campaign: ResolvedCampaign) -> dict[str, CraterMatcher]:
-    found = {}
-    for entry in campaign.spec.estimators:
+def _matchers(campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, CraterMatcher | Unbuilt]:
+    def make(entry: EstimatorSpec) -> CraterMatcher:
         own = {key: option for key, option in entry.options.items() if key != "detector"}
-        found[entry.label] = crater_matcher_class(entry.name).from_options(own)
-    return found
+        return crater_matcher_class(entry.name).from_options(own)
+
+    return methods(campaign, scenario, make)
 
 
 def _detectors(campaign: ResolvedCampaign) -> dict[str, str]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from campaign.crater_sights import CraterSights, open_sights
 from campaign.experiments.fault import GaveUpError, Work
+from campaign.experiments.methods import Unbuilt, able, methods, missing
 from campaign.experiments.orbit_determination import (
     DeterminedOrbit,
     checked_orbit_section,
@@ -33,7 +34,7 @@ from campaign.navigation_score import (
 )
 from campaign.navigation_trial import NavigationTrial, SearchedImage, searched_in
 from campaign.orbit_score import check_orbit
-from campaign.products import BuiltProduct, Shelf
+from campaign.products import MissingProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from estimators.craters.navigation.rounds import CraterNavigation, Navigation
 from estimators.craters.navigation.stages import Stages
@@ -75,7 +76,7 @@ class CraterNavigationTrials:
     world, sights
         The truth, and what a camera sees of it.
     navigators
-        Label to chain.
+        Label to chain; of one that cannot be built, why.
     seed
         Seed of the campaign.
     folder
@@ -87,7 +88,7 @@ class CraterNavigationTrials:
     name: str
     world: OrbitWorld
     sights: CraterSights
-    navigators: Mapping[str, CraterNavigation]
+    navigators: Mapping[str, CraterNavigation | Unbuilt]
     seed: int
     folder: Path
     witness: Witness | None = None
@@ -107,14 +108,14 @@ class CraterNavigationTrials:
         return CraterNavigation.version + BatchFilter.version + sum(detectors) + sum(matchers)
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
         """Refuse wrong options and missing sections; there is nothing to build."""
         del shelf
-        _navigators(campaign)
+        navigators = _navigators(campaign, scenario)
         section = checked_orbit_section(scenario)
         if section.imaging is None:
             raise BoresightError(f"{scenario.path}: orbit.imaging: missing, but the experiment {cls.kind} needs it")
-        return []
+        return missing(scenario, navigators)
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> CraterNavigationTrials:
@@ -122,7 +123,7 @@ class CraterNavigationTrials:
         world = open_orbit_world(scenario, campaign.seed)
         sights = open_sights(scenario, imaging_of(world), campaign.variant)
         folder = bench.run / _FOLDER / scenario.spec.name
-        return cls(scenario.spec.name, world, sights, _navigators(campaign), campaign.seed, folder)
+        return cls(scenario.spec.name, world, sights, _navigators(campaign, scenario), campaign.seed, folder)
 
     def watched(self, label: str, witness: Witness) -> Self:
         """Return the same trials of one chain, shown to a witness; stages that are stored are read back."""
@@ -149,11 +150,12 @@ class CraterNavigationTrials:
             for label, one in self.navigators.items()
         }
 
-    def _judged(self, call: Call, navigator: CraterNavigation, taken: NavigationTrial, stages: Stages) -> Records:
+    def _judged(self, call: Call, one: CraterNavigation | Unbuilt, taken: NavigationTrial, stages: Stages) -> Records:
         """Let a chain work and score what it comes to: records without their key, whatever goes wrong."""
         row = {**empty_row(), "range_m": float(np.linalg.norm(taken.flown.wanted_states[0, :3]))}
 
         def work() -> _Answer:
+            navigator = able(one)
             searched = taken.search(navigator, stages)
             try:
                 navigation = navigator.navigate([image.exposure for image in searched], taken.task, stages)
@@ -163,7 +165,7 @@ class CraterNavigationTrials:
             return _Answer(searched, navigation, *at_times(last.estimate, last.data, taken.task.wanted_s))
 
         def score(answer: _Answer) -> Records:
-            timings: Records = {"timings": _timings(answer.navigation, stages, searched_in(navigator, stages))}
+            timings: Records = {"timings": _timings(answer.navigation, stages, searched_in(able(one), stages))}
             return self._scored(answer, taken, row) | timings
 
         return Work(call, "chain", row).judged(work, lambda answer: check_orbit(answer.estimate, answer.data), score)
@@ -191,5 +193,5 @@ def _timings(navigation: Navigation, stages: Stages, searched: Stages) -> list[R
     return [{"stage": stage, "seconds": seconds} for stage, seconds in spent.items()]
 
 
-def _navigators(campaign: ResolvedCampaign) -> dict[str, CraterNavigation]:
-    return {entry.label: CraterNavigation.from_options(entry.options) for entry in campaign.spec.estimators}
+def _navigators(campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, CraterNavigation | Unbuilt]:
+    return methods(campaign, scenario, lambda entry: CraterNavigation.from_options(entry.options))

@@ -86,7 +86,9 @@ class Work:
             found: Records = {"rows": [row]}
         except _RubbishError as rubbish:
             found = self._fault(str(rubbish), rubbish.__cause__ or rubbish)
-        except (Exception, SystemExit) as error:  # noqa: BLE001  the one place: a method's fault is a result
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # noqa: BLE001  the one place: a method's fault is a result
             found = self._fault(_why(error), error)
         else:
             found = self._scored(sound, score)
@@ -99,7 +101,9 @@ class Work:
         answer = guarded(self.call, work)
         try:
             check(answer)
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             raise _RubbishError(f"returned rubbish: {error if type(error) is ValueError else _named(error)}") from error
         return answer
 

@@ -10,10 +10,11 @@ from typing import ClassVar, Self
 import numpy as np
 
 from campaign.experiments.fault import Work
+from campaign.experiments.methods import Unbuilt, able, methods, missing
 from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.guard import Call
 from campaign.orbit_score import check_orbit, drawable, orbit_errors, orbit_summary, residual_records
-from campaign.products import BuiltProduct, Shelf
+from campaign.products import MissingProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
 from campaign.sequence_score import no_summary
@@ -49,7 +50,7 @@ class OrbitTrials:
 
     name: str
     world: OrbitWorld
-    estimators: Mapping[str, OrbitEstimator]
+    estimators: Mapping[str, OrbitEstimator | Unbuilt]
     seed: int
     witness: Witness | None = None
 
@@ -64,19 +65,19 @@ class OrbitTrials:
         return orbit_estimator_class(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
         """Refuse wrong options, and an orbit that begins in the body; there is nothing to build."""
         del shelf
-        _estimators(campaign)
+        estimators = _estimators(campaign, scenario)
         checked_orbit_section(scenario)
-        return []
+        return missing(scenario, estimators)
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> OrbitTrials:
         """Lay the craters, work the gravity out and build the estimators."""
         del bench
         world = open_orbit_world(scenario, campaign.seed)
-        return cls(scenario.spec.name, world, _estimators(campaign), campaign.seed)
+        return cls(scenario.spec.name, world, _estimators(campaign, scenario), campaign.seed)
 
     def watched(self, label: str, witness: Witness) -> Self:
         """Return the same trials of one estimator, shown to a witness."""
@@ -102,7 +103,7 @@ class OrbitTrials:
             for label, estimator in self.estimators.items()
         }
 
-    def _judged(self, call: Call, estimator: OrbitEstimator, truth: OrbitTruth, data: OrbitData) -> Records:
+    def _judged(self, call: Call, estimator: OrbitEstimator | Unbuilt, truth: OrbitTruth, data: OrbitData) -> Records:
         """Let an estimator solve and score what it returns: records without their key, whatever goes wrong."""
         row = {**empty_row(), "range_m": float(np.linalg.norm(truth.states[0, :3]))}
 
@@ -115,7 +116,7 @@ class OrbitTrials:
                 self.witness(DeterminedOrbit(truth, data, drawable(estimate, data)))
 
         return Work(call, "estimator", row).judged(
-            lambda: estimator.determine(data), lambda estimate: check_orbit(estimate, data), score, show
+            lambda: able(estimator).determine(data), lambda estimate: check_orbit(estimate, data), score, show
         )
 
 
@@ -219,7 +220,5 @@ def _section(scenario: LoadedScenario) -> OrbitSpec:
     return scenario.spec.orbit
 
 
-def _estimators(campaign: ResolvedCampaign) -> dict[str, OrbitEstimator]:
-    return {
-        entry.label: orbit_estimator_class(entry.name).from_options(entry.options) for entry in campaign.spec.estimators
-    }
+def _estimators(campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, OrbitEstimator | Unbuilt]:
+    return methods(campaign, scenario, lambda entry: orbit_estimator_class(entry.name).from_options(entry.options))

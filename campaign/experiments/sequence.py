@@ -10,11 +10,12 @@ from typing import ClassVar, Self
 import numpy as np
 
 from campaign.experiments.fault import Work
+from campaign.experiments.methods import Unbuilt, able, methods, missing
 from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.guard import Call
 from campaign.image_tracks import ImageTracks, Seen, Watch
 from campaign.orbit_images import OrbitImages
-from campaign.products import BuiltProduct, Shelf
+from campaign.products import MissingProduct, Shelf
 from campaign.resolve import ResolvedCampaign
 from campaign.score import no_consistency, no_pose_error
 from campaign.sequence_score import (
@@ -68,7 +69,7 @@ class SequenceTrials:
     ground
         What the landmarks lie on.
     estimators
-        Label to estimator.
+        Label to estimator; of one that cannot be built, why.
     seed
         Seed of the campaign.
     images
@@ -81,7 +82,7 @@ class SequenceTrials:
     spec: SequenceSpec
     camera: Camera
     ground: Ground
-    estimators: Mapping[str, SequenceEstimator]
+    estimators: Mapping[str, SequenceEstimator | Unbuilt]
     seed: int
     images: ImageTracks | None = None
     witness: Witness | None = None
@@ -97,17 +98,17 @@ class SequenceTrials:
         return sequence_estimator_class(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
         """Refuse wrong options, and an orbit that leads into the body by known forces; there is nothing to build."""
         del shelf
-        _estimators(campaign)
+        estimators = _estimators(campaign, scenario)
         section, ground = _section(scenario), ground_of(scenario)
         if section.orbit.model == "propagated":
             try:
                 undisturbed(section, ground)
             except OrbitEndsError as error:
                 raise BoresightError(f"{scenario.path}: {error}") from error
-        return []
+        return missing(scenario, estimators)
 
     @classmethod
     def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> SequenceTrials:
@@ -119,7 +120,7 @@ class SequenceTrials:
         ground, images = ground_of(scenario), None
         if section.images is not None:
             images = ImageTracks(section, ground, OrbitImages.open(scenario, campaign.variant, campaign.seed))
-        return cls(name, section, camera, ground, _estimators(campaign), campaign.seed, images)
+        return cls(name, section, camera, ground, _estimators(campaign, scenario), campaign.seed, images)
 
     def watched(self, label: str, witness: Witness) -> Self:
         """Return the same trials of one estimator, shown to a witness."""
@@ -151,7 +152,7 @@ class SequenceTrials:
             add_records(found[label], _vision(seen if watch is None else watch.seen()))
         return found
 
-    def _judged(self, call: Call, estimator: SequenceEstimator, view: Seen | Watch) -> Records:
+    def _judged(self, call: Call, estimator: SequenceEstimator | Unbuilt, view: Seen | Watch) -> Records:
         """Let an estimator follow and score what it returns: records without their key, whatever goes wrong."""
         circumstances = _circumstances(view.path)
         # What a watch has seen is complete, and worked out once, when the estimator is done with it.
@@ -166,7 +167,7 @@ class SequenceTrials:
                 self.witness(FollowedSequence(seen_by_then(), estimate))
 
         return Work(call, "estimator", {**circumstances, **no_summary()}).judged(
-            lambda: estimator.follow(view.sequence),
+            lambda: able(estimator).follow(view.sequence),
             lambda estimate: check_sequence(estimate, seen_by_then().sequence),
             score,
             show,
@@ -248,11 +249,8 @@ def _section(scenario: LoadedScenario) -> SequenceSpec:
     return scenario.spec.sequence
 
 
-def _estimators(campaign: ResolvedCampaign) -> dict[str, SequenceEstimator]:
-    return {
-        entry.label: sequence_estimator_class(entry.name).from_options(entry.options)
-        for entry in campaign.spec.estimators
-    }
+def _estimators(campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, SequenceEstimator | Unbuilt]:
+    return methods(campaign, scenario, lambda entry: sequence_estimator_class(entry.name).from_options(entry.options))
 
 
 def ground_of(scenario: LoadedScenario) -> Ground:

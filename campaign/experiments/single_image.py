@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from campaign.check import check
 from campaign.experiments.fault import Work
 from campaign.experiments.kept_images import ImageSink, image_sink
+from campaign.experiments.methods import Unbuilt, able, built, check_options, missing
 from campaign.experiments.registry import Bench, Record, Records, Witness, add_records
 from campaign.guard import Call
 from campaign.products import BuiltProduct, MissingProduct, Shelf
@@ -22,8 +23,8 @@ from campaign.resolve import ResolvedCampaign
 from campaign.score import consistency, no_consistency, no_pose_error, pose_columns, pose_error
 from campaign.sensors import altimeter_reading
 from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
-from campaign.world import Sight, World, open_world
-from estimators.contract import Estimate, Estimator, NoProductError, Table
+from campaign.world import Sight, World, check_bodies, open_world
+from estimators.contract import Estimate, Estimator, Table
 from estimators.registry import estimator_class
 from renderers.rectify import rectify
 from scenarios.beliefs import believed_attitude, believed_camera, believed_sun
@@ -35,7 +36,7 @@ from scenarios.spec.campaign import EstimatorSpec
 
 T = TypeVar("T", bound=np.generic)
 
-Method = Estimator | NoProductError
+Method = Estimator | Unbuilt
 """An estimator, or why there is none in a scenario."""
 
 
@@ -57,7 +58,7 @@ class SingleImage:
     world
         The scenario in this process.
     estimators
-        Label to estimator; every one sees the same observation. Of one whose product cannot be made, why.
+        Label to estimator; every one sees the same observation. Of one that cannot be built, why.
     seed
         Seed of the campaign.
     keep_image
@@ -95,14 +96,15 @@ class SingleImage:
     def prepare(
         cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf
     ) -> list[BuiltProduct | MissingProduct]:
-        """Let every estimator ask for its products."""
+        """Refuse wrong options and bodies, and let every estimator ask for its products."""
+        check_options(campaign.spec.estimators, shelf.camera)
+        check_bodies(scenario)
         products: list[BuiltProduct | MissingProduct] = []
         for number, entry in product(range(campaign.spec.databases), campaign.spec.estimators):
             asked = shelf.empty(number)
-            method = _method(entry, asked)
+            method = _method(entry, scenario, asked)
             products += asked.lent_to(entry.label)
-            if isinstance(method, NoProductError):
-                products.append(MissingProduct(scenario.spec.name, entry.label, str(method)))
+            products += missing(scenario, {entry.label: method})
         return products
 
     @classmethod
@@ -117,7 +119,7 @@ class SingleImage:
     ) -> SingleImage:
         shelf = Shelf(scenario, bench.run / "products", 0, campaign.variant, None, campaign.draft, database)
         shelves = {entry.label: shelf.empty(database) for entry in campaign.spec.estimators}
-        estimators = {entry.label: _method(entry, shelves[entry.label]) for entry in campaign.spec.estimators}
+        estimators = {entry.label: _method(entry, scenario, shelves[entry.label]) for entry in campaign.spec.estimators}
         having = frozenset(label for label, asked in shelves.items() if asked.has_lent_what_is_drawn)
         sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
         world = open_world(with_world(scenario, database), campaign.variant)
@@ -189,10 +191,7 @@ class SingleImage:
         row = {**_circumstances(observation, sight), **no_pose_error(), **no_consistency()}
 
         def work() -> Estimate:
-            if isinstance(estimator, NoProductError):
-                # Another one: the traceback of one that is raised again grows with each trial.
-                raise NoProductError(estimator)
-            return estimator.estimate(observation, rng=rng)
+            return able(estimator).estimate(observation, rng=rng)
 
         def show(found: Estimate | None) -> None:
             if self.witness is not None:
@@ -254,11 +253,8 @@ class SingleImage:
         ]
 
 
-def _method(entry: EstimatorSpec, assets: Shelf) -> Method:
-    try:
-        return estimator_class(entry.name).from_options(entry.options, assets)
-    except NoProductError as error:
-        return error
+def _method(entry: EstimatorSpec, scenario: LoadedScenario, assets: Shelf) -> Method:
+    return built(entry, scenario.spec.name, lambda: estimator_class(entry.name).from_options(entry.options, assets))
 
 
 def _circumstances(observation: Observation, sight: Sight) -> Record:

@@ -10,6 +10,7 @@ import numpy as np
 from campaign.products.database_images import DatabaseImage, database_images
 from campaign.products.spread import over_images
 from campaign.world import open_world
+from estimators.contract import NoProductError
 from estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
 from estimators.craters.database.build import build_database
 from estimators.craters.database.files import CraterDatabase
@@ -54,7 +55,7 @@ def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int,
     """
     wanted, world = _checked(options), open_world(scenario, variant)
     if world.ground is None:
-        raise BoresightError(f"{scenario.path}: craters: missing, but {KIND} is made of them")
+        raise NoProductError("it is made of the section craters, which is missing: add it, or leave the estimator out")
     found = over_images(jobs, wanted.images, _of_images, scenario, wanted, variant)
     images = [image for image, _ in found]
     matcher = crater_matcher_class(_MATCHER).from_options(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
+import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,13 +20,16 @@ from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.atomic import explain
 from scenarios.bodies import load_body
 from scenarios.cache import default_cache
-from scenarios.errors import BoresightError
+from scenarios.errors import BoresightError, MachineError, one_line
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
 
 _UNMADE = "unmade.txt"
 """The file that says, in place of a product, why it cannot be made."""
+
+_TRACE = "traceback.txt"
+"""Beside it the trace, where making the product failed for another reason than that the scenario has none."""
 
 
 def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant: str) -> str:
@@ -138,6 +142,8 @@ class Shelf:
         ------
         NoProductError
             If it cannot be made of the scenario; that is kept in place of the product.
+        MachineError
+            If the machine cannot make, store or read it.
         """
         maker = product_kind(kind)
         wanted = of_database(drafted(maker.parse(options), self._draft), self._database)
@@ -145,10 +151,20 @@ class Shelf:
         if not folder.exists():
             self._fetch(kind, wanted, folder)
         if (folder / _UNMADE).exists():
-            reason = (folder / _UNMADE).read_text(encoding="utf-8")
-            raise NoProductError(f"there is no {_words(kind)} of {self._scenario.spec.name}: {reason}")
+            raise self._unmade(kind, folder)
         self._lent.append((kind, folder.name))
-        return maker.load(folder)
+        try:
+            return maker.load(folder)
+        except BoresightError as error:
+            raise MachineError(str(error)) from error
+
+    def _unmade(self, kind: str, folder: Path) -> NoProductError:
+        """Read why a product cannot be made."""
+        reason = (folder / _UNMADE).read_text(encoding="utf-8")
+        error = NoProductError(f"the {_words(kind)} of {self._scenario.spec.name} cannot be made: {reason}")
+        if (folder / _TRACE).exists():
+            error.add_note((folder / _TRACE).read_text(encoding="utf-8"))
+        return error
 
     def lent_to(self, estimator: str) -> list[BuiltProduct]:
         """List the products that were asked for so far, as those of an estimator."""
@@ -157,7 +173,7 @@ class Shelf:
 
     def _fetch(self, kind: str, options: SpecModel, folder: Path) -> None:
         if self._jobs == 0:
-            raise BoresightError(f"{folder}: the product is missing from the run folder: run the campaign again")
+            raise MachineError(f"{folder}: the product is missing from the run folder: run the campaign again")
         maker, started = product_kind(kind), time.perf_counter()
 
         def build(place: Path) -> None:
@@ -175,7 +191,15 @@ class Shelf:
             if self._tell is not None and facts:
                 self._tell("; ".join(f"{name.replace('_', ' ')}: {value}" for name, value in facts.items()))
 
-        cached = default_cache().folder(kind, folder.name.rsplit("-", 1)[1], build)
+        try:
+            cached = default_cache().folder(kind, folder.name.rsplit("-", 1)[1], build)
+        except (KeyboardInterrupt, MachineError):
+            raise
+        except BaseException as error:  # noqa: BLE001  one product less must not end the run
+            _raise_of_machine(folder, error)
+            # Not in the cache: a later run may have the memory, or the version, that this one lacks.
+            _place_unmade(folder, error, options)
+            return
         _place(cached, folder)
 
 
@@ -183,15 +207,45 @@ def _words(kind: str) -> str:
     return kind.replace("-", " ")
 
 
+def _raise_of_machine(folder: Path, error: BaseException) -> None:
+    """Raise a fault of the machine as one: a full disk makes a product fail that the same command can make later."""
+    if isinstance(error, OSError):
+        raise MachineError(explain(error.filename or folder, error)) from error
+    if isinstance(error, BoresightError) and isinstance(error.__cause__, OSError):
+        raise MachineError(str(error)) from error
+
+
 def _place(cached: Path, folder: Path) -> None:
-    """Copy a product into the run, whole or not at all."""
+    """Copy a product into the run."""
+
+    def copy(place: Path) -> None:
+        for file in sorted(cached.iterdir()):
+            shutil.copy2(file, place)
+
+    _fill(folder, copy)
+
+
+def _place_unmade(folder: Path, error: BaseException, options: SpecModel) -> None:
+    """Keep in the run why a product could not be made."""
+    said = str(error) if isinstance(error, BoresightError) else traceback.format_exception_only(error)[0]
+    given = options.model_dump_json(exclude_defaults=True)
+    asked = "the defaults" if given == "{}" else f"{given}, others the defaults"
+
+    def write(place: Path) -> None:
+        (place / _UNMADE).write_text(f"{one_line(said)}; its options are {asked}", encoding="utf-8")
+        (place / _TRACE).write_text("".join(traceback.format_exception(error)), encoding="utf-8", errors="replace")
+
+    _fill(folder, write)
+
+
+def _fill(folder: Path, fill: Callable[[Path], None]) -> None:
+    """Let a folder of the run be filled, whole or not at all."""
     temporary = folder.with_name(f".{folder.name}.tmp")
     try:
         shutil.rmtree(temporary, ignore_errors=True)
         temporary.mkdir(parents=True)
-        for file in sorted(cached.iterdir()):
-            shutil.copy2(file, temporary)
+        fill(temporary)
         temporary.replace(folder)
     except OSError as error:
         shutil.rmtree(temporary, ignore_errors=True)
-        raise BoresightError(explain(folder, error)) from error
+        raise MachineError(explain(folder, error)) from error

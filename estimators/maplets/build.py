@@ -52,7 +52,7 @@ def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
     Raises
     ------
     NoProductError
-        If the shape is smaller than a maplet.
+        If the shape is smaller than a maplet, or than the steps of its grid.
     """
     surface = Surface(mesh)
     separation_m = options.separation * options.width_m
@@ -63,6 +63,11 @@ def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
     taken = _thinned(candidates.centres_m, order, separation_m)
     taken += _filling(candidates, taken, surface)
     chosen = candidates.subset(np.array(taken))
+    if not len(chosen.mesh().faces):
+        raise NoProductError(
+            f"the shape is too small for maplets with nodes {options.spacing_m:g} m apart, which span no facet: lower"
+            f" the option spacing_m ({options.spacing_m:g}) of the maplets"
+        )
     return replace(chosen, provenance=_provenance(options, mesh, len(candidates)))
 
 

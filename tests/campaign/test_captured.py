@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
+import logging
+import os
 import sys
 import threading
 import warnings
@@ -19,9 +22,12 @@ from campaign.experiments.fault import Work
 from campaign.guard import Call
 
 MODULE = """
-import sys, warnings
+import logging, os, sys, warnings
 import numpy as np
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
+
+for stream in (sys.stdout, sys.stderr):
+    logging.getLogger("loud").addHandler(logging.StreamHandler(stream))
 
 class Rubbish:
     version = 1
@@ -32,6 +38,9 @@ class Rubbish:
         for k in range(1000):
             print("LOUD", k)
         print("to stderr", file=sys.stderr)
+        logging.getLogger("loud").warning("LOUD log")
+        os.write(1, b"LOUD descriptor\\n")
+        os.system("echo LOUD process >&2")
         np.log(np.zeros(3))
         warnings.warn("as expected")
         if self.name == "fails":
@@ -59,10 +68,10 @@ def loud(tmp_path, monkeypatch):
 
 
 @pytest.mark.filterwarnings("default")
-def test_what_estimators_say_is_kept_for_their_trials(loud, tmp_path, capsys):
+def test_what_estimators_say_is_kept_for_their_trials(loud, tmp_path, capfd):
     out = tmp_path / "run"
     assert main(["run", str(loud), "--jobs", "1", "--worst", "0", "--out", str(out)]) == 3
-    told = capsys.readouterr()
+    told = capfd.readouterr()
     assert "LOUD" not in told.out + told.err
     assert told.err == ""
     assert "printed or warned in trials: loud in 6, fails in 6" in told.out
@@ -71,16 +80,19 @@ def test_what_estimators_say_is_kept_for_their_trials(loud, tmp_path, capsys):
     texts = said[said["trial"] == 5].set_index(["estimator", "stream"])["text"]
     assert texts["loud", "stdout"].startswith("LOUD 0\nLOUD 1\n")
     length = sum(len(f"LOUD {k}\n") for k in range(1000))
+    length += len("LOUD log\nLOUD descriptor\n")
     assert texts["loud", "stdout"].endswith(f"[cut here: {length - MOST_CHARACTERS:,} more characters]")
-    assert texts["fails", "stderr"] == "to stderr\n"
+    assert texts["fails", "stderr"] == "to stderr\nLOUD log\nLOUD process\n"
     for words in ("RuntimeWarning: divide by zero", "UserWarning: as expected"):
         assert words in texts["loud", "warnings"], "in every trial, not only in the first"
     assert main(["inspect", str(out), "--trial", "5", "--estimator", "loud"]) == 0
-    assert "LOUD" not in capsys.readouterr().out
+    assert "LOUD" not in capfd.readouterr().out
     page = (out / "inspect" / "scene_loud_0000005" / "index.html").read_text()
     assert "What the method wrote" in page
     assert "LOUD 3" in page
-    assert boresight("run", loud, "--jobs", 2, "--out", tmp_path / "two", PYTHONPATH=str(tmp_path)).returncode == 3
+    done = boresight("run", loud, "--jobs", 2, "--out", tmp_path / "two", PYTHONPATH=str(tmp_path))
+    assert done.returncode == 3, done.stderr
+    assert "LOUD" not in done.stdout + done.stderr
     assert files(tmp_path / "two", "rows", "epochs") == files(out, "rows", "epochs")
     assert sorted(pd.read_parquet(tmp_path / "two" / "said")["text"]) == sorted(said["text"])
 
@@ -114,6 +126,74 @@ def test_other_threads_are_passed_on_and_streams_stay_open(capsys):
     sys.stdout.write("still open\n")
     assert capsys.readouterr().out == "bar\nstill open\n"
     assert captured.records() == {"said": [{"stream": "stdout", "text": "of mine\n?"}]}
+
+
+def test_what_passes_pythons_streams_by_is_captured_up_to_the_limit(capfd):
+    captured, log = Captured(), logging.getLogger("passes by")
+    handlers = [logging.StreamHandler(stream) for stream in (sys.stderr, sys.stdout)]
+    for handler in handlers:
+        log.addHandler(handler)
+    library = ctypes.CDLL(None)
+    for _ in range(2):
+        with captured.capturing():
+            os.write(2, b"descriptor\n")
+            library.puts(b"compiled")
+            log.error("log")
+            handlers.append(logging.StreamHandler())
+            log.addHandler(handlers[-1])
+        captured, first = Captured(), captured
+    log.error("after")
+    for handler in handlers:
+        log.removeHandler(handler)
+    os.write(1, b"still open\n")
+    said = {one["stream"]: one["text"] for one in first.records()["said"]}
+    assert said == {"stdout": "log\ncompiled\n", "stderr": "log\nlog\ndescriptor\n"}
+    told = capfd.readouterr()
+    assert told.out == "after\nstill open\n"
+    assert told.err == "after\n" * 3
+    with captured.capturing():
+        os.write(1, b"x" * (5 * MOST_CHARACTERS))
+    (one,) = captured.records()["said"]
+    assert one["text"] == "x" * MOST_CHARACTERS + f"\n[cut here: {4 * MOST_CHARACTERS:,} more characters]"
+
+
+def test_other_threads_reach_the_terminal_while_the_descriptors_are_led_away(capfd, monkeypatch):
+    with open(1, "w", closefd=False) as terminal:
+        monkeypatch.setattr(sys, "stdout", terminal)
+        go, gone, captured = threading.Event(), threading.Event(), Captured()
+
+        def bar():
+            go.wait(10)
+            sys.stdout.write("bar\n")
+            sys.stdout.flush()
+            gone.set()
+
+        thread = threading.Thread(target=bar)
+        thread.start()
+        with captured.capturing():
+            os.write(1, b"mine\n")
+            go.set()
+            assert gone.wait(10)
+        thread.join()
+    assert capfd.readouterr().out == "bar\n"
+    assert captured.records() == {"said": [{"stream": "stdout", "text": "mine\n"}]}
+
+
+def test_in_another_thread_descriptors_stay_and_logs_are_captured(capfd):
+    captured, log, handler = Captured(), logging.getLogger("of dask"), logging.StreamHandler(sys.stderr)
+    log.addHandler(handler)
+
+    def work():
+        with captured.capturing():
+            log.error("log")
+            os.write(1, b"descriptor\n")
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    log.removeHandler(handler)
+    assert captured.records() == {"said": [{"stream": "stderr", "text": "log\n"}]}
+    assert capfd.readouterr() == ("descriptor\n", "")
 
 
 def test_a_warning_that_is_to_be_an_error_stays_one():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 
 import numpy as np
@@ -54,7 +55,14 @@ GOOD = Estimate("ok", poses=(HERE,), covariances=(np.eye(6),), details={"landmar
         (replace(GOOD, diagnostics={"chi2": 1j}), "chi2 is complex, not a number"),
         (replace(GOOD, diagnostics={"chi2": np.zeros(3)}), "chi2 is ndarray, not a number"),
         (replace(GOOD, diagnostics={"n_landmarks": "many"}), "n_landmarks is a text"),
-        (replace(GOOD, timings_s={"all": "long"}), "all is str|timings_s: all"),
+        (
+            replace(GOOD, diagnostics={"chi2": 1e300}),
+            r"diagnostics: chi2 is 1e\+300, not a number from -1e\+15 to 1e\+15",
+        ),
+        (replace(GOOD, diagnostics={"chi2": -1e16}), "chi2 is -1e"),
+        (replace(GOOD, timings_s={"all": "long"}), "all is str, not a number"),
+        (replace(GOOD, timings_s={"all": -1e-9}), "timings_s: all is -1e-09, not a number from 0 to"),
+        (replace(GOOD, timings_s={"all": 1e300}), r"all is 1e\+300"),
         (replace(GOOD, details={"landmarks": {**TABLE, "landmark": np.ones(2)}}), "of whole numbers"),
         (replace(GOOD, details={"landmarks": {**TABLE, "u_px": np.full(2, 1e9)}}), "u_px has a number beyond"),
         (replace(GOOD, details={"landmarks": {**TABLE, "v_px": np.ones(3)}}), r"v_px of shape \(3,\)"),
@@ -88,6 +96,8 @@ def sequence():
         (SequenceEstimate("ok", (replace(STEP, position_m=np.zeros(4)),)), r"is not \(3,\)"),
         (SequenceEstimate("ok", (replace(STEP, covariance_m2=np.full((3, 3), np.nan)),)), "of finite numbers"),
         (SequenceEstimate("ok", (replace(STEP, seconds=None),)), "seconds is NoneType"),
+        (SequenceEstimate("ok", (replace(STEP, seconds=-1.0),)), "seconds is -1, not a number from 0"),
+        (SequenceEstimate("ok", (STEP,), diagnostics={"gm_m3_s2": 1e300}), r"gm_m3_s2 is 1e\+300"),
         (SequenceEstimate("ok", (replace(STEP, tracks=np.zeros(1)),)), "of whole numbers"),
         (SequenceEstimate("ok", (STEP,), diagnostics={"gm_m3_s2": "heavy"}), "gm_m3_s2"),
     ],
@@ -118,6 +128,8 @@ def _never(answer: object) -> dict[str, list[dict[str, object]]]:
     [
         (ZeroDivisionError("by nought"), "the estimator raised ZeroDivisionError: by nought"),
         (SystemExit(0), "the estimator raised SystemExit: 0"),
+        (GeneratorExit(), "the estimator raised GeneratorExit"),
+        (asyncio.CancelledError("late"), "the estimator raised asyncio.exceptions.CancelledError: late"),
         (MemoryError(), "the estimator raised MemoryError"),
         (KeyError("a\nb"), "the estimator raised KeyError: 'a\\nb'"),
         (ValueError("in <thing at 0x7f00a1>"), "the estimator raised ValueError: in <thing at 0x...>"),
@@ -132,15 +144,25 @@ def test_what_a_method_raises_is_a_row_with_its_reason(error, reason):
     assert "in work\n    raise error\n" in records["tracebacks"][0]["traceback"]
 
 
+def test_an_interruption_stays_one():
+    def work():
+        raise KeyboardInterrupt
+
+    for do, check_it in ((work, lambda answer: None), (lambda: 1, lambda answer: work())):
+        with pytest.raises(KeyboardInterrupt):
+            WORK.judged(do, check_it, _never)
+
+
 def test_what_breaks_the_contract_is_rubbish_whatever_the_check_raises():
-    for error, said in ((ValueError("too long"), "too long"), (TypeError("len"), "TypeError: len")):
+    raised = ((ValueError("too long"), "too long"), (TypeError("len"), "TypeError: len"), (GeneratorExit(), "Gen"))
+    for error, said in raised:
 
         def refuse(answer, error=error):
             raise error
 
         (row,) = WORK.judged(lambda: 1, refuse, _never)["rows"]
         assert row["status"] == "error"
-        assert row["reason"] == f"the estimator returned rubbish: {said}"
+        assert row["reason"].startswith(f"the estimator returned rubbish: {said}")
 
 
 def test_a_witness_is_shown_what_keeps_the_contract_alone():

@@ -16,7 +16,7 @@ HOPELESS = """\
 trials:"""
 WITH_HOPELESS = CAMPAIGN.replace("trials:", HOPELESS)
 TRIALS = 12
-REASON = "there is no landmark database of scene: 0 landmarks came out of "
+REASON = "the landmark database of scene cannot be made: 0 landmarks came out of "
 
 
 @pytest.fixture(scope="module")

@@ -63,6 +63,7 @@ def test_a_name_of_ours_stays_ours(tmp_path, monkeypatch):
         ("class Drift: name, version = 'drift', 1", r"'drift' \(my_slam:Drift\) lacks from_options, follow"),
         ("import not_there", "cannot be imported from my_slam:Drift: No module named 'not_there'"),
         ("", "cannot be imported from my_slam:Drift"),
+        ("1 / 0", "cannot be imported from my_slam:Drift: division by zero"),
     ],
 )
 def test_what_does_not_follow_the_contract_is_named(tmp_path, monkeypatch, module, said):
