@@ -1,9 +1,12 @@
-"""Our numbers beside published ones, with a verdict by a rule that was fixed beforehand."""
+"""Our numbers beside published ones, with a verdict by one rule.
+
+The rule is the same for all values; what was known of ours when each paper's bounds were chosen, its file says.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -20,8 +23,9 @@ VERDICT_RULE = (
     "outside it, below or above, however good that is, for a method of the paper that comes out otherwise is another "
     "method; better: the same on the better side, of a method that the paper does not have; undecided: the interval "
     "reaches across an edge of the tolerance, or there is none, so that more trials, or sets of images, are needed; "
-    "context: no tolerance was set, because conditions differ. Where the paper says 'more than', or names an order, "
-    "the intervals must keep it, and stay below an upper bound where the words set one ('somewhat broader')."
+    "context: no verdict is due, because conditions differ or no tolerance was set. Where the paper says 'more than', "
+    "or names an order, the intervals must keep it, and stay below an upper bound where the words set one "
+    "('somewhat broader')."
 )
 
 
@@ -82,11 +86,17 @@ def compare_claims(records: Sequence[Record], comparison: Comparison) -> tuple[C
     """Hold each statement of the paper against our values, scenario by scenario."""
     scenarios = tuple(dict.fromkeys(r.scenario for r in records))
     return tuple(
-        _compared_claim(records, scenario, claim)
+        _due(_compared_claim(records, scenario, claim), comparison)
         for claim in comparison.claims
         for scenario in (("",) if claim.unmeasured or any(term.scenario for term in claim.order) else scenarios)
         if claim.scenario in ("", scenario)
     )
+
+
+def _due(item: ComparedClaim, comparison: Comparison) -> ComparedClaim:
+    """Take the verdict away where none is due."""
+    due = comparison.verdicts and not item.claim.unjudged
+    return item if due or item.verdict == "not measured" else replace(item, verdict="context")
 
 
 def _compared_claim(records: Sequence[Record], scenario: str, claim: Claim) -> ComparedClaim:
@@ -105,6 +115,7 @@ def _of_claim(records: Sequence[Record], scenario: str, claim: Claim, term: Term
         stage=term.stage or claim.stage,
         measure=term.measure or claim.measure,
         statistic=term.statistic or claim.statistic,
+        reference=term.against or claim.against,
     )
 
 

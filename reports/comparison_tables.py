@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from reports.comparison import VERDICT_RULE, ComparedClaim, ComparedValue
+from reports.comparison import VERDICT_RULE, ComparedClaim, ComparedValue, Verdict
 from reports.grid import NO_VALUE, Grid, counts, value_of, value_of_ended
 from reports.labels import measure_label, stage_label
-from reports.records import REDUCTION, SEQUENCE, Record
+from reports.records import RATIO, REDUCTION, SEQUENCE, Record
+from reports.run_data import POSE_COLUMNS
 
-_OF_RUNS = frozenset({SEQUENCE, REDUCTION, "orbit"})
+_OF_RUNS = frozenset({SEQUENCE, REDUCTION, RATIO, "orbit"})
 """Stages of whole runs, of which those that do not end have no error; elsewhere counts are of other things."""
+_WITHOUT_OTHERS = " of the runs that ended"
+_NONE_DUE = frozenset({"context", "not measured"})
 
 
 def comparison_grid(compared: Sequence[ComparedValue]) -> Grid | None:
@@ -59,9 +62,20 @@ def _compared_cells(compared: ComparedValue, several: bool) -> tuple[str, ...]:
         (value_of_ended if ours is not None and ours.stage in _OF_RUNS else value_of)(ours, interval=True),
         counts(ours),
         f"± {published.tolerance:g}" if judged else NO_VALUE,
-        compared.verdict,
+        verdict_of(compared.verdict, (ours,)),
         published.place,
     )
+
+
+def verdict_of(verdict: Verdict, ours: Sequence[Record | None]) -> str:
+    """Print a verdict, and that it is of the runs that ended where others have no value."""
+    left_out = any(record is not None and record.n_ok < record.n and _needs_an_end(record) for record in ours)
+    return f"{verdict}{_WITHOUT_OTHERS}" if left_out and verdict not in _NONE_DUE else verdict
+
+
+def _needs_an_end(record: Record) -> bool:
+    """Tell what a trial that does not end has no value of, from counts of other things."""
+    return record.stage in _OF_RUNS or record.measure in POSE_COLUMNS
 
 
 def claim_grid(claims: Sequence[ComparedClaim]) -> Grid | None:
@@ -72,7 +86,7 @@ def claim_grid(claims: Sequence[ComparedClaim]) -> Grid | None:
             item.claim.text,
             item.scenario,
             claim_values(item),
-            item.verdict,
+            verdict_of_claim(item),
             item.claim.place,
         )
         for item in claims
@@ -85,7 +99,13 @@ def claim_values(item: ComparedClaim) -> str:
     if item.claim.solves and item.ours and item.ours[0]:
         return f"{item.claim.solves} solves {counts(item.ours[0])}"
     names = [term.label for term in item.claim.order]
-    return item.claim.unmeasured or ordered_values(item.ours, names)
+    values = item.claim.unmeasured or ordered_values(item.ours, names)
+    return f"{values}; {item.claim.unjudged}" if item.claim.unjudged else values
+
+
+def verdict_of_claim(item: ComparedClaim) -> str:
+    """Print the verdict of a statement; what counts the runs that end leaves none out."""
+    return item.verdict if item.claim.solves else verdict_of(item.verdict, item.ours)
 
 
 def ordered_values(ours: Sequence[Record | None], names: Sequence[str]) -> str:
@@ -98,7 +118,7 @@ def ordered_values(ours: Sequence[Record | None], names: Sequence[str]) -> str:
 
 
 def _named(record: Record, name: str) -> str:
-    unit = "" if record.measure == "seconds" else record.unit  # a time is printed with its own
+    unit = "" if record.unit == "s" else record.unit  # a time is printed with its own
     return f"{name} {value_of(record, interval=True)} {unit}".strip()
 
 

@@ -11,7 +11,7 @@ import pandas as pd
 
 from reports.comparison import ComparedClaim, ComparedValue, compare, compare_claims
 from reports.consistency import consistency_records
-from reports.contrasts import ratio_records, reduction_records
+from reports.contrasts import cycle_ratio_records, ratio_records, reduction_records
 from reports.crater_matching import matching_records
 from reports.craters import crater_records
 from reports.derived import derived_records
@@ -94,7 +94,7 @@ def content_of(run: RunData) -> Content:
     comparison = load_published(run.manifest.report) if run.manifest.report else None
     derived = derived_records(run, comparison.radius_m) if comparison and comparison.radius_m else ()
     reductions = tuple(reduction_records(run, comparison)) if comparison else ()
-    beside = (*paired_records(run), *ratio_records(run), *consistency_records(run))
+    beside = (*paired_records(run), *ratio_records(run), *cycle_ratio_records(run), *consistency_records(run))
     craters = (*matching_records(run), *crater_records(run), *navigation_records(run))
     seen = (*vision_records(run), *craters, *orbit_records(run))
     records = (*measure_run(run), *seen, *derived, *reductions, *outlier_records(run), *beside)

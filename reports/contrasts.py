@@ -1,4 +1,4 @@
-"""Mean errors of sequences against each other: ratios between estimators, and the reductions that a paper prints.
+"""Means of sequences against each other: ratios between estimators, and the reductions that a paper prints.
 
 Trials are resampled whole, both errors of a trial together, so that what two estimators have in common cancels; where
 sequences see images, whole sets of images are.
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from reports.clusters import clusters_of, groups, pooled_scenarios
 from reports.paired import BETTER, SIGN_TEST, sign_test
 from reports.published import Comparison, PublishedValue
-from reports.records import REDUCTION, Record, unit_of
+from reports.records import RATIO, REDUCTION, Record, unit_of
 from reports.run_data import RunData, select
 from reports.statistics import MEAN, Measured, cluster_interval
 
@@ -25,9 +25,9 @@ FloatArray = NDArray[np.float64]
 Pair = tuple[str, str]
 """Scenario and estimator."""
 
-RATIO = "ratio"
-"""Stage of a mean error over that of another estimator, which the ``reference`` names."""
-_ERRORS = {"error_after_1_ratio": "error_after_1_m", "error_after_2_ratio": "error_after_2_m"}
+ERROR_RATIOS = {"error_after_1_ratio": "error_after_1_m", "error_after_2_ratio": "error_after_2_m"}
+"""The error that each ratio of errors is of."""
+_CYCLE, _CYCLE_RATIO = "cycle", "cycle_seconds_ratio"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,12 +94,12 @@ class _Both:
         errors = both.loc[known, [error, f"{error}_other"]].to_numpy(dtype=np.float64)
         return cls(errors, clusters_of(run, both[known]), len(both))
 
-    def measured(self, of_means: Callable[[FloatArray], FloatArray]) -> Measured:
-        """Evaluate ``of_means`` of the two mean errors (..., 2)."""
+    def measured(self, of_means: Callable[[FloatArray], FloatArray], positive: bool = False) -> Measured:
+        """Evaluate ``of_means`` of the two mean errors (..., 2); of what can only be above 0, no wild interval."""
         if len(self.errors) < 2:
             return Measured(None)
         numbers = np.column_stack([self.errors, np.ones(len(self.errors))])
-        interval = cluster_interval(numbers, self.clusters, lambda sums: of_means(sums[:, :2] / sums[:, 2:]))
+        interval = cluster_interval(numbers, self.clusters, lambda sums: of_means(sums[:, :2] / sums[:, 2:]), positive)
         return Measured(float(of_means(self.errors.mean(axis=0))), *interval)
 
 
@@ -116,12 +116,31 @@ def ratio_records(run: RunData) -> Iterator[Record]:
         if name in pooled:
             continue
         own = run.rows[run.rows["scenario"].isin(members)]
-        sides = {ratio: _SideBySide.of(run, own, error) for ratio, error in _ERRORS.items()}
+        sides = {ratio: _SideBySide.of(run, own, error) for ratio, error in ERROR_RATIOS.items()}
         for one, other in permutations(dict.fromkeys(own["estimator"]), 2):
             for ratio, side in sides.items():
                 both = side.both(one, other)
                 if len(both.errors):
                     yield from _ratio_records(both, (name, one, other, ratio))
+
+
+def cycle_ratio_records(run: RunData) -> Iterator[Record]:
+    """Set the mean cycle time of every estimator of sequences over that of every other one, on the same trials."""
+    if run.epochs.empty:
+        return
+    pooled, cycles = pooled_scenarios(run), run.timings[run.timings["stage"] == _CYCLE]
+    for name, members in groups(run):
+        own = cycles[cycles["scenario"].isin(members)]
+        if name in pooled or own.empty:
+            continue
+        side = _SideBySide.of(run, own, "seconds")
+        for one, other in permutations(side.estimators, 2):
+            both = side.both(one, other)
+            measured = both.measured(_ratio, positive=True)
+            yield Record(
+                name, one, RATIO, other, _CYCLE_RATIO, unit_of(_CYCLE_RATIO), MEAN.name, measured.value, measured.low,
+                measured.high, len(both.errors), both.n,
+            )  # fmt: skip
 
 
 def _ratio_records(both: _Both, said: tuple[str, str, str, str]) -> Iterator[Record]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
@@ -25,12 +26,28 @@ _OFFSETS = (MEDIAN, P95)
 _VIEWS = ((0.0, 10.0), (10.0, 20.0), (0.0, 20.0), (20.0, 30.0), (30.0, 90.0))
 _SUNS = ((0.0, 10.0), (10.0, 30.0), (0.0, 30.0), (30.0, 50.0), (50.0, 60.0), (60.0, 90.0))
 _DRAWN = (0.0, 20.0)
+_FEW = 7
+"""Craters of an image in which context is "not suitable" (Cheng et al. 2003)."""
 _BRIEF_SUNS = ((0.0, 10.0), (0.0, 30.0), (50.0, 60.0))
+_ANGLE_HEADS = ("views apart", "Suns apart")
+_CRATER_HEADS = ("craters in the image that shows fewer",)
 _BRIEF = ("Suns apart", "mode", "image pairs", "recall, %", "wrong, %")
 _NOTE = (
     "Recall: correct matches over the craters of the truth that both images detect. Wrong: over all matches. Intervals"
     " are 95 % intervals over pairs of images; a pair that a mode rejects has missed all its craters."
 )
+
+
+class _Part(Protocol):
+    """Some of the pairs of images: what they are called, and which they are."""
+
+    @property
+    def stage(self) -> str: ...
+
+    @property
+    def cells(self) -> tuple[str, ...]: ...
+
+    def of(self, table: pd.DataFrame) -> pd.DataFrame: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +56,10 @@ class _Cell:
 
     view: tuple[float, float]
     sun: tuple[float, float]
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        return (_span(self.view), _span(self.sun))
 
     @property
     def stage(self) -> str:
@@ -50,8 +71,36 @@ class _Cell:
         return table[inside]
 
 
+@dataclass(frozen=True, slots=True)
+class _Craters:
+    """A range of the craters that are detected in that image of a pair that shows fewer."""
+
+    name: str
+    least: float
+    most: float
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        return (self.name,)
+
+    @property
+    def stage(self) -> str:
+        return f"{MATCHING}, {self.name}"
+
+    def of(self, table: pd.DataFrame) -> pd.DataFrame:
+        """Select the pairs of images of which the poorer one shows so many."""
+        return table[table[["n_first", "n_second"]].min(axis=1).between(self.least, self.most)]
+
+
+_BY_CRATERS = (
+    _Craters("all pairs", 0, np.inf),
+    _Craters(f"{_FEW} craters or fewer", 0, _FEW),
+    _Craters(f"{_FEW + 1} craters or more", _FEW + 1, np.inf),
+)
+
+
 def matching_records(run: RunData) -> list[Record]:
-    """Measure recall, share of wrong matches and time of each matcher, scenario and cell of angles."""
+    """Measure recall, share of wrong matches and time of each matcher, scenario and part of the pairs of images."""
     if run.crater_matches.empty:
         return []
     timed = run.timings[run.timings["stage"] == MATCHING]
@@ -59,7 +108,8 @@ def matching_records(run: RunData) -> list[Record]:
     found: list[Record] = []
     for (scenario, estimator), own in table.groupby(["scenario", "estimator"], sort=False):
         found += _offset(str(scenario), str(estimator), own)
-        found += [r for cell in _cells(run, own) for r in _measured(str(scenario), str(estimator), cell, cell.of(own))]
+        parts: list[_Part] = [*_cells(run, own), *_by_craters(run, own)]
+        found += [r for part in parts for r in _measured(str(scenario), str(estimator), part, part.of(own))]
     return found
 
 
@@ -75,9 +125,14 @@ def _offset(scenario: str, estimator: str, pairs: pd.DataFrame) -> Iterator[Reco
 
 
 def matching_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
-    """Tabulate each scenario: a line for each cell of angles and matcher."""
-    each = run.crater_matches.groupby("scenario", sort=False)
-    return [_grid(str(scenario), own, records, _cells(run, own)) for scenario, own in each]
+    """Tabulate each scenario: a line for each cell of angles, or range of craters, and matcher."""
+    found = []
+    for scenario, own in run.crater_matches.groupby("scenario", sort=False):
+        found.append(_grid(str(scenario), own, records, _cells(run, own)))
+        counted = _by_craters(run, own)
+        if counted:
+            found.append(_grid(str(scenario), own, records, counted, _CRATER_HEADS))
+    return found
 
 
 def matching_brief(records: Sequence[Record], run: RunData) -> list[Grid]:
@@ -125,47 +180,58 @@ def _cells(run: RunData, own: pd.DataFrame) -> list[_Cell]:
     return [cell for cell in cells if len(cell.of(own))]
 
 
+def _by_craters(run: RunData, own: pd.DataFrame) -> list[_Craters]:
+    """List the ranges of craters that hold pairs of images; none in a grid of scenarios."""
+    return [] if run.manifest.grid is not None else [part for part in _BY_CRATERS if len(part.of(own))]
+
+
 def _everything() -> _Cell:
     return _Cell((0.0, 90.0), (0.0, 90.0))
 
 
-def _measured(scenario: str, estimator: str, cell: _Cell, pairs: pd.DataFrame) -> Iterator[Record]:
+def _measured(scenario: str, estimator: str, part_of: _Part, pairs: pd.DataFrame) -> Iterator[Record]:
     correct, wrong, common = (pairs[name].to_numpy(float) for name in ("n_correct", "n_wrong", "n_common"))
     trials = pairs["trial"].to_numpy()
     for name, part, whole in ((RECALL, correct, common), (WRONG, wrong, correct + wrong)):
         found = measure_share(part, whole, trials)
         yield Record(
-            scenario, estimator, cell.stage, "", name, unit_of(name), "share", found.value, found.low, found.high,
+            scenario, estimator, part_of.stage, "", name, unit_of(name), "share", found.value, found.low, found.high,
             int(part.sum()), int(whole.sum()),
         )  # fmt: skip
     seconds = pairs["seconds"].dropna().to_numpy(float)
     found = measure(seconds, trials[pairs["seconds"].notna().to_numpy()], (MEDIAN,))[0]
     yield Record(
-        scenario, estimator, cell.stage, "", SECONDS, "s", MEDIAN.name, found.value, found.low, found.high,
+        scenario, estimator, part_of.stage, "", SECONDS, "s", MEDIAN.name, found.value, found.low, found.high,
         len(seconds), len(pairs),
     )  # fmt: skip
 
 
-def _grid(scenario: str, own: pd.DataFrame, records: Sequence[Record], cells: Sequence[_Cell]) -> Grid:
+def _grid(
+    scenario: str,
+    own: pd.DataFrame,
+    records: Sequence[Record],
+    parts: Sequence[_Part],
+    by: Sequence[str] = _ANGLE_HEADS,
+) -> Grid:
     rows = []
-    for cell in cells:
+    for part in parts:
         for estimator in dict.fromkeys(own["estimator"]):
             here = {
-                r.measure: r for r in records if (r.scenario, r.estimator, r.stage) == (scenario, estimator, cell.stage)
+                r.measure: r for r in records if (r.scenario, r.estimator, r.stage) == (scenario, estimator, part.stage)
             }
-            pairs = cell.of(own[own["estimator"] == estimator])
+            pairs = part.of(own[own["estimator"] == estimator])
             totals = [int(pairs[name].sum()) for name in ("n_common", "n_correct", "n_wrong", "n_missed")]
             shares = [value_of(here.get(name), interval=True) for name in (RECALL, WRONG)]
             time = here.get(SECONDS)
-            angles = (_span(cell.view), _span(cell.sun))
             numbers = (len(pairs), *totals)
             seconds = NO_VALUE if time is None else value_of(time)
-            rows.append((*angles, str(estimator), *map(str, numbers), *shares, seconds))
+            rows.append((*part.cells, str(estimator), *map(str, numbers), *shares, seconds))
     heads = (
-        "views apart", "Suns apart", "mode", "image pairs", "craters in both", "correct", "wrong", "missed",
+        *by, "mode", "image pairs", "craters in both", "correct", "wrong", "missed",
         "recall, %", "wrong, %", "median time",
     )  # fmt: skip
-    return Grid(f"Matching, {scenario}", heads, tuple(rows), frozenset({0, 1, 2}), _NOTE)
+    title = f"Matching, {scenario}" if by == _ANGLE_HEADS else f"Matching by the number of craters, {scenario}"
+    return Grid(title, heads, tuple(rows), frozenset(range(len(by) + 1)), _NOTE)
 
 
 def _curves(records: Sequence[Record], places: Sequence[tuple[str, str, str]]) -> list[ShareCurve]:

@@ -43,6 +43,7 @@ MEASURES = {
     "error_after_2_m": "position error after 2 revolutions",
     "error_after_1_ratio": "ratio of the position errors after 1 revolution",
     "error_after_2_ratio": "ratio of the position errors after 2 revolutions",
+    "cycle_seconds_ratio": "ratio of the cycle times",
     "landmark_rmse_m": "landmark RMSE",
     "settled_landmark_rmse_m": "landmark RMSE without new ones",
     "final_landmark_rmse_m": "landmark RMSE as seen last",

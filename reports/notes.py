@@ -48,6 +48,7 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
         )
     if comparison is not None:
         yield f"Published values: {comparison.source}. {comparison.conditions}"
+        yield f"Bounds of the verdicts: {comparison.bounds}"
     absent = [name for name in ("stages", "landmarks", "timings") if getattr(run, name).empty]
     if posed and absent:
         yield f"Not stored in this run, so left out: {', '.join(absent)}."

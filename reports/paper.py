@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 
 from reports.comparison import VERDICT_RULE, ComparedClaim, ComparedValue, Verdict
-from reports.comparison_tables import ordered_values
+from reports.comparison_tables import ordered_values, verdict_of, verdict_of_claim
 from reports.content import Content, beside_published
 from reports.figures import save_figure
 from reports.grid import NO_VALUE, Grid, counts, value_of
@@ -43,6 +43,10 @@ class PaperLine:
         By the rule.
     names
         Of an order: what tells its values apart.
+    said
+        The verdict as it is printed, with what it leaves out.
+    remark
+        Why no verdict is due, though our numbers are known.
     """
 
     campaign: str
@@ -56,6 +60,8 @@ class PaperLine:
     tolerance: float | None
     verdict: Verdict
     names: tuple[str, ...] = ()
+    said: str = ""
+    remark: str = ""
 
 
 def paper_lines(
@@ -105,6 +111,7 @@ def _value_line(campaign: str, item: ComparedValue, *, name: bool = False) -> Pa
         (item.ours,),
         published.tolerance if item.verdict != "context" else None,
         item.verdict,
+        said=verdict_of(item.verdict, (item.ours,)),
     )
 
 
@@ -114,8 +121,9 @@ def _claim_line(campaign: str, item: ComparedClaim) -> PaperLine:
     quantity = "in words" if claim.unmeasured else measure_label(claim.measure)
     names = tuple(term.label for term in claim.order)
     return PaperLine(
-        campaign, item.scenario, "", claim.place, quantity, how, claim.text, item.ours, None, item.verdict, names
-    )
+        campaign, item.scenario, "", claim.place, quantity, how, claim.text, item.ours, None, item.verdict, names,
+        verdict_of_claim(item), claim.unjudged,
+    )  # fmt: skip
 
 
 def paper_grid(lines: Sequence[PaperLine]) -> Grid:
@@ -141,7 +149,7 @@ def paper_grid(lines: Sequence[PaperLine]) -> Grid:
             _ours(line),
             counts(line.ours[0]) if len(line.ours) == 1 else NO_VALUE,
             f"± {line.tolerance:g}" if line.tolerance is not None else NO_VALUE,
-            line.verdict,
+            line.said or line.verdict,
             line.campaign,
             line.scenario or NO_VALUE,
         )
@@ -151,7 +159,10 @@ def paper_grid(lines: Sequence[PaperLine]) -> Grid:
 
 
 def _ours(line: PaperLine) -> str:
-    return value_of(line.ours[0], interval=True) if len(line.ours) == 1 else ordered_values(line.ours, line.names)
+    if len(line.ours) == 1:
+        return value_of(line.ours[0], interval=True)
+    values = ordered_values(line.ours, line.names)
+    return f"{values}; {line.remark}" if line.remark else values
 
 
 def verdict_tally(lines: Sequence[PaperLine]) -> str:
@@ -203,6 +214,8 @@ class PaperPage:
         The paper's figures and tables, named by its numbers.
     runs
         What each number comes from: campaign, and how its run was made.
+    conditions
+        How the bounds of the verdicts came about, and under which conditions each campaign is compared.
     missing
         What is not there, and how to make it.
     refused
@@ -217,6 +230,7 @@ class PaperPage:
     grids: tuple[Grid, ...]
     figures: tuple[NamedFigure, ...]
     runs: tuple[tuple[str, str], ...]
+    conditions: tuple[str, ...]
     missing: tuple[str, ...]
     refused: tuple[str, ...]
     credits: tuple[str, ...]
@@ -245,6 +259,7 @@ def _markdown(page: PaperPage) -> str:
     parts = [f"# {page.title}", page.source, "\n".join(f"- {name}: {how}" for name, how in page.runs)]
     parts += [
         "\n".join(f"- {line}" for line in (*page.refused, *page.missing)),
+        "\n".join(f"- {line}" for line in page.conditions),
         f"Verdicts: {verdict_tally(page.lines)}.",
     ]
     parts += [grid.markdown() for grid in (paper_grid(page.lines), *page.grids)]

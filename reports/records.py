@@ -17,6 +17,8 @@ SEQUENCE = "sequence"
 """Stage of what a trial of a sequence comes to."""
 REDUCTION = "reduction"
 """Stage of what an error comes down by from one scenario or estimator, which the ``reference`` names, to another."""
+RATIO = "ratio"
+"""Stage of a mean over that of another estimator, which the ``reference`` names."""
 UNITS = {
     "position_error_m": "m",
     "position_error_x_m": "m",
@@ -39,6 +41,7 @@ UNITS = {
     "error_after_2_m": "m",
     "error_after_1_reduction": "%",
     "error_after_2_reduction": "%",
+    "cycle_seconds_ratio": "",
     "landmark_rmse_m": "m",
     "settled_landmark_rmse_m": "m",
     "final_landmark_rmse_m": "m",

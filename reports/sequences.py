@@ -12,7 +12,7 @@ from reports.clusters import clusters_of, pooled_scenarios, pools
 from reports.comparison import ComparedValue
 from reports.comparison_tables import comparison_grid
 from reports.consistency import consistency_grid
-from reports.contrasts import RATIO
+from reports.contrasts import ERROR_RATIOS
 from reports.designs import design_grids
 from reports.figures.bands import band_of
 from reports.figures.revolutions import AFTER_REVOLUTIONS, draw_revolutions
@@ -21,7 +21,7 @@ from reports.figures.traces import LANDMARKS, POSITION, draw_traces
 from reports.grid import NO_VALUE, Grid, counts, number, of_ended, value_of, value_of_ended
 from reports.labels import as_title, count_of, measure_label
 from reports.paired import BETTER, SIGN_TEST
-from reports.records import SEQUENCE, Record, find
+from reports.records import RATIO, SEQUENCE, Record, find
 from reports.run_data import RunData, select
 from reports.statistics import DEVIATION, MEAN, MEDIAN, P95, RMS
 from reports.tables import diagnostic_grid, timing_grid
@@ -74,7 +74,7 @@ def pooled_alone(run: RunData, records: Sequence[Record]) -> list[Record]:
 
 def ratio_grids(records: Sequence[Record]) -> Iterator[Grid]:
     """Tabulate the mean error of each estimator over that of each other one, a grid for each scenario and error."""
-    ratios = [r for r in records if r.stage == RATIO and r.statistic == MEAN.name]
+    ratios = [r for r in records if r.stage == RATIO and r.measure in ERROR_RATIOS and r.statistic == MEAN.name]
     for scenario, name in dict.fromkeys((r.scenario, r.measure) for r in ratios):
         own = [r for r in ratios if (r.scenario, r.measure) == (scenario, name)]
         labels = list(dict.fromkeys(label for r in own for label in (r.estimator, r.reference)))

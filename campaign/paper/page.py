@@ -60,7 +60,9 @@ def paper_page(paper: Paper, runs: Path, jobs: int | None = None, draft: float =
     reports = _reports(paper)
     lines = [line for name, report in reports.items() for line in _lines(paper, name, report, found.get(name))]
     tables, without = _tables(lines, found)
-    sources = {load_published(name).source for name in reports.values()}
+    comparisons = {name: load_published(report) for name, report in reports.items()}
+    sources = {one.source for one in comparisons.values()}
+    bounds = dict.fromkeys(f"bounds of the verdicts: {one.bounds}" for one in comparisons.values())
     return PaperPage(
         title=paper.title,
         source="; ".join(sorted(sources)),
@@ -68,6 +70,7 @@ def paper_page(paper: Paper, runs: Path, jobs: int | None = None, draft: float =
         grids=tuple(grid for run in found.values() for grid in paper.grids(run)),
         figures=(*figures, *tables),
         runs=tuple((name, f"{_how(run)}. {short_line(run.data)}") for name, run in found.items()),
+        conditions=(*bounds, *(f"{name}: {one.conditions}" for name, one in comparisons.items())),
         missing=(*missing, *without),
         refused=gathered.refused,
         credits=tuple(sorted({line for run in found.values() for line in run.manifest["credits"]})),

@@ -9,7 +9,7 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from reports.records import DERIVED, DIAGNOSTICS, REDUCTION, UNITS, unit_of
+from reports.records import DERIVED, DIAGNOSTICS, RATIO, REDUCTION, UNITS, unit_of
 from scenarios.errors import BoresightError
 from scenarios.load.yaml_text import parse_yaml
 from scenarios.reading import held_to
@@ -54,7 +54,8 @@ class PublishedValue(_Model):
     estimator
         Label of the estimator that it is for; '' for every one.
     against
-        For a reduction: the scenario or the estimator whose mean the reduction is from.
+        For a reduction: the scenario or the estimator whose mean the reduction is from. For a ratio: the estimator
+        whose mean is divided by.
     better
         Which side of the band is an improvement.
     place
@@ -81,8 +82,8 @@ class PublishedValue(_Model):
             raise ValueError(f"measure {self.measure!r} is not one of {', '.join(UNITS)}")
         if self.at_most is not None and (self.relation != "above" or self.at_most <= self.value):
             raise ValueError(f"at_most {self.at_most:g} bounds what is above {self.printed}, and lies above that")
-        if (self.stage == REDUCTION) != bool(self.against):
-            raise ValueError(f"a {REDUCTION} names what it is against, and nothing else does")
+        if (self.stage in (REDUCTION, RATIO)) != bool(self.against):
+            raise ValueError(f"a {REDUCTION} or a {RATIO} names what it is against, and nothing else does")
         if (self._part("unit"), unit_of(self.measure)) not in _SCALE:
             raise ValueError(f"{self.printed!r}: unit {self._part('unit')!r} does not fit {self.measure}")
         return self
@@ -90,7 +91,8 @@ class PublishedValue(_Model):
     @property
     def quoted(self) -> str:
         """What the paper prints, or says with our reading of it."""
-        return f'"{self.words}" (read as {self.printed})' if self.words else self.printed
+        bound = "" if self.at_most is None else f", at most {self.at_most:g}"
+        return f'"{self.words}" (read as {self.printed}{bound})' if self.words else self.printed
 
     def _part(self, name: str) -> str:
         found = re.match(_PRINTED, self.printed)
@@ -109,11 +111,12 @@ class Term(_Model):
 
     Parameters
     ----------
-    estimator, scenario, stage, measure, statistic
+    estimator, against, scenario, stage, measure, statistic
         '' for that of the statement.
     """
 
     estimator: str = ""
+    against: str = ""
     scenario: str = ""
     stage: str = ""
     measure: str = ""
@@ -122,7 +125,8 @@ class Term(_Model):
     @property
     def label(self) -> str:
         """What tells the value from the others of its statement."""
-        given = (self.scenario, self.estimator, self.stage, self.measure, self.statistic)
+        whose = f"{self.estimator} / {self.against}" if self.against else self.estimator
+        given = (self.scenario, whose, self.stage, self.measure, self.statistic)
         return ", ".join(part for part in given if part)
 
 
@@ -135,14 +139,17 @@ class Claim(_Model):
         What the paper says, verbatim.
     order
         Values of one run that ascend by the words; a label alone is the value of that estimator.
-    estimator, measure, stage, statistic
-        Which values are compared, where the terms of the order do not say otherwise.
+    estimator, against, measure, stage, statistic
+        Which values are compared, where the terms of the order do not say otherwise; ``against`` is the estimator that
+        a ratio is over.
     solves
         Label of the estimator that "is functional": it solves nine trials of ten at least, which is our reading.
     share
         The share of trials that it solves at least, in place of nine of ten; 1 for "all".
     unmeasured
         Why no stored row of ours tells.
+    unjudged
+        Why no verdict is due, though our values are known.
     scenario
         Name of the scenario that it is for; '' for every one.
     place
@@ -152,12 +159,14 @@ class Claim(_Model):
     text: str = Field(min_length=1)
     order: tuple[Term, ...] = ()
     estimator: str = ""
+    against: str = ""
     measure: str = "position_error_m"
     stage: str = "final"
     statistic: str = "median"
     solves: str = ""
     share: float = Field(0.9, gt=0, le=1)
     unmeasured: str = ""
+    unjudged: str = ""
     scenario: str = ""
     place: str = Field(min_length=1)
 
@@ -174,6 +183,8 @@ class Claim(_Model):
             raise ValueError("give one of order, solves and unmeasured")
         if len(self.order) == 1:
             raise ValueError("order: one value has none")
+        if self.unjudged and not self.order:
+            raise ValueError("unjudged says why an order has no verdict: give the order")
         return self
 
 
@@ -196,6 +207,8 @@ class Comparison(_Model):
         Radius of the body with which the paper turns a pixel into a rotation and a displacement.
     source
         The paper.
+    bounds
+        By which rules tolerances and bounds were chosen, and what was known of our values then.
     """
 
     conditions: str
@@ -205,6 +218,7 @@ class Comparison(_Model):
     claims: tuple[Claim, ...] = ()
     radius_m: float | None = Field(None, gt=0)
     source: str = ""
+    bounds: str = ""
 
     @model_validator(mode="after")
     def _distinct(self) -> Self:
@@ -224,6 +238,7 @@ class Comparison(_Model):
 
 class _Document(_Model):
     source: str
+    bounds: str
     methods: tuple[str, ...] = Field(description="Labels under which the paper's own methods run")
     comparisons: dict[str, Comparison]
 
@@ -244,9 +259,8 @@ def load_published(name: str) -> Comparison:
     for file in _FILES:
         document = _read(file)
         if name in document.comparisons:
-            return document.comparisons[name].model_copy(
-                update={"source": document.source, "methods": document.methods}
-            )
+            own = {"source": document.source, "bounds": document.bounds, "methods": document.methods}
+            return document.comparisons[name].model_copy(update=own)
     raise BoresightError(f"report: no published values are called {name!r}; known are {', '.join(published_names())}")
 
 

@@ -141,7 +141,7 @@ def test_a_run_is_stored_and_reported_with_shares_of_its_counts(campaign_file, t
     assert offset.value == pytest.approx(table["epipolar_offset_px"].median())
     assert wrong.n == int(table["n_correct"].sum() + table["n_wrong"].sum())
     assert recall.low <= recall.value <= recall.high
-    assert len(matching_grids(records, run)) == 1
+    assert len(matching_grids(records, run)) == 2
     told = capsys.readouterr().out
     assert f"0 to 30 deg vote             6 {value_of(recall, interval=True)}" in told
     assert "6/6 trials" in told

@@ -7,11 +7,11 @@ from scipy.stats import binomtest, bootstrap, t
 from reports.build import write_report
 from reports.clusters import image_set, pools
 from reports.console import console_table
-from reports.contrasts import RATIO, ratio_records
+from reports.contrasts import ratio_records
 from reports.designs import DesignData, Outcome
 from reports.measures import SEQUENCE_COLUMNS, measure_run
 from reports.paired import BETTER, SIGN_TEST
-from reports.records import SEQUENCE, find
+from reports.records import RATIO, SEQUENCE, find
 from reports.run_data import read_run
 from reports.sequences import revolution_figure, revolution_series
 from reports.statistics import MEAN, measure, measure_deviation

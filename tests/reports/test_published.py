@@ -5,7 +5,7 @@ import pytest
 
 from campaign.resolve import resolve
 from reports.comparison import compare, compare_claims, judge, judge_order
-from reports.comparison_tables import claim_values
+from reports.comparison_tables import claim_values, verdict_of, verdict_of_claim
 from reports.published import Claim, Comparison, PublishedValue, load_published, parse, published_names
 from reports.records import Record
 from scenarios.errors import BoresightError
@@ -122,7 +122,7 @@ def test_names_are_listed_and_an_unknown_one_is_refused_with_them():
     kinds = ("altimeter", "centroid", "convergence", "database", "real", "real-context", "real-like", "simulated")
     slam = ("ba-landmarks", "ba-views", "comparison", "images")
     papers = {
-        "cheng2003": ("detection", "endtoend", "matching", "orbit", "survey"),
+        "cheng2003": ("detection", "endtoend", "matching", "matching-images", "orbit", "survey"),
         "delpech2015": slam,
         "rowell2015": kinds,
     }
@@ -363,6 +363,7 @@ def test_a_statement_is_measured_in_one_way(ways):
     "name",
     [
         "delpech2015-comparison",
+        "delpech2015-ba-landmarks",
         "delpech2015-ba-views",
         "delpech2015-images",
         "rowell2015-simulated",
@@ -372,6 +373,7 @@ def test_a_statement_is_measured_in_one_way(ways):
         "rowell2015-centroid",
         "trade-landmarks",
         "cheng2003-matching",
+        "cheng2003-matching-images",
         "cheng2003-orbit",
     ],
 )
@@ -380,6 +382,7 @@ def test_statements_of_papers_name_estimators_of_their_campaign(name):
     named = (
         {c.solves for c in claims}
         | {c.estimator for c in claims}
+        | {c.against for c in claims}
         | {term.estimator for c in claims for term in c.order}
     )
     labels = named - {""}
@@ -398,9 +401,8 @@ TABLE_3 = {
 
 
 def test_table_3_is_that_of_the_paper_with_tolerances_by_its_rule():
-    values = {
-        (v.scenario, v.estimator, v.measure, v.statistic): v for v in load_published("delpech2015-comparison").values
-    }
+    printed = [v for v in load_published("delpech2015-comparison").values if v.place == "table 3"]
+    values = {(v.scenario, v.estimator, v.measure, v.statistic): v for v in printed}
     assert len(values) == 30
     for (measure, statistic), rows in TABLE_3.items():
         for n, pair in zip((10, 15, 20), rows, strict=True):
@@ -420,3 +422,52 @@ def test_a_reduction_says_what_it_is_from():
     text = resources.files("reports.published").joinpath("delpech2015.yaml").read_text(encoding="utf-8")
     with pytest.raises(BoresightError, match="names what it is against"):
         parse(text.replace("against: ba-slam-3, ", "", 1), "x.yaml")
+
+
+ORDER = Claim(text="a is less than b", order=("a", "b"), stage="recognition", place="p")
+APART = [
+    replace(OURS, estimator=label, value=low + 0.5, low=low, high=low + 1) for label, low in (("a", 1.0), ("b", 5.0))
+]
+
+
+@pytest.mark.parametrize(
+    ("claim", "verdicts", "verdict"),
+    [
+        (ORDER, True, "reproduced"),
+        (ORDER, False, "context"),
+        (ORDER.model_copy(update={"unjudged": "its table says otherwise"}), True, "context"),
+        (ORDER.model_copy(update={"stage": "final"}), False, "not measured"),
+    ],
+)
+def test_words_have_no_verdict_where_none_is_due(claim, verdicts, verdict):
+    (found,) = compare_claims(APART, Comparison(conditions="c", claims=(claim,), verdicts=verdicts))
+    assert found.verdict == verdict
+    assert claim_values(found).endswith(claim.unjudged)
+
+
+def test_a_verdict_over_survivors_says_so():
+    claims = Comparison(conditions="c", claims=(ORDER, Claim(text="t", solves="a", stage="recognition", place="p")))
+    order, solved = compare_claims([replace(APART[0], n_ok=9), APART[1]], claims)
+    assert verdict_of_claim(order) == "reproduced of the runs that ended"
+    assert verdict_of_claim(solved) == "undecided", "it counts those that did not end"
+    assert verdict_of("reproduced", APART) == "reproduced"
+    share = replace(OURS, measure="detection_share", stage="detection", n_ok=9)
+    assert verdict_of("differs (lower)", [share]) == "differs (lower)", "what was found, of what there was"
+    assert verdict_of("context", [replace(OURS, n_ok=9)]) == "context"
+
+
+def test_better_performance_is_judged_where_the_paper_s_own_table_agrees():
+    claims = [c for c in load_published("delpech2015-comparison").claims if "better performance" in c.text]
+    judged = {c.scenario.rsplit("-", 1)[1]: not c.unjudged for c in claims}
+    means = TABLE_3["error_after_1_m", "mean"]
+    assert judged == {str(n): ba < ekf for n, (ekf, ba) in zip((10, 15, 20), means, strict=True)}
+
+
+def test_an_upper_bound_is_printed_beside_the_words():
+    words = {"printed": "3 m", "words": "somewhat more", "relation": "above", "tolerance": None, "at_most": 6.0}
+    assert VALUE.model_copy(update=words).quoted == '"somewhat more" (read as 3 m, at most 6)'
+
+
+@pytest.mark.parametrize("name", published_names())
+def test_every_paper_says_what_was_known_when_its_bounds_were_chosen(name):
+    assert "after runs" in load_published(name).bounds
