@@ -10,6 +10,7 @@ import signal
 import tempfile
 import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -188,6 +189,8 @@ class _Hand:
 
     def _started(self) -> ProcessPoolExecutor:
         if self._executor is None:
+            # loky replaces a process that has grown by 300 MB since its first call, which is no news for a terminal.
+            warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
             self._executor = ProcessPoolExecutor(
                 max_workers=1, timeout=_IDLE_S, initializer=_follow_parent, initargs=(os.getpid(), self.note),
                 env=gpu_of_worker(self.place),
