@@ -99,16 +99,17 @@ def descriptors_led_away(every: Sequence[Led]) -> Iterator[None]:
 def _opened(number: int) -> tuple[int, int] | None:
     """Return the file to lead a descriptor to, and a copy of the descriptor; None where it stays as it is."""
     try:
-        return _file(number, os.getpid()).fileno(), os.dup(number)
+        return _file(number, os.getpid()), os.dup(number)
     except OSError:  # no folder for temporary files, or the descriptor is closed
         return None
 
 
 @cache
-def _file(number: int, process: int) -> IO[bytes]:
+def _file(number: int, process: int) -> int:
     """Open the file of a descriptor, which has no name and goes with its process; a fork of it has another."""
     del number, process
-    return tempfile.TemporaryFile(buffering=0)
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())
 
 
 def _flush(every: Sequence[Led]) -> None:

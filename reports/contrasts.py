@@ -136,6 +136,8 @@ def cycle_ratio_records(run: RunData) -> Iterator[Record]:
         side = _SideBySide.of(run, own, "seconds")
         for one, other in permutations(side.estimators, 2):
             both = side.both(one, other)
+            if not (both.errors > 0.0).all():  # a method tells its times itself, and may not measure them
+                continue
             measured = both.measured(_ratio, positive=True)
             yield Record(
                 name, one, RATIO, other, _CYCLE_RATIO, unit_of(_CYCLE_RATIO), MEAN.name, measured.value, measured.low,

@@ -166,6 +166,7 @@ def test_the_default_follows_the_environment(tmp_path, monkeypatch):
     assert default_cache() == Cache(tmp_path, 500_000_000)
     monkeypatch.delenv("BORESIGHT_CACHE")
     monkeypatch.delenv("BORESIGHT_CACHE_GB")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     assert default_cache().limit_bytes == 4_000_000_000
     assert default_cache().root.is_relative_to(Path.home())
     for wrong in ("much", "-1", "nan", "inf"):
