@@ -115,8 +115,9 @@ def _file(number: int, process: int) -> int:
 def _flush(every: Sequence[Led]) -> None:
     """Write what Python and the C library still hold."""
     for stream in {sys.__stdout__, sys.__stderr__, *(one.stream for one in every)}:
-        with suppress(OSError, ValueError, AttributeError):
-            stream.flush()  # type: ignore[union-attr]
+        if stream is not None:
+            with suppress(OSError, ValueError, AttributeError):
+                stream.flush()
     _c_flush()()
 
 

@@ -31,7 +31,7 @@ def of_what_was_drawn(grids: Iterable[Grid], run: RunData) -> Iterator[Grid]:
 
 def database_line(run: RunData) -> str:
     """Say what the data bases of a run mean for its intervals; '' where it has none."""
-    if run.databases > 1 and not run.manifest.products:
+    if run.databases > 1 and run.manifest.experiment == "crater-detection":
         return (
             f"The world of craters was drawn {run.databases} times; trials have them in turn. Intervals take the world"
             " for what is independent (Student's t over them), so that they tell of other worlds too."

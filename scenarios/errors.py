@@ -1,5 +1,9 @@
 """The one exception root of boresight."""
 
+from __future__ import annotations
+
+import traceback
+
 _LONGEST = 2000
 
 
@@ -26,6 +30,11 @@ def printable(text: str) -> str:
 def one_line(error: object) -> str:
     """Write what another library says as one line."""
     return " ".join(str(error).split())
+
+
+def text_of(error: BaseException) -> str:
+    """Return in one line what an error says: of ours the text, of others their type as well."""
+    return one_line(error if isinstance(error, BoresightError) else traceback.format_exception_only(error)[0])
 
 
 def _shown(line: str) -> str:

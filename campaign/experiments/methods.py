@@ -13,7 +13,7 @@ from campaign.products import MissingProduct
 from campaign.resolve import ResolvedCampaign
 from estimators.contract import ImageRenderer, NoProductError
 from estimators.registry import estimator_class
-from scenarios.errors import BoresightError, MachineError, one_line
+from scenarios.errors import BoresightError, MachineError, text_of
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.load import LoadedScenario
 from scenarios.spec.campaign import EstimatorSpec
@@ -56,9 +56,8 @@ def built(
     except NoProductError as error:
         return Unbuilt(str(error), _trace(error))
     except BaseException as error:  # noqa: BLE001  whatever a method raises is its own fault
-        said = str(error) if isinstance(error, BoresightError) else traceback.format_exception_only(error)[0]
         options = f"its options are {json.dumps(entry.options)}" if entry.options else "its options are the defaults"
-        reason = f"{entry.label} cannot be built for {scenario}: {one_line(said)}; {options}"
+        reason = f"{entry.label} cannot be built for {scenario}: {text_of(error)}; {options}"
         return Unbuilt(reason, _trace(error))
 
 

@@ -20,7 +20,7 @@ from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.atomic import explain
 from scenarios.bodies import load_body
 from scenarios.cache import default_cache
-from scenarios.errors import BoresightError, MachineError, one_line
+from scenarios.errors import BoresightError, MachineError, text_of
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
@@ -227,12 +227,11 @@ def _place(cached: Path, folder: Path) -> None:
 
 def _place_unmade(folder: Path, error: BaseException, options: SpecModel) -> None:
     """Keep in the run why a product could not be made."""
-    said = str(error) if isinstance(error, BoresightError) else traceback.format_exception_only(error)[0]
     given = options.model_dump_json(exclude_defaults=True)
     asked = "the defaults" if given == "{}" else f"{given}, others the defaults"
 
     def write(place: Path) -> None:
-        (place / _UNMADE).write_text(f"{one_line(said)}; its options are {asked}", encoding="utf-8")
+        (place / _UNMADE).write_text(f"{text_of(error)}; its options are {asked}", encoding="utf-8")
         (place / _TRACE).write_text("".join(traceback.format_exception(error)), encoding="utf-8", errors="replace")
 
     _fill(folder, write)

@@ -238,7 +238,7 @@ class Comparison(_Model):
 
 class _Document(_Model):
     source: str
-    bounds: str = ""
+    bounds: str
     methods: tuple[str, ...] = Field(description="Labels under which the paper's own methods run")
     comparisons: dict[str, Comparison]
 

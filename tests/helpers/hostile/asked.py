@@ -149,6 +149,6 @@ def _published_seeds() -> tuple[bytes, ...]:
     text = (resources.files("reports.published") / "delpech2015.yaml").read_text(encoding="utf-8")
     first_value = text.index("\n", text.index("      - {")) + 1
     return text[:first_value].encode(), (
-        b"source: us\nmethods: [us]\ncomparisons:\n  a:\n    conditions: none\n    values:\n"
+        b"source: us\nbounds: none\nmethods: [us]\ncomparisons:\n  a:\n    conditions: none\n    values:\n"
         b"      - {measure: position_error_m, stage: final, statistic: median, printed: '1,200 m', place: Table 1}\n"
     )
