@@ -1,4 +1,4 @@
-"""The figures of a grid of scenarios: a matrix of two axes, a curve for each of several, main effects."""
+"""The figures of a grid of scenarios: methods at the levels of one axis, a matrix of two, curves, main effects."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from matplotlib.figure import Figure
 
+from reports.compare.figures import cumulative_figure, standings_figure
+from reports.compare.looks import groups
+from reports.compare.metrics import Metric
+from reports.compare.subjects import compared
 from reports.designs import ATTITUDE, POSITION, DesignData, Outcome, outcomes
 from reports.figures.curves import CurvePanel, Points, draw_curves
 from reports.figures.effects import Effect, draw_effects
@@ -32,10 +36,23 @@ def design_figures(run: RunData) -> Iterator[Drawn]:
             for base, names in data.bases().items():
                 yield from _sequences(data, base, names)
         return
+    if design.design == "full" and len(design.axes) == 1:
+        yield from _by_level(run)
+        return
     draw = {"full": _matrix, "one-at-a-time": _curves, "two-level": _effects}[design.design]
     for base, names in data.bases().items():
         for estimator in dict.fromkeys(outcome.estimator for outcome in outcomes(run)):
             yield from draw(data, base, names, estimator)
+
+
+def _by_level(run: RunData) -> Iterator[Drawn]:
+    """Draw all estimators at every level of the only axis beside each other, as a comparison of its scenarios does."""
+    if run.rows[POSITION].isna().all():
+        return
+    found = compared((run,), Metric(POSITION))
+    drawn = (standings_figure(found), *(cumulative_figure(found, level, own) for level, own in groups(found).items()))
+    for one in drawn:
+        yield one.stem, one.figure, one.caption, one.alt
 
 
 def _of(data: DesignData, estimator: str) -> list[Outcome]:
@@ -43,7 +60,7 @@ def _of(data: DesignData, estimator: str) -> list[Outcome]:
 
 
 def _matrix(data: DesignData, base: str, names: list[str], estimator: str) -> Iterator[Drawn]:
-    """Heat maps of two axes; grids of more or fewer axes have their tables alone."""
+    """Heat maps of two axes; grids of more have their tables alone."""
     if len(data.design.axes) != 2:
         return
     down, across = data.design.axes

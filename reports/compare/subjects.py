@@ -133,16 +133,29 @@ def compare_runs(
         If a run cannot be read, metric or factor is unknown, or the trials of two runs are not the same.
     """
     runs = tuple(read_run(folder) for folder in folders)
-    chosen = choose_metric(metric, runs)
     check_factors(factors, runs)
     if not unpaired:
         check_pairs(runs)
+    return compared(runs, choose_metric(metric, runs), factors, unpaired)
+
+
+def compared(
+    runs: tuple[RunData, ...], chosen: Metric, factors: Sequence[str] = DEFAULT_FACTORS, unpaired: bool = False
+) -> RunComparison:
+    """Compare runs that have been read and can be compared by these factors.
+
+    Raises
+    ------
+    BoresightError
+        If no trial has a value of the metric.
+    """
     trials = tabulate_trials(runs, chosen, factors)
     own = all_factors(factors, trials)
     names = _in_order(trials, own, runs)
     subjects = tuple(_subject(_of(trials, own, one), one) for one in names)
     if all(subject.n_ok == 0 for subject in subjects):
-        raise BoresightError(f"--metric {chosen.name}: no trial of {', '.join(map(str, folders))} has a value of it")
+        folders = ", ".join(str(run.folder) for run in runs)
+        raise BoresightError(f"--metric {chosen.name}: no trial of {folders} has a value of it")
     pairs = [_contrast(trials, own, pair, unpaired) for pair in _pairs(subjects)]
     known = [one for one in pairs if one is not None]
     contrasts = known if chosen.is_error else [without_failures(one) for one in known]

@@ -9,6 +9,7 @@ from stored_runs import RunBuilder, pose_error
 
 from reports.build import write_report
 from reports.content import read_content
+from reports.design_figures import design_figures
 from reports.designs import DesignData, Outcome, design_grids, outcomes
 from reports.figures.curves import CurvePanel, Points, draw_curves
 from reports.figures.matrix import Matrix, draw_matrix
@@ -109,6 +110,27 @@ def test_each_axis_is_compared_with_the_reference(builder):
     assert [row[2] for row in grid.rows] == ["50.0 [50.0, 50.0]"] * 4, "the prior"
     stems = {path.stem for path in write_report(builder.folder).figures}
     assert stems == {"curves_position_rock_landmark-harris", "curves_attitude_rock_landmark-harris"}
+
+
+def test_the_levels_of_a_single_axis_stand_beside_each_other(builder):
+    world = axis("world", "matched", "mismatched")
+    run = store(builder, "full", [world], {("matched",): 1.0, ("mismatched",): 4.0}).run
+    drawn = {stem: figure for stem, figure, _, _ in design_figures(run)}
+    assert list(drawn) == ["compare", "cumulative_rock-0", "cumulative_rock-1"]
+    errors, success, _ = drawn["compare"].axes
+    lines = [label.get_text() for label in errors.get_yticklabels()]
+    assert lines == ["prior, rock-0", "landmark-harris, rock-0", "prior, rock-1", "landmark-harris, rock-1"]
+    median = {line.get_ydata()[0]: line.get_xdata()[0] for line in errors.lines if line.get_markersize() == 5}
+    rows = run.rows[run.rows["estimator"] == "landmark-harris"]
+    known = rows.groupby("scenario")["position_error_m"].median()
+    assert (median[1], median[3]) == pytest.approx((known["rock-0"], known["rock-1"]))
+    assert len(success.lines) == 2, "a rate of success for each level of the estimator, none of the prior"
+
+
+def test_a_single_axis_without_a_position_is_not_drawn(builder):
+    run = store(builder, "full", [axis("world", "matched", "mismatched")], {("matched",): 1.0}).run
+    run.rows["position_error_m"] = np.nan
+    assert not list(design_figures(run))
 
 
 def test_outcomes_include_the_centroid_where_it_is_a_stage(full_run):
