@@ -78,6 +78,7 @@ def load() -> float:
     return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else 0.0
 
 
+@lru_cache(maxsize=1)
 def processor() -> str:
     """Return the processor's name."""
     try:
@@ -92,6 +93,7 @@ def package_versions() -> dict[str, str]:
     return {name: _version(name) for name in PACKAGES}
 
 
+@lru_cache
 def _version(name: str) -> str:
     try:
         return version(name)

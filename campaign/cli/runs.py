@@ -50,6 +50,7 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     run.add_argument("--local", type=positive, metavar="N", help="with --backend dask: N workers of this machine")
     add_overrides(run)
     _add_worst(run)
+    run.add_argument("--no-report", action="store_true", help="store the trials alone; boresight report tells of them")
     run.set_defaults(handler=_run)
     status = commands.add_parser("status", help="say how far a run is")
     status.add_argument("run", help="a run folder, or a campaign's name")
@@ -112,7 +113,10 @@ def _run(arguments: argparse.Namespace) -> int:
     with store_switched(store_is_on() and not arguments.no_store):
         with ProgressListener(out) as listener:
             folder = begun.go(listener)
-        _print_report(folder, arguments.worst)
+        if arguments.no_report:
+            out.print(f"stored; {shlex.join(['boresight', 'report', str(folder.path)])} writes the report")
+        else:
+            _print_report(folder, arguments.worst)
     return 3 if (folder.table("rows")["status"] == "error").any() else 0
 
 
@@ -146,7 +150,7 @@ def _status(arguments: argparse.Namespace) -> int:
         f"started {manifest.get('created') or 'some time'}, " + (f"finished {finished}" if finished else "not finished")
     )
     if not finished:
-        out.print(f"{'to end and report it' if done >= total else 'to continue'}: {_again(manifest, folder)}")
+        out.print(f"{'to end it' if done >= total else 'to continue'}: {_again(manifest, folder)}")
     for (scenario, estimator), group in rows.groupby(["scenario", "estimator"]):
         counts = group["status"].value_counts()
         out.print(f"  {scenario} / {estimator}: " + ", ".join(f"{n} {status}" for status, n in counts.items()))

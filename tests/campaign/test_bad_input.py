@@ -252,7 +252,7 @@ def with_file_size_limit(limit: int, *arguments: object) -> subprocess.Completed
         (1_000, 1, (), "products/landmark-database"),
         (8_000, 1, (), "scene-0000001.parquet"),
         (40_000, 2, ("--keep-images",), "images/scene/00000"),
-        (40_000, 1, (), "report"),
+        (40_000, 1, ("--worst", "0"), "report"),
     ],
     ids=["product", "table", "image in a worker", "report"],
 )

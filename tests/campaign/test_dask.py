@@ -68,21 +68,8 @@ def cluster(tmp_path_factory):
 @contextmanager
 def under_way(file, out, cluster, blocks):
     """Start a run on a cluster and wait for its first blocks."""
-    words = (
-        "run",
-        file,
-        "--trials",
-        LONG,
-        "--backend",
-        "dask",
-        "--scheduler",
-        cluster.address,
-        "--out",
-        out,
-        "--worst",
-        0,
-    )
-    with started(*words) as process:
+    words = ("--trials", LONG, "--backend", "dask", "--scheduler", cluster.address, "--out", out)
+    with started("run", file, *words) as process:
         wait_for_blocks(process, out, blocks)
         yield process
 
@@ -99,6 +86,7 @@ def test_three_workers_give_the_rows_of_one_process(cluster, tmp_path):
     assert cluster.caches(), "what a worker needs came to its own cache"
 
 
+@pytest.mark.long
 def test_a_worker_that_is_killed_and_one_that_comes_late_change_nothing(cluster, tmp_path):
     first, _ = cluster.add_worker(), cluster.add_worker()
     file = write_campaign(tmp_path)

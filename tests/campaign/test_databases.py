@@ -22,7 +22,7 @@ from scenarios.beliefs import believed_spec
 from scenarios.bodies import load_body
 from scenarios.load import load_scenario
 
-DATABASES, TRIALS = 3, 24
+DATABASES, TRIALS = 3, 12
 SCENE_ERRED = "onboard: {height_error: {rms_m: 1, min_wavelength_m: 20, seed: 5}}\n"
 
 
@@ -36,7 +36,7 @@ def several(cache, tmp_path_factory):
         DATABASES: write_campaign(folder / "several", text + f"databases: {DATABASES}\n"),
     }
     for number, file in files.items():
-        compute(file, folder / str(number))
+        compute(file, folder / str(number), TRIALS)
     return {number: folder / str(number) for number in files}
 
 
@@ -81,8 +81,8 @@ def test_a_campaign_with_one_has_the_digest_that_it_had(tmp_path):
 
 def test_workers_and_a_resumed_run_have_the_same_rows(several, tmp_path):
     file = several[1].parent / "several" / "tiny.yaml"
-    compute(file, tmp_path / "run", trials=10)
-    compute(file, tmp_path / "run", jobs=2)
+    compute(file, tmp_path / "run", 10)
+    compute(file, tmp_path / "run", TRIALS, jobs=2)
     assert_same_results(several[DATABASES], tmp_path / "run")
     assert "rows" in RESULTS
 

@@ -30,6 +30,7 @@ from scenarios.draw import Stream
 from scenarios.geometry import Camera, View, look_at
 from scenarios.load import load_scenario
 
+FEW = 12
 CAMERA = Camera(64, 48, 100.0, 100.0, 32.0, 24.0)
 
 
@@ -141,32 +142,32 @@ def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeyp
     assert len(caplog.records) == 1
 
 
-def in_a_process(file, out, jobs):
+def in_a_process(file, out, trials, jobs):
     """Run with workers that know this test's cache: those of this process keep that of the test that started them."""
-    return boresight("run", file, "--out", out, "--jobs", jobs).stdout
+    return boresight("run", file, "--out", out, "--trials", trials, "--jobs", jobs).stdout
 
 
 def test_rows_are_the_same_from_the_store(own_cache, tmp_path):
     noisy = write_campaign(tmp_path / "noisy", scene=SCENE + "detector: {psf_sigma_px: 0.6}\n")
     for out, jobs, rendered, stored in (
-        ("fresh", 1, TRIALS, 0), ("first", 2, TRIALS, 0), ("second", 1, 0, TRIALS),
+        ("fresh", 1, FEW, 0), ("first", 2, FEW, 0), ("second", 1, 0, FEW),
     ):  # fmt: skip
         with store_switched(on=out != "fresh"):
-            said = compute(noisy, tmp_path / out) if jobs == 1 else in_a_process(noisy, tmp_path / out, jobs)
+            said = compute(noisy, tmp_path / out, FEW) if jobs == 1 else in_a_process(noisy, tmp_path / out, FEW, jobs)
         assert f"images: {rendered} rendered or read, {stored} from the store" in said
         assert_same_results(tmp_path / "fresh", tmp_path / out)
     stages = RunFolder(tmp_path / "second").table("timings").groupby("stage").size()
-    assert stages["stored_image"] == 2 * TRIALS
+    assert stages["stored_image"] == 2 * FEW
     assert "image" not in stages
 
 
 def test_another_threshold_or_detector_renders_nothing(own_cache, tmp_path):
-    compute(write_campaign(tmp_path / "first"), tmp_path / "a")
+    compute(write_campaign(tmp_path / "first"), tmp_path / "a", FEW)
     other = CAMPAIGN.replace("database:", "pose: {match_d2_max: 25}\n      database:")
     noisy = SCENE + "detector: {psf_sigma_px: 0.6}\n"
     for name, campaign, scene in (("threshold", other, SCENE), ("detector", CAMPAIGN, noisy)):
-        said = compute(write_campaign(tmp_path / name, campaign, scene), tmp_path / f"run-{name}")
-        assert f"images: 0 rendered or read, {TRIALS} from the store" in said
+        said = compute(write_campaign(tmp_path / name, campaign, scene), tmp_path / f"run-{name}", FEW)
+        assert f"images: 0 rendered or read, {FEW} from the store" in said
 
 
 def test_another_kernel_of_the_data_base_renders_nothing(own_cache, tmp_path):
@@ -204,6 +205,7 @@ def test_other_clusters_read_no_image_and_find_no_corner(own_cache, tmp_path, mo
         assert kept == fresh
 
 
+@pytest.mark.long
 def test_a_killed_run_leaves_a_sound_store(own_cache, tmp_path):
     file = write_campaign(tmp_path / "campaign", CAMPAIGN.replace(f"trials: {TRIALS}", "trials: 400"))
     arguments = ("run", file, "--jobs", 2, "--out", tmp_path / "killed", "--trials", 400)

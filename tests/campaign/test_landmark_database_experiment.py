@@ -83,7 +83,7 @@ def test_the_report_says_how_many_and_draws_no_poses(stored):
 
 
 def test_the_whole_command_ends_with_a_report(file, stored, capsys):
-    assert run(file, stored.path) == 0
+    assert run(file, stored.path, "--worst", 0) == 0
     assert "report.html" in capsys.readouterr().out
 
 

@@ -183,9 +183,9 @@ def test_status_counts_what_is_stored(tiny_run, tmp_path, capsys):
 
 def test_status_proposes_what_runs_the_rest(tmp_path, capsys):
     file, out = write_sequences(tmp_path, 12), tmp_path / "run"
-    assert main(["run", str(file), "--out", str(out), "--jobs", "1"]) == 0
+    assert run(file, out) == 0
     (out / "rows" / "orbit-0000002.parquet").unlink()
-    assert main(["run", str(file), "--out", str(out), "--jobs", "1", "--trials", "2"]) == 0
+    assert run(file, out, "--trials", 2) == 0
     capsys.readouterr()
     assert main(["status", str(out)]) == 0
     said = capsys.readouterr().out

@@ -39,7 +39,7 @@ from campaign.worker import run_block
 from campaign.world import open_world
 from renderers.mitsuba3 import choose_variant
 
-LONG = 100
+LONG = 60
 N_BLOCKS = LONG // SingleImage.block_trials
 
 
@@ -189,7 +189,7 @@ def test_another_request_is_another_run(tiny_run, tmp_path, monkeypatch, change)
     if change[0] == "--variant" and choose_variant().name == change[1]:
         pytest.skip("scalar_rgb is the only variant here")
     monkeypatch.chdir(tmp_path)
-    asked_for = ["run", str(tiny_run.file), "--jobs", "1", "--trials", "3", *change]
+    asked_for = ["run", str(tiny_run.file), "--jobs", "1", "--trials", "3", "--no-report", *change]
     assert main(asked_for) == 0
     (path,) = Path("runs").iterdir()
     digests = [RunFolder(folder).read_manifest()["digest"] for folder in (tiny_run.folder, path)]

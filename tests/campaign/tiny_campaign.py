@@ -59,8 +59,8 @@ def write_campaign(folder: Path, campaign: str = CAMPAIGN, scene: str = SCENE) -
 
 
 def run(file: Path, out: Path, *arguments: object) -> int:
-    """Run a campaign by the command line in this process, with its report, but without its worst trials."""
-    return main(["run", str(file), "--jobs", "1", "--out", str(out), "--worst", "0", *map(str, arguments)])
+    """Run a campaign by the command line in this process, without a report unless ``--worst`` is given."""
+    return main([*command("run", file, "--jobs", 1, "--out", out, *arguments)[3:]])
 
 
 class Heard:
@@ -85,9 +85,9 @@ def compute(file: Path, out: Path, trials: int = TRIALS, jobs: int = 1) -> str:
 
 
 def command(*arguments: object) -> list[str]:
-    """Return the command line as a process; a run is reported without its worst trials unless they are asked for."""
+    """Return the command line as a process; a run is reported where its worst trials are asked for, if none."""
     words = [str(argument) for argument in arguments]
-    brief = ["--worst", "0"] if words[:1] == ["run"] and "--worst" not in words else []
+    brief = ["--no-report"] if words[:1] == ["run"] and "--worst" not in words else []
     return [sys.executable, "-m", "campaign.cli", *words, *brief]
 
 

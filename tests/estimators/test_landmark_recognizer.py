@@ -135,12 +135,13 @@ def test_recognition_improves_on_the_prior(world, noise_dn):
 def test_a_recognition_counts_only_where_it_is_the_better_likeness_if_asked(world):
     """Else the pose before it is the answer, which rests on no landmark and has no covariance."""
     careful, answers, offsets = recogniser(world, keep="if-better"), {0: 0, 1: 0}, []
+    shape = MitsubaRenderer(world.shape(), world.brdf, 1)
     for trial in range(MANY):
         view, frame = world.frame(trial)
         result = estimate(careful, frame)
         kept = result.diagnostics["kept"]
         poses = {stage.name: stage.T_cam_body for stage in result.stages}
-        looks = [_likeness(world, frame, poses[name]) for name in ("centroid", "recognition")]
+        looks = [_likeness(shape, frame, poses[name]) for name in ("centroid", "recognition")]
         np.testing.assert_allclose([result.diagnostics[n] for n in ("likeness_before", "likeness")], looks, atol=1e-6)
         assert kept == int(looks[1] >= looks[0])
         assert list(poses) == ["centroid", "recognition", "choice"]
@@ -154,9 +155,8 @@ def test_a_recognition_counts_only_where_it_is_the_better_likeness_if_asked(worl
     assert chosen < recognised
 
 
-def _likeness(world, frame, pose):
+def _likeness(shape, frame, pose):
     """numpy's own coefficient of the image and the onboard shape at a pose."""
-    shape = MitsubaRenderer(world.shape(), world.brdf, 1)
     rendered = shape.render(View(CAMERA, pose, pose.rotation.T @ frame.sun_dir_cam))
     signals = (extract_signal(frame.image), extract_signal(rendered, (0.0, 0.0)))
     return np.corrcoef(*(signal.image.ravel().astype(np.float64) for signal in signals))[0, 1]

@@ -198,7 +198,7 @@ CHANGES: dict[str, tuple[str, str]] = {
     "sequence.vision.outlier_share": (SEQUENCE, "0.1"),
     "sequence.images.starts": (IMAGES, "4"),
     "sequence.images.detector": (IMAGES, "sift"),
-    "sequence.images.features": (IMAGES, "40"),
+    "sequence.images.features": (IMAGES, "15"),
     "sequence.images.ratio_max": (IMAGES, "0.5"),
     "sequence.images.epipolar": (IMAGES, "known-attitude"),
     "sequence.images.epipolar_max_px": (IMAGES, "0.1"),

@@ -104,15 +104,15 @@ def imaging_fingerprint(scenario: LoadedScenario) -> str:
 
 def sequence_fingerprint(scenario: LoadedScenario) -> str:
     """Hash what two trials of a sequence show to an estimator, and their truth."""
-    spec = scenario.spec
+    spec, ground, tracks = scenario.spec, ground_of(scenario), None
+    if spec.sequence.images is not None:
+        tracks = ImageTracks(spec.sequence, ground, OrbitImages.open(scenario, choose_variant().name, 3))
     parts: list[bytes] = []
     for trial in range(2):
-        ground = ground_of(scenario)
-        if spec.sequence.images is None:
+        if tracks is None:
             truth, sequence = draw_sequence(spec.sequence, spec.camera.camera(), ground, 3, trial)
         else:
-            images = OrbitImages.open(scenario, choose_variant().name, 3)
-            watch = ImageTracks(spec.sequence, ground, images).watch(3, trial)
+            watch = tracks.watch(3, trial)
             sequence_estimator_class("ba-slam").from_options({"connectivity": 2}).follow(watch.sequence)
             seen = watch.seen()
             truth, sequence = seen.truth, seen.sequence

@@ -111,7 +111,7 @@ sequence:
 SPIN = SEQUENCE + "  body_motion: {kind: spin}\n"
 TUMBLING = SEQUENCE + "  body_motion: {kind: tumbling, axis_body: [0.5, 0, 1]}\n"
 IMAGES = """
-body: {shape: apophis-sphere, detail: {facets: 80000, albedo: {sigma: 0.35, wavelength_m: 60}}}
+body: {shape: apophis-sphere, detail: {facets: 20000, albedo: {sigma: 0.35, wavelength_m: 60}}}
 camera: {width_px: 200, height_px: 200, fov_deg: 30}
 sequence:
   orbit: {step_deg: 5, revolutions: 0.05}
