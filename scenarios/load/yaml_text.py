@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -40,8 +41,10 @@ _INFINITY = re.compile(r"[-+]?\.(inf|Inf|INF)")
 _NAN = frozenset({".nan", ".NaN", ".NAN"})
 
 
+# Scenarios extend each other, so that a campaign reads the same text several times, and a list of campaigns many.
+@lru_cache(maxsize=512)
 def parse_yaml(text: str, source: str, *, place: str | None = None) -> Entry:
-    """Parse one YAML document.
+    """Parse one YAML document; the same text gives the same entries, which nobody changes.
 
     Parameters
     ----------
