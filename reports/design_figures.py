@@ -46,7 +46,7 @@ def design_figures(run: RunData) -> Iterator[Drawn]:
 
 
 def _by_level(run: RunData) -> Iterator[Drawn]:
-    """Draw all estimators at every level of the only axis beside each other, as a comparison of its scenarios does."""
+    """Draw the errors of every estimator at each level of a single axis, with the figures of a comparison."""
     if run.rows[POSITION].isna().all():
         return
     found = compared((run,), Metric(POSITION))
