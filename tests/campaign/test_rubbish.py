@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from tiny_campaign import SCENE, write_campaign
+from tiny_campaign import SCENE, run, write_campaign
 
 from campaign.cli import main
 
@@ -118,7 +118,7 @@ def test_rubbish_ends_no_command(group, cache, tmp_path, monkeypatch, capsys):
     kind = "experiment: sequence\n" if group.startswith("sequence") else ""
     text = f"title: R\n{kind}scenarios: [scene]\nestimators: [{control}, {', '.join(names)}]\ntrials: 1\nseed: 5\n"
     file, out = write_campaign(tmp_path / "campaign", text, scene), str(tmp_path / "run")
-    assert main(["run", str(file), "--jobs", "1", "--out", out, "--worst", "1"]) == 3
+    assert run(file, out, "--worst", 1) == 3
     rows = pd.read_parquet(f"{out}/rows").set_index("estimator")
     assert rows.loc[names, "status"].eq("error").all()
     assert rows.loc[names, "reason"].str.startswith("the estimator returned rubbish: ").all()
@@ -166,7 +166,7 @@ def test_what_keeps_the_contract_and_is_absurd_is_drawn_as_far_as_it_can_be(cach
     names = install(tmp_path, "estimators", ABSURD, monkeypatch)
     text = f"title: A\nscenarios: [scene]\nestimators: [{', '.join(names)}]\ntrials: 1\nseed: 5\n"
     file, out = write_campaign(tmp_path / "campaign", text, SCENE), tmp_path / "run"
-    assert main(["run", str(file), "--jobs", "1", "--out", str(out), "--no-report"]) == 0
+    assert run(file, out) == 0
     assert main(["inspect", str(out), "--trial", "0"]) == 0
     drawn = {name: {path.stem for path in (out / "inspect" / f"scene_{name}_0000000").glob("*.png")} for name in names}
     assert drawn == {"behind": {"poses"}, "inside": {"poses"}}, "landmarks behind the camera have no place in an image"

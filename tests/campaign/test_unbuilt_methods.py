@@ -7,7 +7,7 @@ import pytest
 from orbit_worlds import orbit_world
 from test_crater_detection import SCENE as CRATERS
 from test_rubbish import install
-from tiny_campaign import RESULTS, SCENE, assert_same_results, boresight, files, write_campaign
+from tiny_campaign import RESULTS, SCENE, assert_same_results, boresight, files, run, write_campaign
 from tiny_pairs import PAIRS
 from tiny_sequences import SCENE as SEQUENCE
 
@@ -73,14 +73,10 @@ def write(folder, estimators, scene=SCENE, kind=""):
     return write_campaign(folder / "campaign", text, scene)
 
 
-def start(file, out, jobs=1):
-    return main(["run", str(file), "--jobs", str(jobs), "--no-report", "--out", str(out)])
-
-
 def test_an_estimator_that_cannot_be_built_costs_its_own_rows_alone(cache, tmp_path, monkeypatch, capsys):
     install(tmp_path, "estimators", MODULE, monkeypatch)
     file, out = write(tmp_path, f"prior, value: {{mode: 7}}, {', '.join(list(RAISED)[1:])}"), tmp_path / "run"
-    assert start(file, out) == 3
+    assert run(file, out) == 3
     rows = pd.read_parquet(out / "rows").set_index("estimator")
     assert rows.loc["prior", "status"].eq("ok").all()
     traces = pd.read_parquet(out / "tracebacks").set_index("estimator")["traceback"]
@@ -103,7 +99,7 @@ def test_so_does_a_method_of_another_kind(group, cache, tmp_path, monkeypatch):
     experiment, scene, control, called = KINDS[group]
     install(tmp_path, group, MODULE, monkeypatch)
     file, out = write(tmp_path, f"value, closes, {control}", scene, f"experiment: {experiment}\n"), tmp_path / "run"
-    assert start(file, out) == 3
+    assert run(file, out) == 3
     rows = pd.read_parquet(out / "rows").set_index("estimator")
     assert not rows.loc[control, "status"].eq("error").any()
     for name in ("value", "closes"):
@@ -112,7 +108,7 @@ def test_so_does_a_method_of_another_kind(group, cache, tmp_path, monkeypatch):
         )
         assert list(rows.loc[name, "reason"]) == [reason] * 2
     file = write(tmp_path, f"{control}, refused", scene, f"experiment: {experiment}\n")
-    assert start(file, tmp_path / "refused") == 2
+    assert run(file, tmp_path / "refused") == 2
 
 
 def test_so_does_an_estimator_of_orbits():
@@ -135,7 +131,7 @@ def test_wrong_options_of_the_last_estimator_are_refused_before_anything_is_buil
 ):
     install(tmp_path, "estimators", MODULE, monkeypatch)
     scene = SCENE + "sensors: {altimeter: {sigma_m: 5}}\n"
-    assert start(write(tmp_path, f"value, lmaps: {{label: first}}, {wrong}", scene), tmp_path / "run") == 2
+    assert run(write(tmp_path, f"value, lmaps: {{label: first}}, {wrong}", scene), tmp_path / "run") == 2
     told = capsys.readouterr()
     (line,) = told.err.splitlines()
     assert line.startswith(f"boresight: {said}")
@@ -145,7 +141,7 @@ def test_wrong_options_of_the_last_estimator_are_refused_before_anything_is_buil
 
 def test_a_shape_without_maplets_or_craters_is_named_with_the_option(cache, tmp_path, capsys):
     out = tmp_path / "run"
-    assert start(write(tmp_path, "prior, lmaps: {maplets: {spacing_m: 200}}, crater-pose"), out) == 3
+    assert run(write(tmp_path, "prior, lmaps: {maplets: {spacing_m: 200}}, crater-pose"), out) == 3
     rows = pd.read_parquet(out / "rows").set_index("estimator")
     assert rows.loc["prior", "status"].eq("ok").all()
     (of_maplets,), (of_craters,) = (set(rows.loc[name, "reason"]) for name in ("lmaps", "crater-pose"))
@@ -166,7 +162,7 @@ def test_a_product_that_cannot_be_made_costs_one_run_the_rows_of_those_who_ask(e
     file, out = write(tmp_path, "prior, lmaps: {maplets: {spacing_m: 15, side: 15}}"), tmp_path / "run"
     with monkeypatch.context() as patch:
         patch.setattr("campaign.products.maplets.build_maplets", fall)
-        assert start(file, out) == 3
+        assert run(file, out) == 3
     rows = pd.read_parquet(out / "rows").set_index("estimator")
     (reason,) = set(rows.loc["lmaps", "reason"])
     why = "on the way" if isinstance(error, BoresightError) else f"{type(error).__name__}: on the way"
@@ -175,9 +171,9 @@ def test_a_product_that_cannot_be_made_costs_one_run_the_rows_of_those_who_ask(e
     traces = pd.read_parquet(out / "tracebacks")["traceback"]
     assert traces.str.contains(r"in fall\n *raise error").all()
     before = files(out, *RESULTS)
-    assert start(file, out) == 3
+    assert run(file, out) == 3
     assert files(out, *RESULTS) == before
-    assert start(file, tmp_path / "again") == 0, "another run tries again: nothing of it is in the cache"
+    assert run(file, tmp_path / "again") == 0, "another run tries again: nothing of it is in the cache"
 
 
 def test_a_full_disk_ends_the_run_so_that_the_same_command_can_go_on(cache, tmp_path, monkeypatch, capsys):
@@ -188,6 +184,6 @@ def test_a_full_disk_ends_the_run_so_that_the_same_command_can_go_on(cache, tmp_
     file, out = write(tmp_path, "prior, lmaps: {maplets: {spacing_m: 15, side: 15}}"), tmp_path / "run"
     with monkeypatch.context() as patch:
         patch.setattr("campaign.products.maplets.build_maplets", fall)
-        assert start(file, out) == 2
+        assert run(file, out) == 2
     assert "cannot write (No space left on device)" in capsys.readouterr().err
-    assert start(file, out) == 0
+    assert run(file, out) == 0

@@ -60,7 +60,7 @@ def write_campaign(folder: Path, campaign: str = CAMPAIGN, scene: str = SCENE) -
 
 def run(file: Path, out: Path, *arguments: object) -> int:
     """Run a campaign by the command line in this process, without a report unless ``--worst`` is given."""
-    return main([*command("run", file, "--jobs", 1, "--out", out, *arguments)[3:]])
+    return main(_words("run", file, "--jobs", 1, "--out", out, *arguments))
 
 
 class Heard:
@@ -85,10 +85,14 @@ def compute(file: Path, out: Path, trials: int = TRIALS, jobs: int = 1) -> str:
 
 
 def command(*arguments: object) -> list[str]:
-    """Return the command line as a process; a run is reported where its worst trials are asked for, if none."""
+    """Return the command line as a process."""
+    return [sys.executable, "-m", "campaign.cli", *_words(*arguments)]
+
+
+def _words(*arguments: object) -> list[str]:
+    """Return the words of a command; a run leaves out its report unless ``--worst`` is given, be it 0."""
     words = [str(argument) for argument in arguments]
-    brief = ["--no-report"] if words[:1] == ["run"] and "--worst" not in words else []
-    return [sys.executable, "-m", "campaign.cli", *words, *brief]
+    return [*words, "--no-report"] if words[:1] == ["run"] and "--worst" not in words else words
 
 
 def boresight(*arguments: object, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
