@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from campaign.experiments.registry import Records, experiment_class
-from campaign.image_store import store_switched
+from campaign.imaging.image_store import store_switched
 from campaign.machine import describe, package_versions
-from campaign.request import RunRequest
-from campaign.resolve import ResolvedCampaign
-from campaign.runner import run_campaign
+from campaign.resolved import ResolvedCampaign
+from campaign.runs.request import RunRequest
+from campaign.runs.runner import run_campaign
 from campaign.store.columns import FRESH_IMAGE
+from campaign.trial.kind import Records, kind_named
 from scenarios.errors import BoresightError
 
 WHOLE_TRIAL = "whole trial"
@@ -123,7 +123,7 @@ def benchmark(campaign: ResolvedCampaign, blocks: int, folder: Path, tell: Calla
     """
     if blocks < 1:
         raise BoresightError(f"a benchmark needs at least 1 block of trials, not {blocks}")
-    trials = (blocks + 1) * experiment_class(campaign.spec.experiment).block_trials
+    trials = (blocks + 1) * kind_named(campaign.spec.experiment).block_trials
     clock = _Clock(tell)
     with one_core(), store_switched(on=False):
         run_campaign(campaign, RunRequest(folder, trials, jobs=1), clock)

@@ -18,7 +18,7 @@ from scenarios.load import LoadedScenario, canonical_json
 from scenarios.spec.base import SpecModel
 
 if TYPE_CHECKING:
-    from campaign.resolve import ResolvedCampaign
+    from campaign.resolved import ResolvedCampaign
 
 Options = TypeVar("Options", bound=SpecModel)
 

@@ -16,7 +16,7 @@ from campaign.benchmark import WHOLE_TRIAL, Benchmark, StageTime, benchmark, one
 from campaign.cli.catalog import add_overrides
 from campaign.cli.speed import bench_speed
 from campaign.cli.terminal import console
-from campaign.resolve import resolve
+from campaign.runs.resolve import resolve
 from campaign.slam_benchmark import COST_TOLERANCE, cycle_ratios, window_ratios
 from campaign.speed.blender import VARIABLE
 from campaign.speed.history import HISTORY, REGRESSION

@@ -12,10 +12,10 @@ from ruamel.yaml import YAML
 
 from campaign.cli.listing import Entry, print_entries
 from campaign.cli.terminal import console
-from campaign.costs import rate_of
 from campaign.machine import cores
-from campaign.needs import data_needed
-from campaign.resolve import CATALOG, campaign_names, resolve
+from campaign.runs.costs import rate_of
+from campaign.runs.needs import data_needed
+from campaign.runs.resolve import CATALOG, campaign_names, resolve
 from estimators.registry import estimator_names
 from estimators.slam.registry import sequence_estimator_names
 from scenarios.designs import cells

@@ -31,7 +31,7 @@ def _fetch(arguments: argparse.Namespace) -> int:
     if arguments.name is None:
         raise BoresightError("name a data set, or see: boresight fetch --list")
     # Imported here: requests takes its time, and most commands need no network.
-    from campaign.fetch import fetch
+    from campaign.data.fetch import fetch
 
     dataset, root, out = load_dataset(arguments.name), data_folder(), console()
     out.print(f"{dataset.name}: {dataset.title}")
@@ -59,7 +59,7 @@ def _checked(trust: str) -> str:
 
 
 def _list() -> int:
-    from campaign.fetch import state
+    from campaign.data.fetch import state
 
     root, out = data_folder(), console()
     table = Table("data set", "where it goes", "state", "what it is", box=None, pad_edge=False)

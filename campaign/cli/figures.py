@@ -13,9 +13,9 @@ from campaign.cli.missing import Wanted, run_missing
 from campaign.cli.runs import positive
 from campaign.cli.terminal import console
 from campaign.machine import sharing_cores, workers
-from campaign.paper import PAPERS
-from campaign.parallel import in_order
-from campaign.start import RUNS
+from campaign.papers import PAPERS
+from campaign.pool.workers import in_order
+from campaign.runs.start import RUNS
 from renderers.mitsuba3 import choose_variant
 from scenarios.atomic import explain
 from scenarios.errors import BoresightError
@@ -94,7 +94,7 @@ def _of_papers(folders: Mapping[str, Path], arguments: argparse.Namespace) -> in
 def _missing(papers: Iterable[str], arguments: argparse.Namespace) -> list[str]:
     """List the campaigns of papers without a finished run, the papers by turns: those of one share what they build."""
     # Imported here, as below: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
-    from campaign.paper.page import gather, paper_called, paper_campaigns
+    from campaign.papers.page import gather, paper_called, paper_campaigns
 
     missing = []
     for paper in map(paper_called, papers):
@@ -116,7 +116,7 @@ class _Written:
 
 def _written(name: str, folder: Path, runs: Path, jobs: int | None, scale: float, among: int) -> _Written:
     """Write the page of a paper, beside the pages of others."""
-    from campaign.paper.page import paper_called, paper_page
+    from campaign.papers.page import paper_called, paper_page
     from reports.paper import write_paper
 
     with sharing_cores(among):

@@ -76,7 +76,7 @@ def _look(arguments: argparse.Namespace) -> int:
 
 def _cases(arguments: argparse.Namespace) -> int:
     # Imported here: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
-    from campaign.image_store import store_switched
+    from campaign.imaging.image_store import store_switched
     from campaign.inspection.build import inspect_case, order_of
     from campaign.inspection.case import Choice, chosen_rows, named_cases
     from campaign.inspection.ranking import ORDER, worst_cases

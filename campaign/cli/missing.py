@@ -12,10 +12,11 @@ from campaign.cli.progress import NamedLines, ProgressListener
 from campaign.cli.terminal import console
 from campaign.draft import as_draft, kept
 from campaign.machine import sharing_cores, workers
-from campaign.parallel import in_order
-from campaign.request import RunRequest
-from campaign.resolve import ResolvedCampaign, resolve
-from campaign.runner import run_campaign
+from campaign.pool.workers import in_order
+from campaign.resolved import ResolvedCampaign
+from campaign.runs.request import RunRequest
+from campaign.runs.resolve import resolve
+from campaign.runs.runner import run_campaign
 from renderers.mitsuba3 import choose_variant
 from reports.labels import count_of
 from scenarios.errors import BoresightError

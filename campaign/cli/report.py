@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from campaign.cli.terminal import console
-from campaign.crater_examples import crater_examples
-from campaign.fit_figures import fit_figures
+from campaign.inspection.show import show_of
 from campaign.inspection.worst import worst_figures
-from campaign.matching_examples import matching_examples
-from campaign.resolve import ResolvedCampaign, reload
+from campaign.runs.resolve import reload
 from campaign.store import RunFolder
 from reports.build import write_report
 from reports.console import console_table
@@ -42,16 +40,10 @@ def _trial_figures(folder: RunFolder, worst: int) -> Iterator[NamedFigure]:
     try:
         campaign = reload(manifest)
         if campaign is not None:
-            yield from [*_typical(campaign, folder), *worst_figures(campaign, folder, worst)]
+            show = show_of(campaign.spec.experiment)
+            typical = () if show is None else show.examples(campaign, folder)
+            yield from [*typical, *worst_figures(campaign, folder, worst)]
             return
     except BoresightError as error:
         why = str(error)
     console().print(f"no figure of single trials: {why}")
-
-
-def _typical(campaign: ResolvedCampaign, folder: RunFolder) -> Iterator[NamedFigure]:
-    if campaign.spec.experiment == "crater-detection":
-        return crater_examples(campaign, folder.path)
-    if campaign.spec.experiment == "crater-matching":
-        return matching_examples(campaign, folder.path)
-    return fit_figures(campaign, folder.path, folder.table("rows"))

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from campaign.cli.catalog import add_overrides
 from campaign.cli.progress import ProgressListener
 from campaign.cli.terminal import console
-from campaign.image_store import store_is_on, store_switched
-from campaign.newest import newest_first
-from campaign.request import Cluster
-from campaign.start import RUNS, start
+from campaign.imaging.image_store import store_is_on, store_switched
+from campaign.runs.newest import newest_first
+from campaign.runs.request import Cluster
+from campaign.runs.start import RUNS, start
 from campaign.store import RunFolder
 from reports.labels import count_of
 from scenarios.errors import BoresightError

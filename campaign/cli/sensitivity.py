@@ -12,10 +12,10 @@ from campaign.cli.progress import ProgressListener
 from campaign.cli.runs import positive
 from campaign.cli.terminal import console
 from campaign.machine import workers
-from campaign.request import RunRequest
-from campaign.resolve import resolve
-from campaign.runner import run_campaign
-from campaign.start import RUNS
+from campaign.runs.request import RunRequest
+from campaign.runs.resolve import resolve
+from campaign.runs.runner import run_campaign
+from campaign.runs.start import RUNS
 from renderers.mitsuba3 import choose_variant
 from scenarios.atomic import explain
 from scenarios.errors import BoresightError
@@ -52,8 +52,8 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
 
 def _sensitivity(arguments: argparse.Namespace) -> int:
     # Imported here: SALib and Matplotlib take seconds, and most commands need neither.
-    from campaign.sensitivity import analyse, make_design, parse_over
-    from campaign.until import CONTROLS, STATISTICS
+    from campaign.runs.sensitivity import analyse, make_design, parse_over
+    from campaign.runs.until import CONTROLS, STATISTICS
     from reports.compare.metrics import choose_metric, names_before_a_run
     from reports.console import rich_parts
     from reports.global_sensitivity import sensitivity_grid

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.export.poses import PosedFrame, PosedFrames
+from campaign.inspection.posed import PosedFrame, PosedFrames
 from scenarios.atomic import write_text
 from scenarios.geometry import Camera
 

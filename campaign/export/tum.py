@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from campaign.export.poses import PosedFrame
+from campaign.inspection.posed import PosedFrame
 from scenarios.atomic import write_text
 from scenarios.geometry import Pose
 

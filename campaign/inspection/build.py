@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from campaign.experiments.registry import Record
 from campaign.inspection.case import Case
-from campaign.inspection.draw import draw_case
 from campaign.inspection.keep import keep
 from campaign.inspection.recompute import Recomputed, recompute
 from campaign.inspection.same import Sameness
-from campaign.resolve import ResolvedCampaign
+from campaign.inspection.show import Drawn, Show, show_of
+from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
 from campaign.store.columns import TABLES
+from campaign.trial.kind import Record
 from reports.case_page import CasePage, write_case
 from reports.grid import NO_VALUE, Grid, number
 from reports.labels import as_title
@@ -45,8 +45,9 @@ def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out:
     """
     again = recompute(campaign, folder, case)
     place = out / case.stem
-    keep(again, place)
-    drawn = draw_case(again)
+    show = show_of(campaign.spec.experiment)
+    keep(again, show, place)
+    drawn = draw_case(again, show, campaign.spec.experiment)
     page = CasePage(
         title=str(case),
         facts=_facts(again, folder, campaign),
@@ -59,6 +60,15 @@ def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out:
     )
     path = write_case(page, drawn.figures, place)
     return Inspected(case, again.row, again.sameness, path)
+
+
+def draw_case(again: Recomputed, show: Show | None, kind: str) -> Drawn:
+    """Draw the stages of a case, as far as they came; where there is nothing to draw, a note says so."""
+    drawn = None if show is None else show.draw(again)
+    if drawn is not None:
+        return drawn
+    why = f"trials of {kind} hold numbers alone" if show is None else "the trial ended before an estimator saw anything"
+    return Drawn([], notes=[f"There is nothing to draw: {why}."])
 
 
 def _facts(again: Recomputed, folder: RunFolder, campaign: ResolvedCampaign) -> list[tuple[str, str]]:

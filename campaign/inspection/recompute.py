@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from campaign.experiments.registry import Bench, Experiment, Record, Records
-from campaign.guard import STOPPED, Call, Loss, guarding
 from campaign.inspection.case import Case
 from campaign.inspection.same import Sameness, compare_with_stored
-from campaign.resolve import ResolvedCampaign, reload, unlike
+from campaign.pool.guard import STOPPED, Call, Loss, guarding
+from campaign.resolved import ResolvedCampaign
+from campaign.runs.resolve import reload, unlike
+from campaign.runs.worker import trials_of
 from campaign.store import RunFolder
-from campaign.worker import experiment_of
+from campaign.trial.kind import Bench, Record, Records, Trials
 from scenarios.errors import BoresightError
 
 _MOST_NAMED = 3
@@ -27,8 +28,8 @@ class Recomputed:
     ----------
     case
         Which one.
-    experiment
-        What it is a trial of.
+    trials
+        The trials of its estimator alone.
     records
         Its stored tables, made again.
     shown
@@ -38,7 +39,7 @@ class Recomputed:
     """
 
     case: Case
-    experiment: Experiment
+    trials: Trials
     records: Records
     shown: object | None
     sameness: Sameness
@@ -119,8 +120,7 @@ def recompute(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> Reco
     """Run one case again, with a witness, and compare it with what is stored."""
     bench = Bench(folder.path, jobs=1, keep_images=False)
     shown: list[object] = []
-    experiment = experiment_of(campaign, case.scenario, bench)
-    watched = experiment.watched(case.estimator, shown.append)
+    watched = trials_of(campaign, case.scenario, bench).watched(case.estimator, shown.append)
     with guarding(lost=_stopped_before(folder, case)):
         records = watched.run(range(case.trial, case.trial + 1))
     sameness = compare_with_stored(folder, case, records)

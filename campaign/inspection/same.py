@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from campaign.experiments.registry import Records
 from campaign.inspection.case import Case
 from campaign.store import TABLES, RunFolder
 from campaign.store.columns import schema
+from campaign.trial.kind import Records
 
 NOT_REPRODUCIBLE = ("timings", "tracebacks", "said")
 """Times are never the same, a trace names the files of the checkout that it was made in, and methods say anything."""

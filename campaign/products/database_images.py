@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.image_store import ImageStore
-from campaign.world import open_world, typical_range_m
+from campaign.imaging.image_store import ImageStore
+from campaign.imaging.world import open_world, typical_range_m
 from scenarios.aim import draw_aimed_view
 from scenarios.draw import Stream, draw_lit_view, generator
 from scenarios.geometry import Camera, TriangleMesh, View

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 
-from campaign.world import typical_range_m
+from campaign.imaging.world import typical_range_m
 from renderers.mitsuba3 import renderer_version
 from scenarios.craters import shape_digest
 from scenarios.load import LoadedScenario, canonical_json

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from campaign.draft import drafted
+from campaign.imaging.world import believed
 from campaign.products.databases import differs, of_database, with_knowledge, with_world
 from campaign.products.keys import content_key
 from campaign.products.kinds import product_kind
-from campaign.world import believed
 from estimators.contract import ImageRenderer, NoProductError
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.atomic import explain

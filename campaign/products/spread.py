@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from campaign.machine import use_threads
-from campaign.parallel import in_order
+from campaign.pool.workers import in_order
 
 T = TypeVar("T")
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from campaign.benchmark import StageTime, benchmark
-from campaign.resolve import resolve
+from campaign.runs.resolve import resolve
 from campaign.speed.ratio import Absent, Ratio
 from campaign.speed.settings import Settings
 from renderers.mitsuba3 import choose_variant

@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 from types import MappingProxyType
 
 from campaign.machine import describe, load, package_versions
-from campaign.manifest import commit_here, now
+from campaign.runs.manifest import commit_here, now
 from campaign.speed.images import image_ratios
 from campaign.speed.paper import recognition_ratios
 from campaign.speed.plain import plain_ratios

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.crater_score import NONE, match_detections
-from campaign.experiments.single_image import SingleImage
-from campaign.world import World, open_world
+from campaign.imaging.observe import observe
+from campaign.imaging.world import World, open_world
+from campaign.trial.crater_score import NONE, match_detections
 from estimators.craters.contract import CraterDetector
 from estimators.craters.registry import crater_detector_class
 from renderers.mitsuba3 import TiledRenderer, choose_variant
@@ -69,7 +69,7 @@ def judge(detector: CraterDetector, world: World, images: int) -> Judged:
     confidence, false, detectable, there = [np.zeros(0)], [np.zeros(0, bool)], [np.zeros(0, bool)], 0
     for trial in range(images):
         sight = world.source.sight(SEED, trial)
-        observation = SingleImage(world, {}, SEED).observe(sight, trial)
+        observation = observe(world, sight, SEED, trial)
         truth = crater_truth(world.ground.rims, sight.view, world.renderer)
         there += int(truth.detectable.sum())
         try:

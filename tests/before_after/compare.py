@@ -60,7 +60,9 @@ def run(checkout: Path, folder: Path) -> int:
         print(name, flush=True)
         worst = max(
             worst,
-            subprocess.run([sys.executable, "-c", code, *command], cwd=checkout, env=environment, check=False).returncode,
+            subprocess.run(
+                [sys.executable, "-c", code, *command], cwd=checkout, env=environment, check=False
+            ).returncode,
         )
     return worst
 

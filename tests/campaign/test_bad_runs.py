@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from campaign.cli import main
-from campaign.paper.gather import gather_runs, newest_finished, run_folders
+from campaign.papers.gather import gather_runs, newest_finished, run_folders
 
 COMMANDS = {
     "compare": ("compare", "RUN", "--out", "OUT"),

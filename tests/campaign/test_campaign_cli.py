@@ -20,8 +20,8 @@ from tiny_campaign import CAMPAIGN, SCENE, boresight, compute, write_campaign
 
 from campaign.cli import main
 from campaign.cli.progress import ProgressListener
-from campaign.needs import data_needed
-from campaign.resolve import CATALOG, campaign_names
+from campaign.runs.needs import data_needed
+from campaign.runs.resolve import CATALOG, campaign_names
 from campaign.store import RunFolder
 from estimators.registry import estimator_names
 from renderers.mitsuba3 import choose_variant

@@ -16,10 +16,10 @@ from test_rubbish import install
 from tiny_campaign import boresight, files
 from tiny_sequences import SCENE
 
-from campaign.captured import MOST_CHARACTERS, Captured
 from campaign.cli import main
-from campaign.experiments.fault import Work
-from campaign.guard import Call
+from campaign.pool.captured import MOST_CHARACTERS, Captured
+from campaign.pool.guard import Call
+from campaign.trial.work import Work
 
 MODULE = """
 import logging, os, sys, warnings

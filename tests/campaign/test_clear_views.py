@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from campaign.cli.main import main
-from campaign.world import open_world
+from campaign.imaging.world import open_world
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
 from scenarios.load import load_scenario

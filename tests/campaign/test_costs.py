@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from tiny_campaign import run, write_campaign
 
-from campaign.costs import Rate, rate_of, remember
-from campaign.needs import data_needed
-from campaign.resolve import CATALOG, campaign_names
+from campaign.runs.costs import Rate, rate_of, remember
+from campaign.runs.needs import data_needed
+from campaign.runs.resolve import CATALOG, campaign_names
 from scenarios.load import load_campaign
 
 

@@ -14,13 +14,13 @@ from terminal_text import terminal_lines
 from tiny_campaign import Heard, run
 
 from campaign.cli import main
-from campaign.experiments import crater_detection
 from campaign.inspection.case import Choice
 from campaign.inspection.look import look_of
 from campaign.inspection.recompute import reopened
-from campaign.request import RunRequest
-from campaign.resolve import resolve
-from campaign.runner import run_campaign
+from campaign.kinds.crater_detection import trial as crater_detection
+from campaign.runs.request import RunRequest
+from campaign.runs.resolve import resolve
+from campaign.runs.runner import run_campaign
 from campaign.store import RunFolder
 from estimators.craters.contract import CraterDetections
 from renderers.mitsuba3 import choose_variant

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from tiny_pairs import PAIRS
 
-from campaign.crater_pairs import _found
-from campaign.experiments.crater_matching import (
+from campaign.kinds.crater_matching.pairs import _found
+from campaign.kinds.crater_matching.trial import (
     CraterMatching,
     check_matches,
     largest_epipolar_offset,
     score_matches,
 )
-from campaign.experiments.registry import Bench
-from campaign.resolve import resolve
+from campaign.runs.resolve import resolve
+from campaign.trial.kind import Bench
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
 from reports.crater_matching import RECALL, WRONG, matching_grids, matching_records
 from reports.grid import value_of

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from orbit_worlds import orbit_world
 
-from campaign.crater_sights import DrawnSights
-from campaign.experiments.crater_navigation import CraterNavigationTrials
-from campaign.navigation_score import match_counts, told_apart
-from campaign.navigation_trial import NavigationTrial
+from campaign.kinds.crater_navigation.score import match_counts, told_apart
+from campaign.kinds.crater_navigation.sights import DrawnSights
+from campaign.kinds.crater_navigation.taken import NavigationTrial
+from campaign.kinds.crater_navigation.trial import CraterNavigationTrials
 from campaign.store.columns import TABLES
 from estimators.craters.contract import CraterDetections, CraterMatches
 from estimators.craters.database.numbering import Numbering, PairMatches

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from campaign.experiments.crater_navigation import CraterNavigationTrials
-from campaign.experiments.orbit_determination import DeterminedOrbit
-from campaign.experiments.registry import Bench
-from campaign.resolve import resolve
+from campaign.kinds.crater_navigation.trial import CraterNavigationTrials
+from campaign.kinds.orbit_determination.trial import DeterminedOrbit
+from campaign.runs.resolve import resolve
+from campaign.trial.kind import Bench
 from estimators.craters.navigation.rounds import CraterNavigation
 from estimators.craters.navigation.trajectory import Trajectory
 from renderers.mitsuba3 import choose_variant

@@ -8,7 +8,7 @@ import pandas as pd
 from tiny_campaign import run, write_campaign
 
 from campaign.products.database_images import database_images
-from campaign.resolve import resolve
+from campaign.runs.resolve import resolve
 from renderers.mitsuba3 import choose_variant
 
 SCENE = """\

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from campaign.crater_score import NONE, check_detections, ellipse_errors, match_detections
+from campaign.trial.crater_score import NONE, check_detections, ellipse_errors, match_detections
 from estimators.craters.contract import CraterDetections
 from scenarios.geometry import Ellipses
 

@@ -13,7 +13,7 @@ from tiny_campaign import CAMPAIGN, RESULTS, assert_same_results, compute, run, 
 from campaign.inspection.case import Case
 from campaign.inspection.recompute import recompute, reopened
 from campaign.products.databases import APART, of_database, with_knowledge, with_world
-from campaign.resolve import resolve
+from campaign.runs.resolve import resolve
 from campaign.store import RunFolder
 from estimators.maplets.build import MapletOptions, spread_points
 from reports.build import write_report

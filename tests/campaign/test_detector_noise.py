@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from campaign.world import open_world
+from campaign.imaging.world import open_world
 from renderers.detector import Detector
 from renderers.mitsuba3 import choose_variant
 from scenarios.draw import Stream, generator

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from campaign.experiments.single_image import SingleImage
-from campaign.world import open_world
+from campaign.imaging.observe import observe
+from campaign.imaging.world import open_world
+from campaign.kinds.single_image.trial import SingleImage
 from renderers.mitsuba3 import choose_variant
 from scenarios.geometry import View
 from scenarios.load import load_scenario
@@ -36,7 +37,7 @@ def opencv_pixels(experiment: SingleImage, points_cam: np.ndarray) -> np.ndarray
 
 def test_an_estimator_sees_what_an_ideal_lens_would_have_seen(experiment):
     sight = experiment.world.source.sight(5, 0)
-    observation = experiment.observe(sight, 0)
+    observation = observe(experiment.world, sight, experiment.seed, 0)
     assert observation.camera.distortion is None
     assert sight.view.camera.distortion is not None
     ideal = experiment.world.renderer.render(View(observation.camera, sight.view.T_cam_body, sight.view.sun_dir_body))
@@ -67,4 +68,5 @@ def test_a_lens_that_the_spacecraft_does_not_know_of_displaces_what_it_sees(tmp_
     file.write_text(SCENE + "onboard: {distortion_error: -1}\n")
     experiment = SingleImage(open_world(load_scenario(str(file)), choose_variant().name), {}, seed=5)
     sight = experiment.world.source.sight(5, 0)
-    np.testing.assert_allclose(experiment.observe(sight, 0).frames[0].image, sight.image, atol=1e-5)
+    seen = observe(experiment.world, sight, experiment.seed, 0).frames[0].image
+    np.testing.assert_allclose(seen, sight.image, atol=1e-5)

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from tiny_campaign import DATABASE, SCENE
 
-from campaign.check import check
-from campaign.experiments.single_image import SingleImage
+from campaign.imaging.observe import observe
+from campaign.imaging.world import open_world
+from campaign.kinds.single_image.check import check
+from campaign.kinds.single_image.trial import SingleImage
 from campaign.products import Shelf
-from campaign.world import open_world
 from estimators.contract import Assets, Estimate, Estimator
 from estimators.registry import estimator_class, estimator_names
 from renderers.mitsuba3 import choose_variant
@@ -44,7 +45,7 @@ class Bench:
     experiment: SingleImage
 
     def observation(self, trial: int) -> Observation:
-        return self.experiment.observe(self.experiment.world.source.sight(5, trial), trial)
+        return observe(self.experiment.world, self.experiment.world.source.sight(5, trial), self.experiment.seed, trial)
 
 
 @pytest.fixture(scope="module")

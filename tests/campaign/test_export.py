@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 from tiny_campaign import compute
 
 from campaign.cli import main
-from campaign.experiments.registry import Bench
 from campaign.inspection.case import Case
 from campaign.inspection.recompute import recompute, reopened
+from campaign.runs.worker import trials_of
 from campaign.store import TABLES, RunFolder
-from campaign.worker import experiment_of
+from campaign.trial.kind import Bench
 from scenarios.geometry import Pose, View
 
 SEQUENCE = """\
@@ -114,7 +114,7 @@ def test_colmap_reads_a_model_and_projects_it_as_we_do(tiny_run, sequences, tmp_
     solved = rows[rows["status"] == "ok"]
     assert len(model.images) == len(solved) > 1
     marks = pd.read_parquet(tiny_run.folder / "landmarks").query("estimator == 'landmark-harris'")
-    experiment = experiment_of(reopened(RunFolder(tiny_run.folder)), "scene", Bench(tiny_run.folder, 1, False))
+    experiment = trials_of(reopened(RunFolder(tiny_run.folder)), "scene", Bench(tiny_run.folder, 1, False))
     for image in model.images.values():
         trial = int(image.name.removesuffix(".tiff"))
         own = marks[marks["trial"] == trial]

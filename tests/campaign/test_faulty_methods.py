@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from test_crater_score import circles
 
-from campaign.check import check
-from campaign.crater_score import check_detections
-from campaign.experiments.crater_matching import check_matches
-from campaign.experiments.fault import GaveUpError, Work
-from campaign.guard import Call
-from campaign.sequence_score import check_sequence
+from campaign.kinds.crater_matching.trial import check_matches
+from campaign.kinds.sequence.score import check_sequence
+from campaign.kinds.single_image.check import check
+from campaign.pool.guard import Call
+from campaign.trial.crater_score import check_detections
+from campaign.trial.work import GaveUpError, Work
 from estimators.contract import Estimate, Stage
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
 from estimators.slam.contract import FrameEstimate, SequenceEstimate

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from campaign import download
 from campaign.cli import main
-from campaign.fetch import fetch, state
+from campaign.data import download
+from campaign.data.fetch import fetch, state
 from scenarios.data import find_data_file, find_data_folder
 from scenarios.data.datasets import DataSetSpec, dataset_names, load_dataset
 from scenarios.errors import BoresightError

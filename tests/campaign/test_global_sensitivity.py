@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import spearmanr
 from stored_runs import SCENARIO, RunBuilder
 
-from campaign.sensitivity import draw_samples, parse_over
+from campaign.runs.sensitivity import draw_samples, parse_over
 from reports.compare.metrics import Metric
 from reports.global_sensitivity import (
     FIRST,

@@ -7,8 +7,9 @@ import time
 
 import pytest
 
-from campaign import machine, parallel
+from campaign import machine
 from campaign.machine import cores, workers
+from campaign.pool import workers as parallel
 from renderers.mitsuba3 import gpus
 from renderers.mitsuba3.variant import CUDA, LLVM
 

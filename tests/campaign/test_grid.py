@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from tiny_campaign import SCENE, compute
 
-from campaign.resolve import CATALOG, campaign_names, reload, resolve
+from campaign.runs.resolve import CATALOG, campaign_names, reload, resolve
 from reports.build import write_report
 from scenarios.errors import BoresightError
 from scenarios.load import load_campaign

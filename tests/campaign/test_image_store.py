@@ -21,9 +21,9 @@ from tiny_campaign import (
 )
 
 from campaign.cli import main
-from campaign.image_store import ImageStore, image_set_key, store_switched
+from campaign.imaging.image_chunk import KeptImage, read_images, write_images
+from campaign.imaging.image_store import ImageStore, image_set_key, store_switched
 from campaign.store import RunFolder
-from campaign.store.image_chunk import KeptImage, read_images, write_images
 from renderers.mitsuba3 import choose_variant
 from scenarios.cache import default_cache
 from scenarios.draw import Stream

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from mission_data import data_file, needs_data
 
-from campaign.experiments.sequence import ground_of
-from campaign.image_tracks import ImageTracks
-from campaign.orbit_images import OrbitImages
+from campaign.kinds.sequence.images import OrbitImages
+from campaign.kinds.sequence.tracks import ImageTracks
+from campaign.kinds.sequence.trial import ground_of
 from renderers.mitsuba3 import choose_variant
 from scenarios.bodies import load_body
 from scenarios.errors import BoresightError

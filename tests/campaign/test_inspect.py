@@ -17,11 +17,11 @@ from stored_runs import RunBuilder
 from tiny_campaign import CAMPAIGN, compute, write_campaign
 
 from campaign.cli import main
-from campaign.experiments.registry import _KINDS, experiment_class
 from campaign.inspection.case import Case, Choice
 from campaign.inspection.ranking import worst_cases
 from campaign.inspection.recompute import recompute, reopened
 from campaign.store import RunFolder
+from campaign.trial.kind import kind_named, kind_names
 from estimators.landmark.recognizer import LandmarkRecognizer
 from reports.run_data import read_run
 
@@ -163,8 +163,9 @@ def test_a_half_written_table_is_told(copied, capsys):
     assert f"{copied / 'stages'}: not readable as a stored table" in refused(capsys, copied, "--worst", 1)
 
 
-def test_every_kind_of_experiment_can_be_watched():
-    assert all(callable(getattr(experiment_class(kind), "watched", None)) for kind in _KINDS)
+def test_every_folder_of_kinds_is_a_kind_of_its_name():
+    assert [kind_named(name).name for name in kind_names()] == kind_names()
+    assert len(kind_names()) == 9
 
 
 @needs_chromium

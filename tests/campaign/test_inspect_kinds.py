@@ -12,10 +12,10 @@ from tiny_pairs import PAIRS
 
 from campaign.cli import main
 from campaign.inspection.case import Case, Choice
-from campaign.inspection.craters import draw_pair_case
 from campaign.inspection.look import look_of
 from campaign.inspection.recompute import recompute, reopened
-from campaign.inspection.sequence import followed_of, last_seen, lives_of
+from campaign.kinds.crater_matching.draw import draw_pair_case
+from campaign.kinds.sequence.draw import followed_of, last_seen, lives_of
 from campaign.store import RunFolder
 from reports.run_data import read_run
 
@@ -112,9 +112,9 @@ def test_a_matched_pair_is_drawn_with_the_counts_that_are_stored(pairs, tmp_path
     listed = [int(line.split()[1]) for line in said.splitlines() if line.startswith("trial ")]
     assert listed == order
     again = recompute(reopened(folder), folder, Case("tiny-pairs", "vote", 0))
-    title = draw_pair_case(again.shown, "a pair").figures[0].figure.get_suptitle()
+    title = draw_pair_case(again).figures[0].figure.get_suptitle()
     counts = stored.loc[0]
-    wanted = f"a pair: {counts['n_correct']} right, {counts['n_wrong']} wrong, {counts['n_missed']} missed"
+    wanted = f"trial 0 of tiny-pairs / vote: {counts['n_correct']} right, {counts['n_wrong']} wrong, {counts['n_missed']} missed"
     assert title == wanted
 
 

@@ -4,7 +4,7 @@ import pytest
 from tiny_campaign import SCENE, compute, run, write_campaign
 
 from campaign.products import landmark_database, product_key
-from campaign.resolve import resolve
+from campaign.runs.resolve import resolve
 from campaign.store import RunFolder
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.database import LandmarkDatabase

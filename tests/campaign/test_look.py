@@ -20,9 +20,9 @@ from campaign.cli import main
 from campaign.inspection.case import Choice
 from campaign.inspection.coarse import coarsened
 from campaign.inspection.look import look_of
-from campaign.inspection.looks.images import landmark_marks
-from campaign.inspection.looks.parts import camera_sets
+from campaign.inspection.look_parts import camera_sets
 from campaign.inspection.recompute import reopened
+from campaign.kinds.single_image.look import landmark_marks
 from campaign.store import RunFolder
 from reports.run_data import read_run
 from scenarios.geometry import TriangleMesh

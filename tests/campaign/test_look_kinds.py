@@ -11,12 +11,12 @@ import pytest
 from browser import needs_chromium, opened
 from orbit_worlds import orbit_world
 
-from campaign.experiments.crater_matching import MatchedPair
-from campaign.experiments.orbit_determination import DeterminedOrbit
 from campaign.inspection.case import Case
-from campaign.inspection.looks.craters import pair_outcomes
-from campaign.inspection.looks.orbit import image_sets, landmark_errors, orbit_marks, sightings_of
-from campaign.inspection.looks.parts import nearer
+from campaign.inspection.look_parts import nearer
+from campaign.kinds.crater_matching.look import pair_outcomes
+from campaign.kinds.crater_matching.trial import MatchedPair
+from campaign.kinds.orbit_determination.look import image_sets, landmark_errors, orbit_marks, sightings_of
+from campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from estimators.craters.contract import CraterMatches
 from estimators.orbit.contract import Orbit, OrbitEstimate
 from reports.look import BAD, GOOD, Look, lifted_from, write_look
@@ -51,7 +51,7 @@ def shown(world):
         residuals_px=np.tile([3.0, 4.0], (count, 1)),
         used=data.pictures.image != 2,
     )
-    return DeterminedOrbit(truth, data, OrbitEstimate("ok", orbit))
+    return DeterminedOrbit(world, truth, data, OrbitEstimate("ok", orbit))
 
 
 def orbit_used(shown):

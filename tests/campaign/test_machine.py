@@ -11,7 +11,7 @@ SCRIPT = """
 import sys
 import cv2, drjit, scipy.linalg
 from threadpoolctl import threadpool_info
-import campaign.worker
+import campaign.runs.worker
 from campaign.machine import use_threads
 use_threads(int(sys.argv[1]))
 blas = {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}

@@ -8,7 +8,7 @@ from tiny_campaign import SCENE, write_campaign
 from tiny_pairs import PAIRS
 
 from campaign.cli import main
-from campaign.experiments import fault
+from campaign.trial import work as fault
 
 ORBITING = "extends: apophis-sphere-sequence\nsequence: {orbit: {revolutions: 0.1}}\n"
 OF_SEQUENCES = "experiment: sequence\nestimators: [dead-reckoning]\n"

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from test_image_tracks import SCENE, ground_of
 
-from campaign.image_tracks import ImageTracks
-from campaign.orbit_images import OrbitImages
+from campaign.kinds.sequence.images import OrbitImages
+from campaign.kinds.sequence.tracks import ImageTracks
 from renderers.mitsuba3 import choose_variant
 from scenarios.draw import Stream, estimator_generator, generator
 from scenarios.load import load_scenario

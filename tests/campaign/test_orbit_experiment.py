@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from orbit_worlds import orbit_world
 
-from campaign.experiments.orbit_determination import OrbitTrials
-from campaign.orbit_score import check_orbit, drawable, orbit_errors, orbit_summary, wrong_sightings
-from campaign.resolve import resolve
+from campaign.kinds.orbit_determination.score import check_orbit, drawable, orbit_errors, orbit_summary, wrong_sightings
+from campaign.kinds.orbit_determination.trial import OrbitTrials
+from campaign.runs.resolve import resolve
 from campaign.store.columns import TABLES
 from estimators.orbit.batch_filter import BatchFilter
 from estimators.orbit.contract import Orbit, OrbitEstimate

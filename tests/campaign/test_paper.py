@@ -16,14 +16,14 @@ from tiny_campaign import SCENE, compute, write_campaign
 
 from campaign.cli import main
 from campaign.cli.missing import Wanted, run_missing
-from campaign.paper.gather import newest_finished, run_folders
-from campaign.paper.kinds import PaperFigure
-from campaign.paper.page import drawn, gather, paper_called, paper_campaigns
-from campaign.paper.shapes import broadside_view, built_again, cluster_view, surface_view
-from campaign.resolve import resolve
+from campaign.imaging.world import open_world
+from campaign.papers.gather import newest_finished, run_folders
+from campaign.papers.kinds import PaperFigure
+from campaign.papers.page import drawn, gather, paper_called, paper_campaigns
+from campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
+from campaign.runs.resolve import resolve
 from campaign.store import RunFolder
 from campaign.store.columns import FORMAT_VERSION
-from campaign.world import open_world
 from estimators.landmark.build import DatabaseOptions
 from renderers.mitsuba3 import choose_variant
 from reports.named_figure import NamedFigure

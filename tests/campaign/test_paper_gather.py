@@ -14,7 +14,7 @@ from tiny_campaign import compute
 from tiny_sequences import SCENE
 
 from campaign.cli import main
-from campaign.paper.gather import FinishedRun
+from campaign.papers.gather import FinishedRun
 from campaign.store import RunFolder
 from scenarios.errors import BoresightError
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from campaign import parallel
+from campaign.pool import workers as parallel
 
 LONG_S = 0.3
 

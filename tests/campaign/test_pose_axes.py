@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from campaign.score import pose_error, pose_errors
+from campaign.trial.pose_score import pose_error, pose_errors
 from estimators.landmark.pose.stack import PoseStack
 from scenarios.geometry import Pose
 

@@ -8,12 +8,12 @@ from scipy.stats import chi2, kstest
 from tiny_campaign import SCENE, compute, run, write_campaign
 
 from campaign.cli import main
-from campaign.experiments.landmark_draws import LANDMARKS, draw_landmarks, first_visible, problem_stack
-from campaign.experiments.pose_convergence import PoseConvergence
-from campaign.experiments.registry import Bench
-from campaign.resolve import resolve
-from campaign.score import pose_error, pose_errors
+from campaign.kinds.pose_convergence.draws import LANDMARKS, draw_landmarks, first_visible, problem_stack
+from campaign.kinds.pose_convergence.trial import PoseConvergence
+from campaign.runs.resolve import resolve
 from campaign.store import RunFolder
+from campaign.trial.kind import Bench
+from campaign.trial.pose_score import pose_error, pose_errors
 from estimators.landmark.pose.stack import PoseStack
 from estimators.landmark.projection import project_landmarks
 from estimators.landmark.visibility import visible_landmarks

@@ -25,11 +25,11 @@ from tiny_campaign import (
 )
 from tiny_sequences import write_sequences
 
-from campaign import parallel
-from campaign.experiments.sequence import SequenceTrials
-from campaign.request import RunRequest
-from campaign.resolve import resolve
-from campaign.runner import run_campaign
+from campaign.kinds.sequence import KIND
+from campaign.pool import workers as parallel
+from campaign.runs.request import RunRequest
+from campaign.runs.resolve import resolve
+from campaign.runs.runner import run_campaign
 from campaign.store import RunFolder
 from campaign.store.folder import BlockState, blocks
 from scenarios import atomic
@@ -102,7 +102,7 @@ def test_a_power_cut_at_any_instant_loses_nothing_that_was_told(tmp_path, monkey
         disk = Disk(tmp_path / "runs", patch)
         listener = Told(disk)
         run_campaign(campaign, RunRequest(whole, CUT_TRIALS, 1), listener)
-    every = list(blocks(["orbit"], CUT_TRIALS, SequenceTrials.block_trials))
+    every = list(blocks(["orbit"], CUT_TRIALS, KIND.block_trials))
     assert len(listener.blocks) == len(every)
     rng = np.random.default_rng(20261121)
     for instant in rng.choice(np.arange(1, len(disk.told)), instants, replace=False):
@@ -120,10 +120,10 @@ def test_a_power_cut_at_any_instant_loses_nothing_that_was_told(tmp_path, monkey
 SERVER = f"""
 import os, sys
 from pathlib import Path
-import campaign.experiments.sequence
-from campaign.request import RunRequest
-from campaign.resolve import resolve
-from campaign.runner import run_campaign
+import campaign.kinds.sequence.trial
+from campaign.runs.request import RunRequest
+from campaign.runs.resolve import resolve
+from campaign.runs.runner import run_campaign
 campaign = resolve(sys.argv[1])
 campaign.digest
 
@@ -175,7 +175,7 @@ def serving(file: Path):
 @pytest.mark.parametrize("instants", INSTANTS)
 def test_kills_at_random_instants_change_nothing(tmp_path, instants):
     file, out, whole = write_sequences(tmp_path, KILL_TRIALS), tmp_path / "run", tmp_path / "whole"
-    every = list(blocks(["orbit"], KILL_TRIALS, SequenceTrials.block_trials))
+    every = list(blocks(["orbit"], KILL_TRIALS, KIND.block_trials))
     rng = np.random.default_rng(20150709)
     kills = 0
     with serving(file) as server:
@@ -192,7 +192,7 @@ def test_kills_at_random_instants_change_nothing(tmp_path, instants):
             kills += server.said("ended") == "-9"
         stored = sum(RunFolder(out).state(block, 1) is BlockState.WHOLE for block in every)
         server.start(out)
-        assert int(server.said("stored")) == stored * SequenceTrials.block_trials
+        assert int(server.said("stored")) == stored * KIND.block_trials
         assert server.said("ended") == "0"
     assert kills >= instants / 2, "most kills came while the run was under way"
     assert_same_results(whole, out)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from campaign.resolve import campaign_names, resolve
+from campaign.runs.resolve import campaign_names, resolve
 from scenarios.known import known_on_board, merged
 
 README = Path(__file__).parents[2] / "README.md"

@@ -23,12 +23,13 @@ from tiny_sequences import write_sequences
 
 from campaign.cli import main
 from campaign.cli.progress import ProgressListener
-from campaign.experiments.single_image import SingleImage
-from campaign.paper.gather import newest_finished, run_folders
-from campaign.resolve import reload, resolve
-from campaign.score import pose_error
+from campaign.imaging.observe import observe
+from campaign.imaging.world import open_world
+from campaign.kinds.single_image.trial import SingleImage
+from campaign.papers.gather import newest_finished, run_folders
+from campaign.runs.resolve import reload, resolve
 from campaign.store import TABLES, RunFolder
-from campaign.world import open_world
+from campaign.trial.pose_score import pose_error
 from renderers.mitsuba3 import choose_variant
 from reports.measures import SEQUENCE_COLUMNS
 from scenarios.load import canonical_json, load_scenario
@@ -86,7 +87,7 @@ def test_a_row_is_the_score_of_what_the_estimator_returned(tiny_run):
     experiment = SingleImage(open_world(campaign.scenarios[0], campaign.variant), {}, seed=5)
     for trial in range(3):
         sight = experiment.world.source.sight(5, trial)
-        frame = experiment.observe(sight, trial).frames[0]
+        frame = observe(experiment.world, sight, experiment.seed, trial).frames[0]
         row = rows[(rows["trial"] == trial) & (rows["estimator"] == "landmark-harris")].iloc[0]
         for name, value in pose_error(frame.prior_T_cam_body, sight.view.T_cam_body).items():
             assert row[f"prior_{name}"] == value
@@ -272,7 +273,7 @@ class ClockSetBack:
 def test_a_clock_that_is_set_back_turns_no_order_round(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     file = write_sequences(tmp_path, 2)
-    monkeypatch.setattr("campaign.manifest.datetime", ClockSetBack())
+    monkeypatch.setattr("campaign.runs.manifest.datetime", ClockSetBack())
     for number in (1, 2):
         folder = Path("runs") / f"orbits-{number}"
         compute(file, folder, number)

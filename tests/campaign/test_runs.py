@@ -30,17 +30,17 @@ from tiny_campaign import (
 )
 
 from campaign.cli import main
-from campaign.experiments.registry import Bench
-from campaign.experiments.single_image import SingleImage
-from campaign.resolve import resolve
+from campaign.imaging.world import open_world
+from campaign.kinds.single_image import KIND
+from campaign.runs.resolve import resolve
+from campaign.runs.worker import run_block
 from campaign.store import TABLES, RunFolder
 from campaign.store.folder import blocks
-from campaign.worker import run_block
-from campaign.world import open_world
+from campaign.trial.kind import Bench
 from renderers.mitsuba3 import choose_variant
 
 LONG = 60
-N_BLOCKS = LONG // SingleImage.block_trials
+N_BLOCKS = LONG // KIND.block_trials
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_the_order_of_the_blocks_does_not_matter(tiny_run, tmp_path):
     campaign = resolve(str(tiny_run.file), variant=choose_variant().name)
     bench = Bench(tiny_run.folder, jobs=1, keep_images=False)
     folder = RunFolder(tmp_path)
-    for block in reversed(list(blocks(["scene"], TRIALS, SingleImage.block_trials))):
+    for block in reversed(list(blocks(["scene"], TRIALS, KIND.block_trials))):
         folder.write_block(block, run_block(campaign, block, bench))
     assert_same_results(tiny_run.folder, tmp_path)
 

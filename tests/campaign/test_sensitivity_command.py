@@ -9,8 +9,8 @@ import pytest
 from tiny_campaign import CAMPAIGN, write_campaign
 
 from campaign.cli import main
-from campaign.resolve import resolve
-from campaign.sensitivity import make_design
+from campaign.runs.resolve import resolve
+from campaign.runs.sensitivity import make_design
 from reports.global_sensitivity import Varied
 
 

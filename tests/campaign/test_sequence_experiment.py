@@ -10,9 +10,9 @@ import pytest
 from scipy.spatial.distance import mahalanobis
 
 from campaign.cli.main import main
-from campaign.experiments.sequence import SequenceTrials
-from campaign.resolve import resolve
-from campaign.sequence_score import check_sequence, final_landmark_rmse, parameter_errors, score_epochs, summary
+from campaign.kinds.sequence.score import check_sequence, final_landmark_rmse, parameter_errors, score_epochs, summary
+from campaign.kinds.sequence.trial import SequenceTrials
+from campaign.runs.resolve import resolve
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.dead_reckoning import DeadReckoning
 from estimators.slam.registry import sequence_estimator_class

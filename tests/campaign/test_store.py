@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from campaign.score import no_pose_error, pose_error
 from campaign.store import TABLES, RunFolder, RunLock
 from campaign.store.columns import schema
 from campaign.store.folder import Block, BlockState, blocks
+from campaign.trial.pose_score import no_pose_error, pose_error
 from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
 from scenarios.geometry import look_at

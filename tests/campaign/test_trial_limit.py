@@ -14,12 +14,12 @@ import pytest
 from tiny_campaign import boresight, write_campaign
 
 from campaign.cli import main
-from campaign.experiments.fault import Work
-from campaign.experiments.registry import Bench
-from campaign.guard import ENDED, Call, Loss, StoppedError, guarded, guarding, last_call, over_time
-from campaign.losses import Losses
-from campaign.parallel import in_order
+from campaign.pool.guard import ENDED, Call, Loss, StoppedError, guarded, guarding, last_call, over_time
+from campaign.pool.workers import in_order
+from campaign.runs.losses import Losses
 from campaign.store.folder import Block
+from campaign.trial.kind import Bench
+from campaign.trial.work import Work
 from scenarios.errors import BoresightError
 
 CALL = Call("scene", 3, "mine")
@@ -44,7 +44,7 @@ def test_an_alarm_ends_what_sleeps_and_what_catches_exceptions():
 
 
 def test_an_alarm_that_is_swallowed_rings_again(monkeypatch):
-    monkeypatch.setattr("campaign.guard._AGAIN_S", 0.1)
+    monkeypatch.setattr("campaign.pool.guard._AGAIN_S", 0.1)
     swallowed = []
 
     def stubborn():

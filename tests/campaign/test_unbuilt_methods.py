@@ -12,8 +12,8 @@ from tiny_pairs import PAIRS
 from tiny_sequences import SCENE as SEQUENCE
 
 from campaign.cli import main
-from campaign.experiments.methods import Unbuilt
-from campaign.experiments.orbit_determination import OrbitTrials
+from campaign.kinds.orbit_determination.trial import OrbitTrials
+from campaign.trial.methods import Unbuilt
 from scenarios.errors import BoresightError
 
 MODULE = """

@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 from tiny_campaign import Heard, run
 
-from campaign import until as module
-from campaign.request import RunRequest
-from campaign.resolve import resolve
-from campaign.until import looks, parse_until, run_until
+from campaign.runs import until as module
+from campaign.runs.request import RunRequest
+from campaign.runs.resolve import resolve
+from campaign.runs.until import looks, parse_until, run_until
 from renderers.mitsuba3 import choose_variant
 from reports.statistics import MEDIAN, measure
 from scenarios.errors import BoresightError

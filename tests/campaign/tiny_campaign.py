@@ -15,10 +15,10 @@ from pathlib import Path
 import pandas as pd
 
 from campaign.cli import main
-from campaign.experiments.single_image import Records
-from campaign.request import RunRequest
-from campaign.resolve import resolve
-from campaign.runner import run_campaign
+from campaign.kinds.single_image.trial import Records
+from campaign.runs.request import RunRequest
+from campaign.runs.resolve import resolve
+from campaign.runs.runner import run_campaign
 from campaign.store import TABLES, RunFolder
 from renderers.mitsuba3 import choose_variant
 

@@ -3,7 +3,7 @@ from importlib import resources
 
 import pytest
 
-from campaign.resolve import resolve
+from campaign.runs.resolve import resolve
 from reports.comparison import compare, compare_claims, judge, judge_order
 from reports.comparison_tables import claim_values, verdict_of, verdict_of_claim
 from reports.published import Claim, Comparison, PublishedValue, load_published, parse, published_names

@@ -9,16 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.crater_pairs import BY_GEOMETRY, open_pairs
-from campaign.crater_sights import open_sights
-from campaign.experiments.orbit_determination import open_orbit_world
-from campaign.experiments.sequence import ground_of
-from campaign.experiments.single_image import SingleImage
-from campaign.image_tracks import ImageTracks
-from campaign.navigation_trial import NavigationTrial
-from campaign.orbit_images import OrbitImages
+from campaign.imaging.observe import observe
+from campaign.imaging.world import open_world
+from campaign.kinds.crater_matching.pairs import BY_GEOMETRY, open_pairs
+from campaign.kinds.crater_navigation.sights import open_sights
+from campaign.kinds.crater_navigation.taken import NavigationTrial
+from campaign.kinds.orbit_determination.trial import open_orbit_world
+from campaign.kinds.sequence.images import OrbitImages
+from campaign.kinds.sequence.tracks import ImageTracks
+from campaign.kinds.sequence.trial import ground_of
+from campaign.kinds.single_image.trial import SingleImage
 from campaign.products import Shelf
-from campaign.world import open_world
 from estimators.craters.navigation.rounds import CraterNavigation
 from estimators.craters.navigation.stages import Stages
 from estimators.slam.registry import sequence_estimator_class
@@ -53,7 +54,7 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
         except BoresightError as error:
             parts.append(str(error).encode())
             continue
-        observation = experiment.observe(sight, trial)
+        observation = observe(experiment.world, sight, experiment.seed, trial)
         frame = observation.frames[0]
         parts += [repr(observation.camera).encode(), repr(frame.altimeter).encode()]
         truths = [sight.view.T_cam_body, *(view.T_cam_body for view in sight.further.values())]

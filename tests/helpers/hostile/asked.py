@@ -6,7 +6,7 @@ from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
-from campaign.resolve import CATALOG as CAMPAIGNS
+from campaign.runs.resolve import CATALOG as CAMPAIGNS
 from estimators.landmark.robust.options import ConsensusOptions
 from estimators.options import parse_options
 from estimators.slam.options import BundleOptions

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.real.named_craters import GAZETTEER, read_gazetteer
+from campaign.data.craters.named_craters import GAZETTEER, read_gazetteer
 from estimators.craters.contract import CraterDetections, CraterMatches
 from estimators.craters.database.files import CraterDatabase, read_landmarks, read_pictures
 from estimators.craters.database.landmarks import Landmarks

@@ -14,11 +14,11 @@ import pyarrow as pa
 
 from campaign.cli.main import _parser
 from campaign.inspection.recompute import reopened
-from campaign.manifest import make_manifest
-from campaign.newest import newest_first
-from campaign.paper.gather import newest_finished
-from campaign.request import RunRequest
-from campaign.resolve import resolve
+from campaign.papers.gather import newest_finished
+from campaign.runs.manifest import make_manifest
+from campaign.runs.newest import newest_first
+from campaign.runs.request import RunRequest
+from campaign.runs.resolve import resolve
 from campaign.store.columns import schema
 from campaign.store.folder import Block, RunFolder
 from hostile import recipes

@@ -10,9 +10,9 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from campaign.cli.bench import read_ratios
-from campaign.fetch import state
-from campaign.image_store import read_chunk
-from campaign.store.image_chunk import KeptImage, write_images
+from campaign.data.fetch import state
+from campaign.imaging.image_chunk import KeptImage, write_images
+from campaign.imaging.image_store import read_chunk
 from hostile import recipes
 from hostile.target import Target
 from renderers.spice.instruments import INSTRUMENTS

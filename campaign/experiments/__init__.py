@@ -1,1 +1,0 @@
-"""One module for each kind of trial: the only code that sees renderer, truth and estimator together."""

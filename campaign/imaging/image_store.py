@@ -1,0 +1,163 @@
+"""Rendered images kept between runs: what changes no pixel renders nothing again.
+
+The store holds radiance factors, before the detector: exposing one again costs little and has a random stream of its
+own, so that a changed detector reads the same images. It lives in the cache, which bounds its size; damaged or missing
+images are rendered. Images from the store are those of the renderer, bit for bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from campaign.imaging.image_chunk import KeptImage, read_images, write_images
+from campaign.machine import package_versions, processor
+from renderers.mitsuba3 import choose_variant, code_generator, renderer_version
+from scenarios.cache import Cache, default_cache
+from scenarios.craters import shape_digest
+from scenarios.draw import Stream
+from scenarios.geometry import View
+from scenarios.load import LoadedScenario, canonical_json
+from scenarios.parquet import PARQUET_FAULTS
+from scenarios.spec.base import SpecModel
+
+KIND = "images"
+SWITCH = "BORESIGHT_IMAGE_STORE"
+_FORMAT = 1
+_FILE = "images.parquet"
+# A chunk is read and written whole: as many images as a block of trials, but no more pixels than this.
+_CHUNK_IMAGES = 10
+_CHUNK_PIXELS = 1 << 25
+
+Image = NDArray[np.float32]
+
+
+def store_is_on() -> bool:
+    """Whether images are kept: $BORESIGHT_IMAGE_STORE is not ``off``."""
+    return os.environ.get(SWITCH) != "off"
+
+
+@contextmanager
+def store_switched(on: bool) -> Iterator[None]:
+    """Keep and take images, or not."""
+    before = os.environ.get(SWITCH)
+    os.environ[SWITCH] = "on" if on else "off"
+    try:
+        yield
+    finally:
+        os.environ.pop(SWITCH)
+        if before is not None:
+            os.environ[SWITCH] = before
+
+
+def image_set_key(scenario: LoadedScenario, variant: str, stream: Stream, laws: Sequence[SpecModel]) -> str:
+    """Return the content hash of all that decides a set of rendered images, but for each image's own view.
+
+    Parameters
+    ----------
+    scenario
+        Body, camera, reflectance and rendering.
+    variant
+        The Mitsuba variant.
+    stream, laws
+        What the views are drawn from: keeps sets of different views apart.
+    """
+    spec = scenario.spec
+    versions = package_versions()
+    compiler = code_generator(choose_variant(variant))
+    parts = {
+        "format": _FORMAT,
+        "body": shape_digest(spec, scenario.search_dirs),
+        "shading": spec.body.shading,
+        "scenario": [canonical_json(part) for part in (spec.camera, spec.brdf, spec.rendering)],
+        "views": [int(stream), *(canonical_json(law) for law in laws)],
+        "renderer": [*renderer_version(spec), variant],
+        "machine": [versions["mitsuba"], versions["drjit"], compiler, processor()],
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def fingerprint(view: View) -> bytes:
+    """Hash camera, pose and Sun of a view, to the last bit."""
+    numbers = (view.T_cam_body.rotation, view.T_cam_body.translation_m, view.sun_dir_body)
+    parts = [repr(view.camera).encode(), *(np.ascontiguousarray(n, dtype=np.float64).tobytes() for n in numbers)]
+    return hashlib.sha256(b"|".join(parts)).digest()[:16]
+
+
+@dataclass(slots=True, eq=False)
+class ImageStore:
+    """One set of images, numbered from 0 under each seed; a process holds one chunk of it at a time.
+
+    Parameters
+    ----------
+    key
+        Of the set, from ``image_set_key``.
+    chunk_images
+        Images of a chunk.
+    """
+
+    key: str
+    chunk_images: int
+    _chunk: str = ""
+    _images: dict[int, KeptImage] = field(default_factory=dict)
+    _fresh: set[int] = field(default_factory=set)
+    _writable: bool = True
+
+    @classmethod
+    def open(cls, scenario: LoadedScenario, variant: str, stream: Stream, *laws: SpecModel) -> ImageStore:
+        """Open the set of images of a scenario whose views are drawn from a stream by some laws; reads nothing yet."""
+        camera = scenario.spec.camera
+        chunk_images = min(_CHUNK_IMAGES, max(1, _CHUNK_PIXELS // (camera.width_px * camera.height_px)))
+        return cls(image_set_key(scenario, variant, stream, laws), chunk_images)
+
+    def image(self, seed: int, index: int, view: View, render: Callable[[View], Image]) -> tuple[Image, bool]:
+        """Return an image, rendered if it is not in the store, and whether it came from there.
+
+        What is rendered is kept when its chunk is left, and on ``flush``.
+        """
+        chunk = f"{self.key}-{seed:x}-{index // self.chunk_images:07d}"
+        if chunk != self._chunk:
+            self.flush()
+            self._chunk, self._images = chunk, _read(chunk)
+        kept = self._images.get(index)
+        wanted = fingerprint(view)
+        if kept is not None and kept.view == wanted:
+            return kept.image, index not in self._fresh
+        image = render(view)
+        image.setflags(write=False)
+        self._images[index] = KeptImage(image, wanted)
+        self._fresh.add(index)
+        return image, False
+
+    def flush(self) -> None:
+        """Keep what was rendered since the last time, and hold nothing in memory."""
+        images, cache = self._images, _cache()
+        if self._fresh and self._writable and cache is not None:
+            self._writable = cache.put(KIND, self._chunk, lambda folder: write_images(folder / _FILE, images))
+        self._chunk, self._images, self._fresh = "", {}, set()
+
+
+def _cache() -> Cache | None:
+    return default_cache() if store_is_on() else None
+
+
+def _read(chunk: str) -> dict[int, KeptImage]:
+    cache = _cache()
+    folder = None if cache is None else cache.find(KIND, chunk)
+    return {} if folder is None else read_chunk(folder / _FILE)
+
+
+def read_chunk(path: Path) -> dict[int, KeptImage]:
+    """Read a chunk; nothing where it is damaged, or where another process has thrown it out this moment."""
+    try:
+        return read_images(path)
+    except PARQUET_FAULTS:
+        return {}

@@ -1,0 +1,14 @@
+"""Kind of trial: craters found in one image."""
+
+from campaign.kinds.crater_detection.trial import CraterDetection
+from campaign.trial.kind import Kind
+
+KIND = Kind(
+    name="crater-detection",
+    version=2,
+    block_trials=10,
+    method_version=CraterDetection.method_version,
+    prepare=CraterDetection.prepare,
+    open=CraterDetection.open,
+    databases=True,
+)

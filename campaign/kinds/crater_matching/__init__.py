@@ -1,0 +1,13 @@
+"""Kind of trial: craters identified in two images."""
+
+from campaign.kinds.crater_matching.trial import CraterMatching
+from campaign.trial.kind import Kind
+
+KIND = Kind(
+    name="crater-matching",
+    version=3,
+    block_trials=5,
+    method_version=CraterMatching.method_version,
+    prepare=CraterMatching.prepare,
+    open=CraterMatching.open,
+)

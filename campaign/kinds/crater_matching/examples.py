@@ -1,0 +1,64 @@
+"""Pairs of images of a stored run of crater matching with what was matched, made again from their seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pandas as pd
+
+from campaign.inspection.case import Case
+from campaign.inspection.recompute import recompute
+from campaign.kinds.crater_matching.trial import MatchedPair, right_matches
+from campaign.resolved import ResolvedCampaign
+from campaign.store import RunFolder
+from reports.figures.matched_pair import draw_matched_pair
+from reports.named_figure import NamedFigure, file_stem
+from reports.run_data import RunData, read_run, select
+
+_ALIKE_DEG = (20.0, 10.0)
+
+
+def matching_examples(campaign: ResolvedCampaign, folder: RunFolder) -> Iterator[NamedFigure]:
+    """Draw a pair for each scenario and matcher; of a grid of scenarios none."""
+    run = read_run(folder.path)
+    for scenario, label in run.pairs() if run.manifest.grid is None else ():
+        figure = matching_example(campaign, folder, run, scenario, label)
+        if figure is not None:
+            yield figure
+
+
+def matching_example(
+    campaign: ResolvedCampaign, folder: RunFolder, run: RunData, scenario: str, label: str
+) -> NamedFigure | None:
+    """Draw the pair in which a matcher finds its median number of craters; None where it never finds one."""
+    trial = _typical(select(run.crater_matches, scenario, label))
+    shown = None if trial is None else recompute(campaign, folder, Case(scenario, label, trial)).shown
+    if not isinstance(shown, MatchedPair) or shown.matches is None:
+        return None
+    pair, matches = shown.pair, shown.matches
+    right = right_matches(matches, pair)
+    angles = f"views {pair.view_deg:.0f} deg and Suns {pair.sun_deg:.0f} deg apart"
+    title = f"{label}, {scenario}, trial {trial}: {angles}"
+    return NamedFigure(
+        file_stem("matching_example", scenario, label),
+        draw_matched_pair(
+            (pair.first.frame.image, pair.second.frame.image),
+            (pair.first.detections.ellipses, pair.second.detections.ellipses),
+            matches.pairs,
+            right,
+            title,
+        ),
+        f"Craters that are the same by {title}. {len(matches.pairs)} matches, {int(right.sum())} of them right; one"
+        " number and colour is one crater, wrong matches are red and dashed, detections without a match are grey. Of"
+        " the pairs with views within 20 deg and Suns within 10 deg, where there are any, that with the median number"
+        " of right matches.",
+        "Two images of one area with detected craters, the identical ones numbered alike.",
+    )
+
+
+def _typical(table: pd.DataFrame) -> int | None:
+    """Return the trial of the median number of right matches, those of none left out."""
+    found = table[table["n_correct"] > 0]
+    alike = found[(found["view_deg"] <= _ALIKE_DEG[0]) & (found["sun_deg"] <= _ALIKE_DEG[1])]
+    ordered = (alike if len(alike) else found).sort_values(["n_correct", "trial"])["trial"]
+    return int(ordered.iloc[len(ordered) // 2]) if len(ordered) else None

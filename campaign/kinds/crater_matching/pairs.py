@@ -1,0 +1,187 @@
+"""Where pairs of looks at craters come from: drawn by geometry, or rendered and seen by detectors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Protocol
+
+import numpy as np
+
+from campaign.imaging.image_store import ImageStore
+from campaign.trial.crater_score import check_detections, match_detections
+from campaign.trial.methods import Unbuilt, able, built
+from estimators.craters.contract import CraterDetector
+from estimators.craters.registry import crater_detector_class
+from renderers.detector import Detector
+from renderers.mitsuba3 import TiledRenderer, choose_variant
+from scenarios.bodies import load_body
+from scenarios.craters import CraterTruth, Rims, crater_truth, cratered_surface
+from scenarios.craters.pairs import CraterLook, CraterPair, draw_pair, draw_views, known_frame, population
+from scenarios.craters.simulated import NO_CRATER, LabelledDetections, PlaneCraters
+from scenarios.draw import Stream, generator
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Ellipses, View
+from scenarios.load import LoadedScenario
+from scenarios.observation import Frame
+from scenarios.sequences.ground import MeshGround
+from scenarios.spec.campaign import EstimatorSpec
+from scenarios.spec.crater_pairs import CraterPairsSpec, RenderedLooksSpec
+from scenarios.spec.world import PoseErrorSpec
+
+BY_GEOMETRY = ""
+"""Stands for the name of a detector where rims are projected and there is no image to look at."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Looks:
+    """A trial before any detector has seen it.
+
+    Parameters
+    ----------
+    first
+        The first of the two true views.
+    seen_by
+        Lets the detector of a name look for craters in both images; what it raises is raised.
+    """
+
+    first: View
+    seen_by: Callable[[str], CraterPair]
+
+
+class PairSource(Protocol):
+    """Gives the two looks of a trial."""
+
+    def looks(self, seed: int, trial: int) -> Looks:
+        """Draw the two looks of a trial, the same for all detectors."""
+        ...
+
+    def flush(self) -> None:
+        """Keep what was rendered."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedPairs:
+    """Looks whose rims are projected by geometry."""
+
+    spec: CraterPairsSpec
+    pose_error: PoseErrorSpec
+    camera: Camera
+    ground: MeshGround
+    craters: PlaneCraters
+
+    def looks(self, seed: int, trial: int) -> Looks:
+        """Draw the pair of a trial."""
+        pair = draw_pair(self.spec, self.pose_error, self.camera, self.ground, self.craters, (seed, trial))
+        return Looks(pair.first.view, lambda detector: pair)
+
+    def flush(self) -> None:
+        """Do nothing: no image was rendered."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RenderedPairs:
+    """Looks that are rendered, or taken from the store; detectors find the craters, the truth says which they are."""
+
+    spec: CraterPairsSpec
+    images: RenderedLooksSpec
+    pose_error: PoseErrorSpec
+    camera: Camera
+    ground: MeshGround
+    renderer: TiledRenderer
+    rims: Rims
+    detector: Detector | None
+    finders: Mapping[str, CraterDetector | Unbuilt]
+    store: ImageStore
+
+    def looks(self, seed: int, trial: int) -> Looks:
+        """Draw the views of a trial and render them once."""
+        views, angles = draw_views(self.spec, self.camera, self.ground, generator(seed, Stream.TRUTH, trial))
+        priors, noise = generator(seed, Stream.POSE_ERROR, trial), generator(seed, Stream.DETECTOR, trial)
+        seen = []
+        for number, view in enumerate(views):
+            image, _ = self.store.image(seed, 2 * trial + number, view, self.renderer.render)
+            if self.detector is not None:
+                image = self.detector.expose(image, noise)
+            frame = known_frame(view, image, self.pose_error, priors, float(number))
+            seen.append((view, frame, crater_truth(self.rims, view, self.renderer)))
+
+        def seen_by(detector: str) -> CraterPair:
+            first, second = (self._look(able(self.finders[detector]), *one) for one in seen)
+            return CraterPair(first, second, *angles)
+
+        # Matchers that share a detector see the same craters, which are looked for once.
+        return Looks(views[0], cache(seen_by))
+
+    def _look(self, finder: CraterDetector, view: View, frame: Frame, truth: CraterTruth) -> CraterLook:
+        rims = _found(finder, frame, self.camera)[: self.images.most_detections]
+        # The last of the numbers is that of no crater, which is row -1 as well.
+        numbers = np.append(truth.crater, NO_CRATER).astype(np.int64)
+        which = match_detections(rims, truth.ellipses).crater
+        return CraterLook(view, LabelledDetections(rims, numbers[which]), frame)
+
+    def flush(self) -> None:
+        """Keep what was rendered."""
+        self.store.flush()
+
+
+def _found(finder: CraterDetector, frame: Frame, camera: Camera) -> Ellipses:
+    """Detect rims; an image in which a detector can see nothing, black or saturated, has none."""
+    try:
+        found = finder.detect(frame, camera)
+    except BoresightError:
+        return Ellipses.none()
+    check_detections(found)
+    return found.ellipses
+
+
+def check_detectors(scenario: LoadedScenario, section: CraterPairsSpec, detectors: Mapping[str, str]) -> None:
+    """Refuse matchers (label to the detector that each names) that cannot see the looks of a scenario.
+
+    Raises
+    ------
+    BoresightError
+        If a detector is to look where nothing is rendered, or none where something is, or is unknown.
+    """
+    for label, name in detectors.items():
+        if section.images is None and name != BY_GEOMETRY:
+            raise BoresightError(
+                f"estimators: {label}: detector: {name} has no image to look at: {scenario.path} draws detections by"
+                " geometry (crater_pairs.craters); leave the option out"
+            )
+        if section.images is not None:
+            if name == BY_GEOMETRY:
+                raise BoresightError(
+                    f"estimators: {label}: detector: missing, but the looks of {scenario.path} are rendered: name one,"
+                    " for example {" + label + ": {detector: crater-classic}}"
+                )
+            crater_detector_class(name)
+    if section.images is not None and scenario.spec.craters is None:
+        raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.images renders them")
+
+
+def open_pairs(
+    scenario: LoadedScenario, section: CraterPairsSpec, variant: str, detectors: Collection[str]
+) -> PairSource:
+    """Make ready what the section asks for, checked before by ``check_detectors``."""
+    spec = scenario.spec
+    camera = spec.camera.camera().pinhole
+    ground = MeshGround(load_body(spec.body, scenario.search_dirs).mesh)
+    if section.craters is not None:
+        return SimulatedPairs(section, spec.pose_error, camera, ground, population(ground, section.craters))
+    if spec.craters is None or section.images is None:
+        raise BoresightError(f"{scenario.path}: craters: missing, but crater_pairs.images renders them")
+    surface = cratered_surface(spec.body, spec.craters, scenario.search_dirs)
+    renderer = TiledRenderer(surface, spec.brdf, spec.rendering.samples_per_pixel, choose_variant(variant))
+    finders = {name: _finder(name, spec.name) for name in detectors}
+    exposed = None if spec.detector is None else Detector(spec.detector)
+    store = ImageStore.open(scenario, variant, Stream.TRUTH, section)
+    return RenderedPairs(
+        section, section.images, spec.pose_error, camera, ground, renderer, surface.rims, exposed, finders, store
+    )
+
+
+def _finder(name: str, scenario: str) -> CraterDetector | Unbuilt:
+    return built(EstimatorSpec(name=name, label=name), scenario, lambda: crater_detector_class(name).from_options({}))

@@ -1,0 +1,269 @@
+"""The crater-matching experiment: two looks at craters, each matcher on the same detections, scored by the truth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from campaign.kinds.crater_matching.pairs import BY_GEOMETRY, Looks, PairSource, check_detectors, open_pairs
+from campaign.pool.guard import Call
+from campaign.products import MissingProduct, Shelf
+from campaign.resolved import ResolvedCampaign
+from campaign.trial.checks import check_array, check_indices, check_reason
+from campaign.trial.kind import Bench, Record, Records, Witness, add_records
+from campaign.trial.methods import Unbuilt, able, methods, missing
+from campaign.trial.pose_score import no_consistency, no_pose_error
+from campaign.trial.work import Work
+from estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
+from estimators.craters.matching.epipolar import epipolar_offsets
+from estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
+from scenarios.beliefs import believed_spec
+from scenarios.bodies import load_body
+from scenarios.craters.pairs import CraterLook, CraterPair
+from scenarios.craters.simulated import NO_CRATER
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, View
+from scenarios.load import LoadedScenario
+from scenarios.sequences.ground import MeshGround
+from scenarios.spec.campaign import EstimatorSpec
+from scenarios.spec.crater_pairs import CraterPairsSpec
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchedPair:
+    """A trial of one matcher as a witness is shown it; ``matches`` is None where the matcher raised."""
+
+    pair: CraterPair
+    matches: CraterMatches | None
+
+
+@dataclass(frozen=True, eq=False)
+class CraterMatching:
+    """Trials of one scenario with a set of labelled matchers; all see the same two images.
+
+    Parameters
+    ----------
+    name
+        Of the scenario.
+    source
+        Where pairs of looks come from.
+    camera
+        An ideal pinhole: rims come after the correction of a lens.
+    known
+        The a priori shape.
+    matchers
+        Label to matcher; of one that cannot be built, why.
+    detectors
+        Label to the name of the detector whose craters the matcher sees, `pairs.BY_GEOMETRY` for none.
+    seed
+        Seed of the campaign.
+    witness
+        Shown the `MatchedPair` of every trial and matcher; or None.
+    """
+
+    name: str
+    source: PairSource
+    camera: Camera
+    known: MeshGround
+    matchers: Mapping[str, CraterMatcher | Unbuilt]
+    detectors: Mapping[str, str]
+    seed: int
+    witness: Witness | None = None
+
+    @classmethod
+    def method_version(cls, name: str) -> int:
+        """Return the version of a matcher, or of a detector."""
+        known = crater_detector_class if name in crater_detector_names() else crater_matcher_class
+        return known(name).version
+
+    @classmethod
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
+        """Refuse wrong options and a missing section; there is nothing to build."""
+        del shelf
+        check_detectors(scenario, _section(scenario), _detectors(campaign))
+        return missing(scenario, _matchers(campaign, scenario))
+
+    @classmethod
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> CraterMatching:
+        """Load the shapes, draw the craters and build the matchers."""
+        del bench
+        spec = scenario.spec
+        known = MeshGround(load_body(believed_spec(spec).body, scenario.search_dirs).mesh)
+        detectors = _detectors(campaign)
+        source = open_pairs(scenario, _section(scenario), campaign.variant, set(detectors.values()))
+        camera = spec.camera.camera().pinhole
+        return cls(spec.name, source, camera, known, _matchers(campaign, scenario), detectors, campaign.seed)
+
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one matcher, shown to a witness."""
+        return replace(self, matchers={label: self.matchers[label]}, witness=witness)
+
+    def run(self, trials: range) -> Records:
+        """Run trials, in the order of trials and matchers."""
+        records: Records = {}
+        for trial in trials:
+            looks = self.source.looks(self.seed, trial)
+            for label, matcher in self.matchers.items():
+                found = self._judged(Call(self.name, trial, label), matcher, looks)
+                add_records(records, found, {"trial": trial, "scenario": self.name, "estimator": label})
+        self.source.flush()
+        return records
+
+    def pair(self, trial: int, label: str) -> CraterPair:
+        """Return the pair of a trial as a matcher sees it."""
+        return self.source.looks(self.seed, trial).seen_by(self.detectors[label])
+
+    def _judged(self, call: Call, matcher: CraterMatcher | Unbuilt, looks: Looks) -> Records:
+        """Let a detector and a matcher work and score the matches: records without their key, whatever goes wrong."""
+        circumstances = _circumstances(looks.first)
+        answers: list[_Answer] = []
+
+        def work() -> _Answer:
+            able_matcher = able(matcher)
+            answers.append(_Answer(looks.seen_by(self.detectors[call.label])))
+            answers[0].match(able_matcher, *self.images(answers[0].pair), self.known)
+            return answers[0]
+
+        def show(sound: _Answer | None) -> None:
+            if self.witness is not None and answers:
+                self.witness(MatchedPair(answers[0].pair, None if sound is None else sound.matches))
+
+        score = partial(self._scored, circumstances)
+        return Work(call, "matcher", circumstances).judged(work, self._check, score, show)
+
+    def _check(self, answer: _Answer) -> None:
+        check_matches(answer.matches, *self.images(answer.pair))
+
+    def _scored(self, circumstances: Record, answer: _Answer) -> Records:
+        """Score matches that keep the contract: records without their key."""
+        matches = answer.matches or CraterMatches.none("")
+        row: Record = {
+            **circumstances,
+            "status": "failed" if matches.reason else "ok",
+            "reason": matches.reason,
+            "n_landmarks": len(matches.pairs),
+        }
+        offset_px = largest_epipolar_offset(*self.images(answer.pair), answer.pair)
+        return {
+            "rows": [row],
+            "crater_matches": [{**score_matches(matches, answer.pair), "epipolar_offset_px": offset_px}],
+            "timings": [{"stage": "matching", "seconds": answer.seconds}],
+        }
+
+    def images(self, pair: CraterPair) -> tuple[CraterImage, CraterImage]:
+        """Return what a matcher may see of a pair."""
+        return self._image(0, pair.first), self._image(1, pair.second)
+
+    def _image(self, number: int, look: CraterLook) -> CraterImage:
+        rims = look.detections.ellipses
+        return CraterImage(number, look.frame, self.camera, CraterDetections(rims, np.ones(len(rims))))
+
+
+@dataclass(slots=True, eq=False)
+class _Answer:
+    """What became of a pair so far."""
+
+    pair: CraterPair
+    matches: CraterMatches | None = None
+    seconds: float = 0.0
+
+    def match(self, matcher: CraterMatcher, first: CraterImage, second: CraterImage, known: MeshGround) -> None:
+        """Let a matcher work."""
+        started = time.perf_counter()
+        self.matches = matcher.match(first, second, known)
+        self.seconds = time.perf_counter() - started
+
+
+def score_matches(matches: CraterMatches, pair: CraterPair) -> Record:
+    """Count correct, wrong and missed matches of a pair by which crater each detection is."""
+    one, other = pair.first.detections.crater, pair.second.detections.crater
+    common = np.intersect1d(one[one != NO_CRATER], other[other != NO_CRATER])
+    correct = int(right_matches(matches, pair).sum())
+    return {
+        "view_deg": pair.view_deg,
+        "sun_deg": pair.sun_deg,
+        "n_first": len(one),
+        "n_second": len(other),
+        "n_common": len(common),
+        "n_correct": correct,
+        "n_wrong": len(matches.pairs) - correct,
+        "n_missed": len(common) - correct,
+    }
+
+
+def largest_epipolar_offset(first: CraterImage, second: CraterImage, pair: CraterPair) -> float | None:
+    """Return the largest distance, px, of a crater that is in both from its epipolar line; None of no such crater.
+
+    The line is that of the poses and rims which a matcher is given (Cheng et al. 2003, figure 4).
+    """
+    one, other = pair.first.detections.crater[:, None], pair.second.detections.crater[None]
+    offsets_px = epipolar_offsets(first, second)[(one == other) & (one != NO_CRATER)]
+    return float(offsets_px.max()) if len(offsets_px) else None
+
+
+def right_matches(matches: CraterMatches, pair: CraterPair) -> NDArray[np.bool_]:
+    """(k,) whether both detections of a match are the same crater."""
+    here = pair.first.detections.crater[matches.pairs[:, 0]]
+    there = pair.second.detections.crater[matches.pairs[:, 1]]
+    return np.asarray((here == there) & (here != NO_CRATER))
+
+
+def check_matches(matches: CraterMatches | None, first: CraterImage, second: CraterImage) -> None:
+    """Refuse matches that break the contract.
+
+    Raises
+    ------
+    ValueError
+        If they are none, name a detection that there is not, or one twice, or there are none and no reason.
+    """
+    if not isinstance(matches, CraterMatches):
+        raise ValueError(f"a {type(matches).__name__} is no CraterMatches")  # noqa: TRY004  all rubbish is a ValueError
+    check_reason(matches.reason)
+    sizes = [len(image.detections.ellipses) for image in (first, second)]
+    k = len(matches.pairs)
+    check_indices("pairs", matches.pairs, (k, 2))
+    check_array("score", matches.score, (k,))
+    pairs = np.asarray(matches.pairs)
+    if k and (pairs.min() < 0 or (pairs >= sizes).any()):
+        raise ValueError(f"matches name a detection that there is not: the images have {sizes}")
+    if any(len(np.unique(column)) < k for column in pairs.T):
+        raise ValueError("matches name a detection twice")
+    if k == 0 and not matches.reason:
+        raise ValueError("there are no matches, and no reason why")
+
+
+def _circumstances(view: View) -> Record:
+    """Fill the columns of a row that no matcher can change, or that a pair of images has no number for."""
+    errors = no_pose_error()
+    return {
+        **errors,
+        **{f"prior_{name}": None for name in errors},
+        **no_consistency(),
+        "image": "",
+        "range_m": float(np.linalg.norm(view.T_cam_body.translation_m)),
+        "phase_deg": float(np.degrees(view.phase_angle_rad)),
+    }
+
+
+def _section(scenario: LoadedScenario) -> CraterPairsSpec:
+    if scenario.spec.crater_pairs is None:
+        raise BoresightError(f"{scenario.path}: crater_pairs: missing, but the experiment crater-matching needs it")
+    return scenario.spec.crater_pairs
+
+
+def _matchers(campaign: ResolvedCampaign, scenario: LoadedScenario) -> dict[str, CraterMatcher | Unbuilt]:
+    def make(entry: EstimatorSpec) -> CraterMatcher:
+        own = {key: option for key, option in entry.options.items() if key != "detector"}
+        return crater_matcher_class(entry.name).from_options(own)
+
+    return methods(campaign, scenario, make)
+
+
+def _detectors(campaign: ResolvedCampaign) -> dict[str, str]:
+    return {entry.label: str(entry.options.get("detector", BY_GEOMETRY)) for entry in campaign.spec.estimators}

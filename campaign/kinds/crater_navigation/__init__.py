@@ -1,0 +1,13 @@
+"""Kind of trial: an orbit from images of craters."""
+
+from campaign.kinds.crater_navigation.trial import CraterNavigationTrials
+from campaign.trial.kind import Kind
+
+KIND = Kind(
+    name="crater-navigation",
+    version=1,
+    block_trials=1,
+    method_version=CraterNavigationTrials.method_version,
+    prepare=CraterNavigationTrials.prepare,
+    open=CraterNavigationTrials.open,
+)

@@ -1,0 +1,9 @@
+"""What trials of crater navigation show of themselves: the orbit that the chain comes to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from campaign.kinds.orbit_determination.show import SHOW as ORBIT
+
+SHOW = replace(ORBIT, long=lambda campaign: True)

@@ -1,0 +1,13 @@
+"""Kind of trial: the images of an arc, planned."""
+
+from campaign.kinds.image_survey.trial import ImageSurvey
+from campaign.trial.kind import Kind
+
+KIND = Kind(
+    name="image-survey",
+    version=1,
+    block_trials=1,
+    method_version=ImageSurvey.method_version,
+    prepare=ImageSurvey.prepare,
+    open=ImageSurvey.open,
+)

@@ -1,0 +1,13 @@
+"""Kind of trial: a data base of landmarks."""
+
+from campaign.kinds.landmark_database.trial import DatabaseTrials
+from campaign.trial.kind import Kind
+
+KIND = Kind(
+    name="landmark-database",
+    version=1,
+    block_trials=1,
+    method_version=DatabaseTrials.method_version,
+    prepare=DatabaseTrials.prepare,
+    open=DatabaseTrials.open,
+)

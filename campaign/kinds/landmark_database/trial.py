@@ -1,0 +1,129 @@
+"""The landmark-database experiment: what data bases come out of independent sets of images (section 4.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Self
+
+from campaign.draft import drafted
+from campaign.imaging.image_store import store_switched
+from campaign.imaging.world import believed
+from campaign.products import BuiltProduct, Shelf, landmark_database
+from campaign.products.landmark_candidates import candidates_of
+from campaign.products.spread import IN_THIS_PROCESS
+from campaign.resolved import ResolvedCampaign
+from campaign.trial.kind import Bench, Record, Records, Witness
+from campaign.trial.pose_score import no_pose_error
+from estimators.contract import NoProductError
+from estimators.landmark.build import METHOD_VERSION, BuiltDatabase, DatabaseOptions, build_database
+from estimators.options import parse_options
+from scenarios.errors import BoresightError
+from scenarios.load import LoadedScenario
+
+
+@dataclass(frozen=True, eq=False)
+class DatabaseTrials:
+    """Trials of one scenario with labelled ways to make a data base; trial t takes the images of seed + t.
+
+    Parameters
+    ----------
+    scenario
+        As the spacecraft believes it to be.
+    makers
+        Label to options.
+    variant
+        The Mitsuba variant.
+    """
+
+    scenario: LoadedScenario
+    makers: Mapping[str, DatabaseOptions]
+    variant: str
+
+    @classmethod
+    def method_version(cls, name: str) -> int:
+        """Return the version of the method."""
+        if name != landmark_database.KIND:
+            raise BoresightError(
+                f"estimators: {name!r} has no part in landmark-database: the only method is {landmark_database.KIND}"
+            )
+        return METHOD_VERSION
+
+    @classmethod
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+        """Build the data bases of trial 0, which stay with the run."""
+        del scenario
+        products: list[BuiltProduct] = []
+        for label, options in _makers(campaign).items():
+            asked = shelf.empty()
+            # One that does not come out is a failed trial, not the end of the run.
+            with suppress(NoProductError):
+                asked.product(landmark_database.KIND, at_trial(options, campaign.seed, 0).model_dump(mode="json"))
+            products += asked.lent_to(label)
+        return products
+
+    @classmethod
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> DatabaseTrials:
+        """Take the options; the world is opened with the first image."""
+        del bench
+        makers = {label: at_trial(options, campaign.seed, 0) for label, options in _makers(campaign).items()}
+        return cls(believed(scenario), makers, campaign.variant)
+
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one way to make a data base; there is nothing to show of them."""
+        del witness
+        return replace(self, makers={label: self.makers[label]})
+
+    def run(self, trials: range) -> Records:
+        """Run trials: records in the order of trials and makers."""
+        records: Records = {"rows": [], "diagnostics": []}
+        for trial in trials:
+            for label, options in self.makers.items():
+                key: Record = {"trial": trial, "scenario": self.scenario.spec.name, "estimator": label}
+                row, numbers = self._made(at_trial(options, 0, trial))
+                records["rows"].append({**key, **row})
+                records["diagnostics"] += [{**key, "name": name, "value": value} for name, value in numbers.items()]
+        return records
+
+    def _made(self, options: DatabaseOptions) -> tuple[Record, dict[str, float]]:
+        # Images of a hundred data bases would drive all others out of the store, and their candidates are kept.
+        with store_switched(False):
+            candidates = candidates_of(self.scenario, options, IN_THIS_PROCESS, self.variant)
+        row: Record = {**_nothing(), "status": "ok", "reason": ""}
+        try:
+            return row, counts(build_database(candidates.by_image, options), options)
+        except NoProductError as error:
+            return {**row, "status": "failed", "reason": str(error)}, {}
+
+
+def at_trial(options: DatabaseOptions, seed: int, trial: int) -> DatabaseOptions:
+    """Return the options of a trial: those of the next seed for the next trial."""
+    return options.model_copy(update={"seed": options.seed + seed + trial})
+
+
+def counts(built: BuiltDatabase, options: DatabaseOptions) -> dict[str, float]:
+    """Count what a data base was made of, and what it is."""
+    clusters, database = built.clusters, built.database
+    return {
+        "candidates": float(len(built.points_m)),
+        "candidates_an_image": len(built.points_m) / options.images,
+        "seed_clusters": float(len(clusters.grown)),
+        "kept_clusters": float(len(clusters.kept)),
+        "merged_clusters": float(len(clusters.refined)),
+        "landmarks": float(len(database)),
+        "facets": float(len(database.facets)),
+    }
+
+
+def _makers(campaign: ResolvedCampaign) -> dict[str, DatabaseOptions]:
+    return {
+        entry.label: drafted(parse_options(DatabaseOptions, entry.options, entry.name), campaign.draft)
+        for entry in campaign.spec.estimators
+    }
+
+
+def _nothing() -> Record:
+    """Return the columns of a row that a data base has no number for."""
+    errors = no_pose_error()
+    return {**errors, **{f"prior_{name}": None for name in errors}, "n_landmarks": 0, "image": ""}

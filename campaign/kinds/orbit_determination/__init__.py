@@ -1,0 +1,13 @@
+"""Kind of trial: an orbit from crater sightings and radiometric data."""
+
+from campaign.kinds.orbit_determination.trial import OrbitTrials
+from campaign.trial.kind import Kind
+
+KIND = Kind(
+    name="orbit-determination",
+    version=1,
+    block_trials=2,
+    method_version=OrbitTrials.method_version,
+    prepare=OrbitTrials.prepare,
+    open=OrbitTrials.open,
+)

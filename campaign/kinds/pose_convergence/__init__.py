@@ -1,0 +1,13 @@
+"""Kind of trial: pose solvers on drawn landmarks."""
+
+from campaign.kinds.pose_convergence.trial import PoseConvergence
+from campaign.trial.kind import Kind
+
+KIND = Kind(
+    name="pose-convergence",
+    version=1,
+    block_trials=1000,
+    method_version=PoseConvergence.method_version,
+    prepare=PoseConvergence.prepare,
+    open=PoseConvergence.open,
+)

@@ -1,0 +1,157 @@
+"""The pose-convergence experiment: pose solvers on landmarks drawn from their own covariances (figure 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from campaign.kinds.pose_convergence.draws import (
+    LANDMARKS,
+    LandmarkDraw,
+    draw_landmarks,
+    prior_poses,
+    problem_stack,
+    true_poses,
+)
+from campaign.products import BuiltProduct, Shelf
+from campaign.resolved import ResolvedCampaign
+from campaign.trial.kind import Bench, Record, Records, Witness
+from campaign.trial.pose_score import FloatArray, no_pose_error, pose_errors
+from estimators.landmark.database import LandmarkDatabase
+from estimators.landmark.pose.batch import refine_poses
+from estimators.landmark.pose.levenberg_marquardt import MarquardtOptions
+from estimators.landmark.pose.solver import NAME, VERSION, PoseSolverOptions, closed_forms, solve_stack
+from estimators.options import parse_options
+from scenarios.errors import BoresightError
+from scenarios.load import LoadedScenario
+
+_MINIMUM = MarquardtOptions(parameters="minimal", tolerance=1e-12)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseConvergence:
+    """Trials of pose solvers; every one gets the same observations.
+
+    Parameters
+    ----------
+    scenario
+        Camera, viewpoint and pose errors; nothing is rendered.
+    database
+        Its landmarks.
+    solvers
+        Label to options.
+    seed
+        Seed of the campaign.
+    """
+
+    scenario: LoadedScenario
+    database: LandmarkDatabase
+    solvers: Mapping[str, PoseSolverOptions]
+    seed: int
+
+    @classmethod
+    def method_version(cls, name: str) -> int:
+        """Return the version of the solvers."""
+        if name != NAME:
+            raise BoresightError(f"estimators: {name!r} has no part in pose-convergence: the only method is {NAME}")
+        return VERSION
+
+    @classmethod
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+        """Build the data base, which all solvers share."""
+        del scenario
+        _database(_solvers(campaign), shelf)
+        return shelf.lent_to(NAME)
+
+    @classmethod
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> PoseConvergence:
+        """Read the data base."""
+        solvers = _solvers(campaign)
+        shelf = Shelf(scenario, bench.run / "products", jobs=0, variant=campaign.variant, draft=campaign.draft)
+        return cls(scenario, _database(solvers, shelf), solvers, campaign.seed)
+
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one solver; there is nothing to show of them."""
+        del witness
+        return replace(self, solvers={label: self.solvers[label]})
+
+    def run(self, trials: range) -> Records:
+        """Run trials: records in the order of trials and solvers."""
+        draws = [draw_landmarks(self.scenario.spec, self.database, self.seed, trial) for trial in trials]
+        full = [i for i, draw in enumerate(draws) if len(draw.chosen) == LANDMARKS]
+        scored = self._scored([draws[i] for i in full]) if full else {}
+        row_of = {i: row for row, i in enumerate(full)}
+        priors = pose_errors(prior_poses(draws), true_poses(draws))
+        records: Records = {"rows": [], "diagnostics": []}
+        for i, (trial, draw) in enumerate(zip(trials, draws, strict=True)):
+            circumstances = _circumstances(draw, priors, i)
+            for label in self.solvers:
+                key: Record = {"trial": trial, "scenario": self.scenario.spec.name, "estimator": label}
+                row, numbers = scored[label][row_of[i]] if i in row_of else (_unseen(draw), {})
+                records["rows"].append({**key, **circumstances, **row})
+                records["diagnostics"] += [{**key, "name": name, "value": value} for name, value in numbers.items()]
+        return records
+
+    def _scored(self, draws: Sequence[LandmarkDraw]) -> dict[str, list[tuple[Record, dict[str, float]]]]:
+        """Solve and score: for each label, one row and its diagnostics for each draw.
+
+        ``chi2_excess`` is how far the solution lies above the minimum next to the truth, which only the experiment
+        can look for; a solver that is stuck shows there.
+        """
+        camera = self.scenario.spec.camera.camera()
+        problems = problem_stack(draws, self.database, camera)
+        truths, priors, closed = true_poses(draws), prior_poses(draws), closed_forms(problems)
+        lowest = refine_poses(problems, truths, _MINIMUM).chi2
+        scored = {}
+        for label, options in self.solvers.items():
+            fits = solve_stack(problems, priors, closed, options)
+            columns = pose_errors(fits.poses, truths)
+            numbers = {"iterations": fits.iterations.astype(np.float64), "chi2_excess": fits.chi2 - lowest}
+            scored[label] = list(_solved(fits.chi2, columns, numbers))
+        return scored
+
+
+def _solvers(campaign: ResolvedCampaign) -> dict[str, PoseSolverOptions]:
+    return {
+        entry.label: parse_options(PoseSolverOptions, entry.options, entry.name) for entry in campaign.spec.estimators
+    }
+
+
+def _database(solvers: Mapping[str, PoseSolverOptions], shelf: Shelf) -> LandmarkDatabase:
+    """Return the one data base of all solvers, so that they are compared on the same trials."""
+    first, *others = (options.database for options in solvers.values())
+    if any(other != first for other in others):
+        raise BoresightError(f"estimators: the options database of {', '.join(solvers)} differ: give all the same")
+    database = shelf.product("landmark-database", first.model_dump(mode="json"))
+    if not isinstance(database, LandmarkDatabase):
+        raise BoresightError(f"{NAME}: the product is a {type(database).__name__}, not a landmark data base")
+    return database
+
+
+def _circumstances(draw: LandmarkDraw, priors: Mapping[str, FloatArray], i: int) -> Record:
+    return {
+        **{f"prior_{name}": float(values[i]) for name, values in priors.items()},
+        "n_landmarks": len(draw.chosen),
+        "image": "",
+        "range_m": float(np.linalg.norm(draw.view.T_cam_body.translation_m)),
+        "phase_deg": float(np.degrees(draw.view.phase_angle_rad)),
+    }
+
+
+def _unseen(draw: LandmarkDraw) -> Record:
+    reason = f"{len(draw.chosen)} landmarks are visible, {LANDMARKS} needed"
+    return {**no_pose_error(), "status": "failed", "reason": reason}
+
+
+def _solved(
+    chi2: FloatArray, columns: Mapping[str, FloatArray], numbers: Mapping[str, FloatArray]
+) -> Iterator[tuple[Record, dict[str, float]]]:
+    for i, value in enumerate(chi2):
+        if np.isfinite(value):
+            errors = {name: float(errors[i]) for name, errors in columns.items()}
+            yield {**errors, "status": "ok", "reason": ""}, {name: float(found[i]) for name, found in numbers.items()}
+        else:
+            yield {**no_pose_error(), "status": "failed", "reason": "no pose in front of the camera"}, {}

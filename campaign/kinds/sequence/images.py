@@ -1,0 +1,178 @@
+"""The images of a revolution, what is found in them, and what is true of it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from campaign.imaging.image_store import ImageStore
+from estimators.slam.vision.features import Features, find_features
+from estimators.slam.vision.matching import matched
+from renderers.detector import Detector
+from renderers.mitsuba3 import MitsubaRenderer, choose_variant
+from renderers.rectify import rectify
+from scenarios.bodies import load_body
+from scenarios.draw import Stream, generator
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, View
+from scenarios.load import LoadedScenario
+from scenarios.sequences import MeshGround, travel
+from scenarios.spec.vision import ImageVisionSpec
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+Image = NDArray[np.float32]
+
+REPEATED_PX = 2.0
+WRONG_PX = 3.0
+"""A sighting farther than this from its landmark's true place counts as a wrong association."""
+
+_SAME_POINT = 1e-3  # of the distance: a point that the next camera sees too is met within this
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """The features of an image, the true surface point (M, 3) of each (NaN beside the body), and the time it took."""
+
+    features: Features
+    points_m: FloatArray
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairs:
+    """Matches of two images: (K, 2) rows of their features, (K,) which are right in truth, and the time it took."""
+
+    rows: IndexArray
+    right: BoolArray
+    seconds: float
+
+
+@dataclass(slots=True, eq=False)
+class OrbitImages:
+    """Images every step of one revolution about a body at rest, the Sun along the orbit's normal.
+
+    The exposures of one realisation at a time are held, with their features.
+
+    Parameters
+    ----------
+    views
+        Of the images, by their slot: the camera with its lens, the pose and the Sun.
+    camera
+        The pinhole that images are resampled to.
+    seed
+        Of the detector's noise.
+    """
+
+    spec: ImageVisionSpec
+    views: tuple[View, ...]
+    camera: Camera
+    renderer: MitsubaRenderer
+    detector: Detector | None
+    store: ImageStore
+    seed: int
+    _realisation: int = -1
+    _images: dict[int, Image] = field(default_factory=dict)
+    _found: dict[int, Found] = field(default_factory=dict)
+    _pairs: dict[tuple[int, int], Pairs] = field(default_factory=dict)
+    _repeated: dict[tuple[int, int], float] = field(default_factory=dict)
+
+    @classmethod
+    def open(cls, scenario: LoadedScenario, variant: str, seed: int) -> OrbitImages:
+        """Build the body and its renderer; images are made when they are asked for."""
+        spec, section = scenario.spec, scenario.spec.sequence
+        if section is None or section.images is None:
+            raise BoresightError(f"{scenario.path}: sequence.images: missing, so there is no image to render")
+        mesh = load_body(spec.body, scenario.search_dirs).mesh
+        renderer = MitsubaRenderer(
+            mesh, spec.brdf, spec.rendering.samples_per_pixel, spec.body.shading, choose_variant(variant)
+        )
+        camera = spec.camera.camera()
+        circle = section.orbit.model_copy(update={"revolutions": 1.0})
+        path = travel(section.model_copy(update={"orbit": circle}), MeshGround(mesh), np.zeros((circle.frames - 1, 3)))
+        detector = None if spec.detector is None else Detector(spec.detector)
+        store = ImageStore.open(scenario, variant, Stream.TRUTH, circle)
+        return cls(section.images, path.views(camera)[:-1], camera.pinhole, renderer, detector, store, seed)
+
+    def image(self, realisation: int, slot: int) -> Image:
+        """(H, W) exposure of a slot, resampled to the pinhole."""
+        self._turn_to(realisation)
+        if slot not in self._images:
+            view = self.views[slot]
+            radiance, _ = self.store.image(0, slot, view, self.renderer.render)
+            if self.detector is not None:
+                rng = generator(self.seed, Stream.DETECTOR, realisation * len(self.views) + slot)
+                radiance = self.detector.expose(radiance, rng)
+            self._images[slot] = rectify(radiance, view.camera)
+        return self._images[slot]
+
+    def found(self, realisation: int, slot: int) -> Found:
+        """Find the features of a slot."""
+        self._turn_to(realisation)
+        if slot not in self._found:
+            image = self.image(realisation, slot)
+            started = time.perf_counter()
+            features = find_features(image, self.spec.detector, self.spec.features)
+            seconds = time.perf_counter() - started
+            self._found[slot] = Found(features, self.points_m(slot, features.uv_px), seconds)
+        return self._found[slot]
+
+    def pairs(self, realisation: int, before: int, after: int) -> Pairs:
+        """Match the features of two slots by their descriptors."""
+        first, second = self.found(realisation, before), self.found(realisation, after)
+        if (before, after) not in self._pairs:
+            started = time.perf_counter()
+            rows = matched(first.features, second.features, self.spec.ratio_max)
+            seconds = time.perf_counter() - started
+            places = self.places_px(after, first.points_m[rows[:, 0]])
+            right = np.linalg.norm(places - second.features.uv_px[rows[:, 1]], axis=1) <= WRONG_PX
+            self._pairs[before, after] = Pairs(rows, right, seconds)
+        return self._pairs[before, after]
+
+    def points_m(self, slot: int, uv_px: FloatArray) -> FloatArray:
+        """(n, 3) true surface points at pixels of the pinhole; NaN beside the body."""
+        view = self.views[slot]
+        return self.renderer.surface(view, view.camera.distorted(uv_px)).points_body_m
+
+    def places_px(self, slot: int, points_m: FloatArray) -> FloatArray:
+        """(n, 2) where the pinhole of a slot has points."""
+        return self.camera.project(self.views[slot].T_cam_body.transform(points_m))
+
+    def repeatability(self, realisation: int, before: int, after: int) -> float:
+        """Share of the features of a slot, of those in sight from another, that are found there within 2 px."""
+        first, second = self.found(realisation, before), self.found(realisation, after)
+        if (before, after) not in self._repeated:
+            self._repeated[before, after] = self._repeated_share(after, first, second)
+        return self._repeated[before, after]
+
+    def _repeated_share(self, after: int, first: Found, second: Found) -> float:
+        places = self.places_px(after, first.points_m)
+        seen = self._in_sight(after, first.points_m, places)
+        if not seen.any() or len(second.features) == 0:
+            return 0.0
+        apart, _ = cKDTree(second.features.uv_px).query(places[seen])
+        return float(np.mean(apart <= REPEATED_PX))
+
+    def flush(self) -> None:
+        """Keep what was rendered."""
+        self.store.flush()
+
+    def _in_sight(self, slot: int, points_m: FloatArray, places_px: FloatArray) -> BoolArray:
+        seen = self.camera.contains(places_px) & np.isfinite(points_m).all(axis=1)
+        met = self.points_m(slot, places_px[seen])
+        distance = np.linalg.norm(points_m[seen] - self.views[slot].T_cam_body.camera_position_m, axis=1)
+        seen[seen] = np.linalg.norm(met - points_m[seen], axis=1) < _SAME_POINT * distance
+        return seen
+
+    def _turn_to(self, realisation: int) -> None:
+        if realisation != self._realisation:
+            self._realisation = realisation
+            self._images.clear()
+            self._found.clear()
+            self._pairs.clear()
+            self._repeated.clear()

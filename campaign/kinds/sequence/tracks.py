@@ -1,0 +1,198 @@
+"""Tracks of images: a trial of a sequence whose vision layer sees rendered images."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from campaign.kinds.sequence.images import WRONG_PX, OrbitImages
+from campaign.trial.kind import Record
+from estimators.slam.vision.carriers import Look
+from estimators.slam.vision.tracker import Tracked, Tracker
+from scenarios.draw import Stream, estimator_generator, generator
+from scenarios.sequences import (
+    Ground,
+    Path,
+    SequenceTruth,
+    Sighting,
+    known_sequence,
+    measured_ranges,
+    travel,
+)
+from scenarios.sequences.orbit import anomalies_deg
+from scenarios.spec.sequence import SequenceSpec
+from scenarios.tracks import Predict, TrackFrame, TrackRange, TrackSequence
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_NOTHING = Sighting(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 3)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """A trial of a sequence on images: truth, tracks, and what its vision layer was like, frame by frame."""
+
+    truth: SequenceTruth
+    sequence: TrackSequence
+    vision: list[Record]
+    seconds: dict[str, float]
+
+    @property
+    def path(self) -> Path:
+        """Motion of camera and body."""
+        return self.truth.path
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _GuidedFrames:
+    """All that an estimator sees of a vision layer that it guides: an `Eye` without the truth that makes the frames."""
+
+    frames: Callable[[Predict], Iterator[TrackFrame]]
+
+
+class Watch:
+    """A vision layer at work on the images of a trial."""
+
+    def __init__(self, tracks: ImageTracks, seed: int, trial: int) -> None:
+        self._tracks, self._images = tracks, tracks.images
+        self._realisation, start = divmod(trial, self._images.spec.starts)
+        turn, spec = len(self._images.views), tracks.spec
+        first = start * turn // self._images.spec.starts
+        self._slots = [(first + i) % turn for i in range(spec.orbit.frames)]
+        self._address = (seed, trial)
+        self.path = tracks.path(start)
+        blind = known_sequence(spec, self._images.camera, self.path, [_NOTHING] * len(self._slots), self._address)
+        self.sequence = replace(blind, eye=_GuidedFrames(lambda predict: self.frames(predict)))
+        self._made: list[TrackFrame] = []
+        self._tracked: list[Tracked] = []
+        self._points_m = np.empty((0, 3))
+
+    def frames(self, predict: Predict) -> Iterator[TrackFrame]:
+        """Yield the frames; each is made when it is asked for, after the one before was taken in."""
+        seed, trial = self._address
+        rng = generator(seed, Stream.RANGES, trial)
+        tracker = Tracker(self._images.camera, self._images.spec, estimator_generator(seed, trial))
+        for i, (slot, frame) in enumerate(zip(self._slots, self.sequence.frames, strict=True)):
+            seen = tracker.advance(
+                self._look(i), frame.R_cam_body, predict(frame) if i and self._images.spec.guided else None
+            )
+            # Where the line of sight of a first sighting meets the body; its origin if it does not.
+            fresh = self._images.points_m(slot, seen.uv_px[seen.tracks >= len(self._points_m)])
+            self._points_m = np.concatenate([self._points_m, np.nan_to_num(fresh)])
+            here = Sighting(seen.tracks, seen.uv_px, self._points_m[seen.tracks])
+            ranges = self._ranges(i, here, rng)
+            self._tracked.append(seen)
+            self._made.append(replace(frame, tracks=seen.tracks, uv_px=seen.uv_px, ranges=ranges))
+            yield self._made[-1]
+
+    def seen(self) -> Seen:
+        """Return what was seen of the frames so far."""
+        slots, points = self._slots[: len(self._made)], self._points_m
+        errors = [
+            self._images.places_px(slot, points[seen.tracks]) - seen.uv_px
+            for slot, seen in zip(slots, self._tracked, strict=True)
+        ]
+        wrong = tuple(~(np.linalg.norm(error, axis=1) <= WRONG_PX) for error in errors)
+        orbit = self._tracks.spec.orbit
+        truth = SequenceTruth(self.path.poses, anomalies_deg(orbit), points, wrong, self.path, orbit.gm_m3_s2)
+        records = [self._record(i, errors[i], wrong[i]) for i in range(len(slots))]
+        return Seen(truth, replace(self.sequence, frames=tuple(self._made), eye=None), records, self._seconds())
+
+    def _ranges(self, index: int, here: Sighting, rng: np.random.Generator) -> tuple[TrackRange, ...]:
+        knowledge = self._tracks.spec.knowledge
+        if index and (not knowledge.range_every or index % knowledge.range_every):
+            return ()
+        return measured_ranges([here], self.path.poses[index], self._images.camera, knowledge, rng)
+
+    def _look(self, index: int) -> Look:
+        slot = self._slots[index]
+        pairs = np.empty((0, 2), dtype=np.int64)
+        if index:
+            pairs = self._images.pairs(self._realisation, self._slots[index - 1], slot).rows
+        return Look(
+            self._images.image(self._realisation, slot), self._images.found(self._realisation, slot).features, pairs
+        )
+
+    def _record(self, index: int, error: FloatArray, wrong: BoolArray) -> Record:
+        """Describe a frame's vision: the columns of the table ``vision`` without its key."""
+        images, tracked, here = self._images, self._tracked[index], self._slots[index]
+        found = images.found(self._realisation, here)
+        record: Record = {
+            "frame": index,
+            "n_features": len(found.features),
+            "n_tracks": len(tracked.tracks),
+            "n_wrong": int(wrong.sum()),
+            "error_px": _root_mean(error[~wrong]),
+            "sigma_px": images.spec.sigma_px,
+            **dict.fromkeys(("repeatability", "n_matches", "n_kept", "right_share", "kept_right_share", "survival")),
+        }
+        if index == 0:
+            return record
+        before = self._slots[index - 1]
+        pairs = images.pairs(self._realisation, before, here)
+        return {
+            **record,
+            "repeatability": images.repeatability(self._realisation, before, here),
+            "n_matches": len(pairs.rows),
+            "n_kept": int(tracked.kept.sum()),
+            "right_share": _share(pairs.right),
+            "kept_right_share": _share(pairs.right[tracked.kept]),
+            "survival": _share(np.isin(self._tracked[index - 1].tracks, tracked.tracks)),
+        }
+
+    def _seconds(self) -> dict[str, float]:
+        """Mean time of an image; features and their matches are worked out once for all trials."""
+        slots = self._slots[: len(self._made)]
+        detection = [self._images.found(self._realisation, slot).seconds for slot in slots]
+        matching = [self._images.pairs(self._realisation, *pair).seconds for pair in itertools.pairwise(slots)]
+        return {
+            "detection": float(np.mean(detection)),
+            "matching": float(np.mean(matching)) if matching else 0.0,
+            "tracking": float(np.mean([frame.seconds for frame in self._tracked])),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageTracks:
+    """Draws trials: trial t begins at start t modulo the number of starts, on exposures t // that number."""
+
+    spec: SequenceSpec
+    ground: Ground
+    images: OrbitImages
+
+    @property
+    def guided(self) -> bool:
+        """Whether tracks depend on who follows them."""
+        return self.images.spec.guided
+
+    def watch(self, seed: int, trial: int) -> Watch:
+        """Begin a trial whose frames are made while an estimator follows them."""
+        return Watch(self, seed, trial)
+
+    def see(self, seed: int, trial: int) -> Seen:
+        """Let the vision layer track the images of a trial by itself."""
+        watch = self.watch(seed, trial)
+        for _ in watch.frames(lambda _: None):
+            pass
+        return watch.seen()
+
+    def path(self, start: int) -> Path:
+        """Return the way of the camera from a start."""
+        orbit = self.spec.orbit
+        turned = orbit.model_copy(update={"start_deg": orbit.start_deg + 360.0 * start / self.images.spec.starts})
+        still = np.zeros((orbit.frames - 1, 3))
+        return travel(self.spec.model_copy(update={"orbit": turned}), self.ground, still)
+
+
+def _root_mean(errors_px: FloatArray) -> float | None:
+    """RMS of a coordinate."""
+    return float(np.sqrt(np.mean(errors_px**2))) if errors_px.size else None
+
+
+def _share(flags: BoolArray) -> float | None:
+    return float(flags.mean()) if len(flags) else None

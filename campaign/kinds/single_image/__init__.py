@@ -1,0 +1,14 @@
+"""Kind of trial: one image, one pose."""
+
+from campaign.kinds.single_image.trial import SingleImage
+from campaign.trial.kind import Kind
+
+KIND = Kind(
+    name="single-image",
+    version=2,
+    block_trials=10,
+    method_version=SingleImage.method_version,
+    prepare=SingleImage.prepare,
+    open=SingleImage.open,
+    databases=True,
+)

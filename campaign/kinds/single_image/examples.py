@@ -1,0 +1,158 @@
+"""The paper's figure 8 for one trial of a stored run, recomputed from its seed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from campaign.inspection.case import Case
+from campaign.inspection.recompute import recompute
+from campaign.kinds.single_image.trial import EstimatedImage, SingleImage
+from campaign.resolved import ResolvedCampaign
+from campaign.store import RunFolder
+from campaign.trial.in_turn import part_of
+from estimators.landmark.database import LandmarkDatabase
+from estimators.landmark.projection import project_landmarks
+from estimators.landmark.recognizer import LandmarkRecognizer, Recognition
+from estimators.landmark.visibility import visible_landmarks
+from reports.figures import Fit, Overlay, draw_fit_panels
+from reports.named_figure import NamedFigure, file_stem
+from scenarios.geometry import Camera, Pose, TriangleMesh
+from scenarios.observation import Observation
+from scenarios.spec.scenario import ScenarioSpec
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SecondLook:
+    """One trial of a stored run, recognised again from its seed with everything that came about in between.
+
+    Parameters
+    ----------
+    image
+        (H, W) what the estimator saw.
+    image_name
+        File name of a real image, or ''.
+    camera
+        The camera that it calculates with.
+    database
+        The landmarks that it looks for.
+    found
+        Its intermediate results.
+    """
+
+    image: NDArray[np.float32]
+    image_name: str
+    camera: Camera
+    database: LandmarkDatabase
+    found: Recognition
+
+
+def second_look(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> SecondLook | None:
+    """Recognise the landmarks of a case again; None where the estimator is no landmark recogniser."""
+    again = recompute(campaign, folder, case)
+    trials = part_of(again.trials, SingleImage, case.trial)
+    estimator = None if trials is None else trials.estimators[case.estimator]
+    if not isinstance(again.shown, EstimatedImage) or not isinstance(estimator, LandmarkRecognizer):
+        return None
+    return recognised_again(estimator, again.shown.observation, again.shown.sight.image_name)
+
+
+def recognised_again(estimator: LandmarkRecognizer, observation: Observation, image_name: str) -> SecondLook:
+    """Recognise the landmarks of an observation and keep all that comes about in between."""
+    frame = observation.frames[0]
+    found = estimator.recognise(frame, observation.camera)
+    return SecondLook(frame.image, image_name, observation.camera, estimator.database, found)
+
+
+def fit_figures(campaign: ResolvedCampaign, folder: RunFolder) -> Iterator[NamedFigure]:
+    """Draw a typical trial of every scenario and landmark recogniser: the one of median position error.
+
+    The scenarios of a grid are many and look alike: the first stands for them.
+    """
+    rows = folder.table("rows")
+    for scenario in campaign.scenarios[: None if campaign.spec.grid is None else 1]:
+        for label in campaign.labels:
+            mine = rows[(rows["scenario"] == scenario.spec.name) & (rows["estimator"] == label)]
+            trial = median_trial(mine)
+            look = None if trial is None else second_look(campaign, folder, Case(scenario.spec.name, label, trial))
+            fit = fit_of(look) if look else None
+            if look is None or fit is None or trial is None:
+                continue
+            what = f"{scenario.spec.name}, {label}, trial {trial} {look.image_name}".strip()
+            stem = file_stem("fit", scenario.spec.name, label, str(trial))
+            yield NamedFigure(stem, draw_fit_panels(fit, what, credit_lines(scenario.spec)), *_words(what))
+
+
+def credit_lines(spec: ScenarioSpec) -> list[str]:
+    """List the credits that figures with a scenario's images must carry."""
+    return [spec.images.credit] if spec.images and spec.images.credit else []
+
+
+def median_trial(rows: pd.DataFrame) -> int | None:
+    """Return the solved trial whose position error is the median (the lower one of two); None without any."""
+    solved = rows[rows["status"] == "ok"].sort_values(["position_error_m", "trial"])
+    return None if solved.empty else int(solved.iloc[(len(solved) - 1) // 2]["trial"])
+
+
+def _words(what: str) -> tuple[str, str]:
+    """Return the caption of the panels, and what they show for those who cannot see them."""
+    caption = (
+        f"{what}: the trial of median position error. Left, the prior pose: mesh of the data base, 6-sigma search"
+        " ellipses and both brightness centroids. Middle, the mesh rendered for the first iteration. Right, the"
+        " converged fit with the corners of the image."
+    )
+    return caption, "Three images of the body: with the mesh misplaced, the rendered mesh, and with the mesh in place."
+
+
+def fit_of(look: SecondLook) -> Fit | None:
+    """Collect what the figure of a fit shows; None where the recognition failed before its end."""
+    found = look.found
+    if not found.alignment.steps or found.corners is None or found.solution is None or found.solution.fit is None:
+        return None
+    matched = np.zeros(len(found.corners), dtype=np.bool_)
+    matched[found.solution.rounds[-1].matches.corner] = True
+    return _fit(look, found.solution.fit.T_cam_body, found.corners.uv_px, matched)
+
+
+def alignment_of(look: SecondLook) -> Fit | None:
+    """Collect what the figure of an alignment shows; None where there was none."""
+    if not look.found.alignment.steps:
+        return None
+    return _fit(look, look.found.alignment.T_cam_body, np.empty((0, 2)), np.empty(0, dtype=np.bool_))
+
+
+def _fit(look: SecondLook, after: Pose, corners_px: NDArray[np.float64], matched: NDArray[np.bool_]) -> Fit:
+    first = look.found.alignment.steps[0]
+    return Fit(
+        image=look.image,
+        mesh_image=first.rendered,
+        before=overlay(look.database, look.camera, look.found.prior),
+        after=overlay(look.database, look.camera, after),
+        observed_centroid_px=first.observed_px,
+        rendered_centroid_px=first.rendered_px,
+        corners_px=corners_px,
+        matched=matched,
+    )
+
+
+def overlay(database: LandmarkDatabase, camera: Camera, T_cam_body: Pose) -> Overlay:
+    """Project a data base as it is drawn: visible landmarks with covariances, and the edges that face the camera."""
+    mesh = database.mesh()
+    projection = project_landmarks(database, camera, T_cam_body)
+    visible = visible_landmarks(mesh, camera, T_cam_body)
+    return Overlay(
+        projection.uv_px[visible], projection.covariances_px2[visible], _facing_edges(mesh, camera, T_cam_body)
+    )
+
+
+def _facing_edges(mesh: TriangleMesh, camera: Camera, T_cam_body: Pose) -> NDArray[np.float64]:
+    """Return the ends (m, 2, 2) of the edges of facets that face the camera."""
+    to_camera = T_cam_body.camera_position_m - mesh.corners_m[:, 0]
+    facing = mesh.faces[np.einsum("fi,fi->f", mesh.normals, to_camera) > 0.0]
+    edges = np.unique(np.sort(facing[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    ends: NDArray[np.float64] = camera.project(T_cam_body.transform(mesh.vertices_m))[edges]
+    return ends

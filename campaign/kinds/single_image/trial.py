@@ -1,0 +1,249 @@
+"""The single-image experiment: degrade the pose of one image, let each estimator refine it, score."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from campaign.imaging.observe import observe
+from campaign.imaging.world import Sight, World, check_bodies, open_world
+from campaign.kinds.single_image.check import check
+from campaign.pool.guard import Call
+from campaign.products import BuiltProduct, MissingProduct, Shelf
+from campaign.products.databases import with_world
+from campaign.resolved import ResolvedCampaign
+from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
+from campaign.trial.in_turn import InTurn
+from campaign.trial.kept_images import ImageSink, image_sink
+from campaign.trial.kind import Bench, Record, Records, Witness, add_records
+from campaign.trial.methods import Unbuilt, able, built, check_options, missing
+from campaign.trial.pose_score import consistency, no_consistency, no_pose_error, pose_columns, pose_error
+from campaign.trial.work import Work
+from estimators.contract import Estimate, Estimator, Table
+from estimators.registry import estimator_class
+from scenarios.beliefs import believed_camera
+from scenarios.draw import estimator_generator
+from scenarios.geometry import Pose
+from scenarios.load import LoadedScenario
+from scenarios.observation import Observation
+from scenarios.spec.campaign import EstimatorSpec
+
+T = TypeVar("T", bound=np.generic)
+
+Method = Estimator | Unbuilt
+"""An estimator, or why there is none in a scenario."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimatedImage:
+    """A trial of one estimator as a witness is shown it; ``estimate`` is None where the estimator raised."""
+
+    sight: Sight
+    observation: Observation
+    estimate: Estimate | None
+
+
+@dataclass(frozen=True, eq=False)
+class SingleImage:
+    """Trials of one scenario with a set of labelled estimators.
+
+    Parameters
+    ----------
+    world
+        The scenario in this process.
+    estimators
+        Label to estimator; every one sees the same observation. Of one that cannot be built, why.
+    seed
+        Seed of the campaign.
+    keep_image
+        Called with the trial and its image, to keep it; or None.
+    witness
+        Shown the `EstimatedImage` of every trial and estimator; or None.
+    database
+        Number of the data base that the estimators have.
+    with_database
+        Labels of those that have one.
+    """
+
+    world: World
+    estimators: Mapping[str, Method]
+    seed: int
+    keep_image: ImageSink | None = None
+    witness: Witness | None = None
+    database: int = 0
+    with_database: frozenset[str] = frozenset()
+
+    @classmethod
+    def method_version(cls, name: str) -> int:
+        """Return the version of an estimator."""
+        return estimator_class(name).version
+
+    @classmethod
+    def prepare(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf
+    ) -> list[BuiltProduct | MissingProduct]:
+        """Refuse wrong options and bodies, and let every estimator ask for its products."""
+        check_options(campaign.spec.estimators, shelf.camera)
+        check_bodies(scenario)
+        products: list[BuiltProduct | MissingProduct] = []
+        for number, entry in product(range(campaign.spec.databases), campaign.spec.estimators):
+            asked = shelf.empty(number)
+            method = _method(entry, scenario, asked)
+            products += asked.lent_to(entry.label)
+            products += missing(scenario, {entry.label: method})
+        return products
+
+    @classmethod
+    def open(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench) -> InTurn[SingleImage]:
+        """Open the world and build the estimators, with each of their data bases."""
+        return InTurn(tuple(cls._with_database(campaign, scenario, bench, i) for i in range(campaign.spec.databases)))
+
+    @classmethod
+    def _with_database(
+        cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench, database: int
+    ) -> SingleImage:
+        shelf = Shelf(scenario, bench.run / "products", 0, campaign.variant, None, campaign.draft, database)
+        shelves = {entry.label: shelf.empty(database) for entry in campaign.spec.estimators}
+        estimators = {entry.label: _method(entry, scenario, shelves[entry.label]) for entry in campaign.spec.estimators}
+        having = frozenset(label for label, asked in shelves.items() if asked.has_lent_what_is_drawn)
+        sink = image_sink(bench.run / "images" / scenario.spec.name) if bench.keep_images else None
+        world = open_world(with_world(scenario, database), campaign.variant)
+        return cls(world, estimators, campaign.seed, sink, None, database, having)
+
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one estimator, shown to a witness."""
+        return replace(self, estimators={label: self.estimators[label]}, witness=witness)
+
+    def flush(self) -> None:
+        """Keep what was rendered."""
+        self.world.source.flush()
+
+    def trial(self, trial: int) -> Records:
+        """Run one trial: the records that it adds to each stored table."""
+        started = time.perf_counter()
+        sight = self.world.source.sight(self.seed, trial)
+        image_seconds = time.perf_counter() - started
+        if self.keep_image is not None:
+            self.keep_image(trial, sight.image)
+        observation = observe(self.world, sight, self.seed, trial)
+        records: Records = {}
+        for label, estimator in self.estimators.items():
+            key: Record = {"trial": trial, "scenario": self.world.scenario.spec.name, "estimator": label}
+            call = Call(self.world.scenario.spec.name, trial, label)
+            found = self._judged(call, estimator, observation, sight)
+            found["rows"][0]["database"] = self.database if label in self.with_database else None
+            add_records(records, found, key)
+            stage = STORED_IMAGE if sight.from_store else FRESH_IMAGE
+            add_records(records, {"timings": [{"stage": stage, "seconds": image_seconds}]}, key)
+        return records
+
+    def _judged(self, call: Call, estimator: Method, observation: Observation, sight: Sight) -> Records:
+        """Let an estimator work and score what it returns: records without their key, whatever goes wrong."""
+        rng = estimator_generator(self.seed, call.trial)
+        row = {**_circumstances(observation, sight), **no_pose_error(), **no_consistency()}
+
+        def work() -> Estimate:
+            return able(estimator).estimate(observation, rng=rng)
+
+        def show(found: Estimate | None) -> None:
+            if self.witness is not None:
+                self.witness(EstimatedImage(sight, observation, found))
+
+        return Work(call, "estimator", row).judged(
+            work,
+            lambda found: check(found, observation),
+            lambda found: self._scored(found, observation, sight),
+            show,
+        )
+
+    def _scored(self, estimate: Estimate, observation: Observation, sight: Sight) -> Records:
+        true = sight.view.T_cam_body
+        final = estimate.poses[0] if estimate.status == "ok" else None
+        row: Record = {
+            **_circumstances(observation, sight),
+            **(no_pose_error() if final is None else {**pose_error(final, true), **pose_columns(final)}),
+            **_consistency(estimate, true),
+            "status": estimate.status,
+            "reason": estimate.reason,
+            "n_landmarks": int(estimate.diagnostics.get("n_landmarks", 0)),
+        }
+        numbers = {name: float(value) for name, value in estimate.diagnostics.items() if not isinstance(value, str)}
+        return {
+            "stages": [{"stage": str(s.name), **pose_error(s.T_cam_body, true)} for s in estimate.stages],
+            "references": _references(final, sight),
+            "landmarks": self._landmarks(estimate.details.get("landmarks"), sight),
+            "diagnostics": [{"name": str(name), "value": value} for name, value in numbers.items()],
+            "timings": [{"stage": str(name), "seconds": float(value)} for name, value in estimate.timings_s.items()],
+            "rows": [row],
+        }
+
+    def _landmarks(self, table: Table | None, sight: Sight) -> list[Record]:
+        """Score recognised landmarks: the corner's true surface point against the landmark's distribution.
+
+        Rowell et al. (2015), section 4.2.2. Corners whose line of sight misses the body have no error: None.
+        """
+        if table is None or len(table["landmark"]) == 0:
+            return []
+        uv = _columns(table, "u_px", "v_px")
+        on_detector = believed_camera(self.world.scenario.spec).distorted(uv)
+        seen = self.world.renderer.surface(sight.view, on_detector).points_body_m
+        offset = seen - _columns(table, "x_m", "y_m", "z_m")
+        names = ("sxx", "sxy", "sxz", "sxy", "syy", "syz", "sxz", "syz", "szz")
+        covariance = _columns(table, *(f"{name}_m2" for name in names)).reshape(-1, 3, 3)
+        weighted = np.linalg.solve(covariance, offset[..., None])[..., 0]
+        errors = np.linalg.norm(offset, axis=1)
+        squares = np.einsum("ni,ni->n", offset, weighted)
+        return [
+            {
+                "landmark": int(landmark),
+                "u_px": float(u),
+                "v_px": float(v),
+                "error_m": float(error) if np.isfinite(error) else None,
+                "chi_square": float(square) if np.isfinite(square) else None,
+            }
+            for landmark, (u, v), error, square in zip(table["landmark"], uv, errors, squares, strict=True)
+        ]
+
+
+def _method(entry: EstimatorSpec, scenario: LoadedScenario, assets: Shelf) -> Method:
+    return built(entry, scenario.spec.name, lambda: estimator_class(entry.name).from_options(entry.options, assets))
+
+
+def _circumstances(observation: Observation, sight: Sight) -> Record:
+    """Describe a trial as far as no estimator can change it."""
+    true = sight.view.T_cam_body
+    x, y, z = true.camera_position_m
+    prior = pose_error(observation.frames[0].prior_T_cam_body, true)
+    return {
+        **{f"prior_{name}": value for name, value in prior.items()},
+        "image": sight.image_name,
+        "range_m": float(np.linalg.norm(true.translation_m)),
+        "latitude_deg": float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
+        "phase_deg": float(np.degrees(sight.view.phase_angle_rad)),
+        "time_s": sight.time_s,
+        **pose_columns(true, "true_"),
+    }
+
+
+def _consistency(estimate: Estimate, true: Pose) -> dict[str, float | None]:
+    if estimate.status != "ok":
+        return no_consistency()
+    covariance = estimate.covariances[0] if estimate.covariances else None
+    bound = estimate.bounds[0] if estimate.bounds else None
+    return consistency(estimate.poses[0], true, covariance, bound)
+
+
+def _columns(table: Table, *names: str) -> NDArray[np.float64]:
+    return np.column_stack([np.asarray(table[name], dtype=np.float64) for name in names])
+
+
+def _references(final: Pose | None, sight: Sight) -> list[Record]:
+    if final is None:
+        return []
+    return [{"reference": name, **pose_error(final, view.T_cam_body)} for name, view in sight.further.items()]

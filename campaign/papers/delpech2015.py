@@ -1,0 +1,124 @@
+"""The figures of Delpech et al. (2015), each drawn from the newest finished runs of its campaigns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from campaign.papers.first_image import first_image
+from campaign.papers.gather import FinishedRun
+from campaign.papers.kinds import Draw, Paper, PaperFigure, Runs
+from reports.designs import design_grids
+from reports.figures.sightings import draw_sightings
+from reports.figures.traces import LANDMARKS, POSITION
+from reports.grid import Grid
+from reports.named_figure import NamedFigure
+from reports.sequences import (
+    pooled_alone,
+    ratio_grids,
+    revolution_figure,
+    revolution_series,
+    sequence_grid,
+    sign_grids,
+    start_figure,
+    trace_figure,
+)
+from reports.vision import vision_grid
+from scenarios.errors import BoresightError
+
+_STRONGEST = 30
+_SENSITIVITY = "delpech2015-sensitivity"
+
+
+def _trace(method: str, panel: str) -> Draw:
+    """Draw one panel of the errors of a method along the frames."""
+
+    def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
+        del jobs
+        for run in runs.values():
+            data, labels = run.content.run, run.labels(method)
+            scenario = next(scenario for scenario, name in data.pairs() if name in labels)
+            yield NamedFigure("", *trace_figure(data, scenario, labels, (panel,)))
+
+    return draw
+
+
+def _series(abscissa: str) -> Draw:
+    """Draw the errors after one and two revolutions over a series."""
+
+    def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
+        del jobs
+        for run in runs.values():
+            data = run.content.run
+            series = revolution_series(data)
+            if not series:
+                raise BoresightError(f"{run.folder.path}: it is no series by {abscissa}, or no trial came round once")
+            yield NamedFigure("", *revolution_figure(data, series, abscissa))
+
+    return draw
+
+
+def _starts(method: str) -> Draw:
+    """Draw the errors of a method from every start on the images."""
+
+    def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
+        del jobs
+        for run in runs.values():
+            data, label = run.content.run, run.labels(method)[0]
+            scenario = next(scenario for scenario, name in data.pairs() if name == label)
+            yield NamedFigure("", *start_figure(data, scenario, label))
+
+    return draw
+
+
+def _image(features: int) -> Draw:
+    """Draw the first image, with its strongest features or without."""
+
+    def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
+        del jobs
+        for run in runs.values():
+            campaign = run.campaign()
+            scenario = campaign.scenarios[0]
+            image, uv_px, found = first_image(scenario, campaign.variant, campaign.seed, _STRONGEST)
+            name = scenario.spec.name
+            shown = f"the {len(uv_px)} strongest of {found} features" if features else "the first image"
+            yield NamedFigure(
+                "", draw_sightings(image, uv_px[:features], f"{name}: {shown}"),
+                f"The body as the camera sees it over the terminator, {name}: {shown}.",
+                f"A half-lit textured sphere, {shown}.",
+            )  # fmt: skip
+
+    return draw
+
+
+def _grids(run: FinishedRun) -> list[Grid]:
+    """Return what a run tells beside the published numbers: all statistics, and the ratios between its methods."""
+    content = run.content
+    records = pooled_alone(content.run, content.records)
+    found = [*ratio_grids(records), *sign_grids(records, content.run)]
+    found += design_grids(content.run) if run.manifest["name"] == _SENSITIVITY else []
+    tables = (sequence_grid(records), vision_grid(records))
+    return [replace(grid, title=f"{run.manifest['name']}: {grid.title}") for grid in (*tables, *found) if grid]
+
+
+_ORDER = (
+    "ba-trace", "ba-landmarks", "ba-views", "ekf-trace", "comparison", "images", "images-textures", "sensitivity",
+)  # fmt: skip
+PAPER = Paper(
+    title="Delpech et al. (2015): every figure and every number",
+    campaigns=(*(f"delpech2015-{name}" for name in _ORDER), "trade-slam"),
+    methods=("ba-slam", "ekf-slam"),
+    figures=(
+        PaperFigure("3.1", ("delpech2015-ba-trace",), _trace("ba-slam", POSITION)),
+        PaperFigure("3.2", ("delpech2015-ba-trace",), _trace("ba-slam", LANDMARKS)),
+        PaperFigure("4.1", ("delpech2015-ba-landmarks",), _series("landmarks a frame")),
+        PaperFigure("4.2", ("delpech2015-ba-views",), _series("views")),
+        PaperFigure("5.1", ("delpech2015-ekf-trace",), _trace("ekf-slam", POSITION)),
+        PaperFigure("5.2", ("delpech2015-ekf-trace",), _trace("ekf-slam", LANDMARKS)),
+        PaperFigure("6.1", ("delpech2015-images",), _image(0)),
+        PaperFigure("6.2", ("delpech2015-images",), _image(_STRONGEST)),
+        PaperFigure("7.1", ("delpech2015-images",), _starts("ba-slam")),
+        PaperFigure("7.2", ("delpech2015-images",), _starts("ekf-slam")),
+    ),
+    grids=_grids,
+)

@@ -1,0 +1,179 @@
+"""The newest finished run of each campaign, and what cannot be read of those that are stored."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from campaign.resolved import ResolvedCampaign
+from campaign.runs.newest import start_of
+from campaign.runs.resolve import campaign_names, reload
+from campaign.store import RunFolder
+from reports.content import Content, content_of
+from reports.published import load_published
+from reports.run_data import RunData, read_run
+from scenarios.errors import BoresightError, one_line
+from scenarios.reading import plain_json
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedRun:
+    """A stored run that holds all the trials that it was asked for.
+
+    Parameters
+    ----------
+    folder
+        Where it lies.
+    manifest
+        How it was made.
+    """
+
+    folder: RunFolder
+    manifest: dict[str, Any]
+
+    @cached_property
+    def data(self) -> RunData:
+        """Its tables; raises BoresightError if they are damaged, or those of another version."""
+        return read_run(self.folder.path)
+
+    @cached_property
+    def content(self) -> Content:
+        """What its report says."""
+        return content_of(self.data)
+
+    def labels(self, method: str) -> list[str]:
+        """List the labels under which an estimator ran, by its name."""
+        entries = [entry for each in self.manifest["campaign"]["estimators"] for entry in each.items()]
+        return [str(options.get("label", name)) for name, options in entries if name == method]
+
+    def campaign(self) -> ResolvedCampaign:
+        """Resolve its campaign again, to draw what is not stored.
+
+        Raises
+        ------
+        BoresightError
+            If code or data have changed since, or the data are gone.
+        """
+        campaign = reload(self.manifest)
+        if campaign is None:
+            raise BoresightError(
+                f"{self.folder.path}: was made by another version of boresight or of its data: "
+                f"to draw this, run `boresight run {self.manifest['name']}` again"
+            )
+        return campaign
+
+
+@dataclass(frozen=True, slots=True)
+class Gathered:
+    """What there is of some campaigns.
+
+    Parameters
+    ----------
+    found
+        The newest finished run of each campaign that has one which can be read.
+    refused
+        A line for each run that was passed over because it is damaged or of another format.
+    """
+
+    found: dict[str, FinishedRun]
+    refused: tuple[str, ...]
+
+
+def gather_runs(runs: Sequence[Path], names: Sequence[str], draft: float = 1.0) -> Gathered:
+    """Find the newest finished run of each campaign among some folders; one that cannot be read gives way to an older.
+
+    With a scale of ``draft`` below 1 a draft of that scale serves where there is no run that is meant.
+    """
+    found: dict[str, FinishedRun] = {}
+    refused: list[str] = []
+    for name in names:
+        for scale in dict.fromkeys((1.0, draft)):
+            finished, unread = finished_runs(runs, name, scale)
+            run, damaged = _first_sound(finished)
+            refused += [*unread, *damaged]
+            if run is not None:
+                found[name] = run
+                break
+    return Gathered(found, tuple(dict.fromkeys(refused)))
+
+
+def newest_finished(runs: Sequence[Path], name: str, draft: float = 1.0) -> FinishedRun | None:
+    """Return the finished run of a campaign that was started last among some folders; None without any."""
+    return next(iter(finished_runs(runs, name, draft)[0]), None)
+
+
+def finished_runs(runs: Sequence[Path], name: str, draft: float = 1.0) -> tuple[list[FinishedRun], list[str]]:
+    """List the finished runs of a campaign among some folders, the last that was started first.
+
+    Drafts are runs of fewer trials and smaller data bases: those of a scale are asked for by it.
+
+    Runs with ``--set`` are of another world than the paper's, whatever campaign they began from.
+
+    Returns
+    -------
+    finished, refused
+        The runs, and a line for each that may be one of them and whose manifest or rows cannot be read.
+    """
+    finished, refused = [], []
+    for path in runs:
+        folder = RunFolder(path)
+        try:
+            manifest = folder.read_manifest()
+            if manifest is None or manifest.get("name") != name or manifest.get("overrides"):
+                continue
+            if float(manifest.get("draft", 1.0)) == draft and _is_whole(folder, manifest):
+                finished.append(FinishedRun(folder, manifest))
+        except BoresightError as error:
+            if _may_be_of(path, name):
+                refused.append(_left_out(path, error))
+    newest = sorted(finished, key=lambda run: (start_of(run.folder.path), str(run.manifest["finished"])), reverse=True)
+    return newest, refused
+
+
+def _first_sound(runs: Sequence[FinishedRun]) -> tuple[FinishedRun | None, list[str]]:
+    """Return the first run that can be read and held against what it names, and a line for each before it."""
+    refused = []
+    for run in runs:
+        try:
+            if run.data.manifest.report:
+                load_published(run.data.manifest.report)
+        except BoresightError as error:
+            refused.append(_left_out(run.folder.path, error))
+        else:
+            return run, refused
+    return None, refused
+
+
+def _left_out(path: Path, error: BoresightError) -> str:
+    said = one_line(error)
+    return f"left out: {said}" if str(path) in said else f"left out: {path}: {said}"
+
+
+def _may_be_of(path: Path, name: str) -> bool:
+    """Whether a run that cannot be read may be of a campaign: by its manifest, or else by the name of its folder."""
+    try:
+        told = plain_json(path / "manifest.json")
+    except (OSError, ValueError):
+        told = None
+    own = told.get("name") if isinstance(told, dict) else None
+    if isinstance(own, str):
+        return own == name
+    known = [one for one in campaign_names() if path.name.startswith(f"{one}-")]
+    return name in known or not known
+
+
+def _is_whole(folder: RunFolder, manifest: dict[str, Any]) -> bool:
+    """Tell whether all trials are there: a finished run may have been asked for more afterwards."""
+    if not manifest.get("finished"):
+        return False
+    rows = folder.table("rows")
+    wanted = int(manifest["trials"]) * len(manifest["scenarios"])
+    return len(rows[["scenario", "trial"]].drop_duplicates()) >= wanted
+
+
+def run_folders(runs: Path) -> list[Path]:
+    """List the folders below ``runs`` that hold a manifest, by name."""
+    return sorted(path.parent for path in runs.glob("*/manifest.json"))

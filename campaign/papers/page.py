@@ -1,0 +1,148 @@
+"""The page of a paper, put together from what has been run."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any, cast
+
+from campaign.papers.gather import FinishedRun, Gathered, gather_runs, run_folders
+from campaign.papers.kinds import Paper, PaperFigure
+from campaign.runs.resolve import CATALOG, campaign_names
+from campaign.runs.start import RUNS
+from reports.known import short_line
+from reports.labels import count_of
+from reports.named_figure import NamedFigure
+from reports.paper import PaperLine, PaperPage, paper_lines
+from reports.paper_tables import lines_by_table, table_figure
+from reports.provenance import counted, stamp
+from reports.published import load_published
+from scenarios.errors import BoresightError
+from scenarios.load import load_campaign
+
+
+def paper_called(name: str) -> Paper:
+    """Return the paper of that name, one of `campaign.papers.PAPERS`."""
+    return cast("Paper", import_module(f"campaign.papers.{name}").PAPER)
+
+
+def paper_campaigns(paper: Paper) -> list[str]:
+    """List the campaigns of a paper in the catalogue, in the order of its sections."""
+    known = campaign_names()
+    return [name for name in paper.campaigns if name in known]
+
+
+def gather(paper: Paper, runs: Path, draft: float = 1.0) -> Gathered:
+    """Find the newest finished run of each campaign of the paper, drafts of a scale where nothing else is there."""
+    return gather_runs(run_folders(runs), paper_campaigns(paper), draft)
+
+
+def paper_page(paper: Paper, runs: Path, jobs: int | None = None, draft: float = 1.0) -> PaperPage:
+    """Draw all figures and set all numbers of the paper beside ours, as far as they have been run.
+
+    What is built again for a figure takes ``jobs`` workers; None for one for each core, or GPU.
+    """
+    gathered = gather(paper, runs, draft)
+    found = gathered.found
+    missing = [
+        f"{name}: no finished run without --set under {runs}/; to run it: {_command(name, runs)}"
+        for name in paper_campaigns(paper)
+        if name not in found
+    ]
+    figures: list[NamedFigure] = []
+    for figure in paper.figures:
+        try:
+            figures += drawn(figure, found, jobs)
+        except BoresightError as error:
+            missing.append(f"figure {figure.number}: {error}")
+    reports = _reports(paper)
+    lines = [line for name, report in reports.items() for line in _lines(paper, name, report, found.get(name))]
+    tables, without = _tables(lines, found)
+    comparisons = {name: load_published(report) for name, report in reports.items()}
+    sources = {one.source for one in comparisons.values()}
+    bounds = dict.fromkeys(f"bounds of the verdicts: {one.bounds}" for one in comparisons.values())
+    return PaperPage(
+        title=paper.title,
+        source="; ".join(sorted(sources)),
+        lines=tuple(lines),
+        grids=tuple(grid for run in found.values() for grid in paper.grids(run)),
+        figures=(*figures, *tables),
+        runs=tuple((name, f"{_how(run)}. {short_line(run.data)}") for name, run in found.items()),
+        conditions=(*bounds, *(f"{name}: {one.conditions}" for name, one in comparisons.items())),
+        missing=(*missing, *without),
+        refused=gathered.refused,
+        credits=tuple(sorted({line for run in found.values() for line in run.manifest["credits"]})),
+    )
+
+
+def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | None) -> list[NamedFigure]:
+    """Draw one figure of the paper; the first of its campaigns gives it its number, further ones stand beside it.
+
+    A drawing whose stem begins with an underscore says itself what is put behind the number.
+
+    Raises
+    ------
+    BoresightError
+        If none of its campaigns has been run, or a run can no longer be drawn.
+    """
+    runs = {name: found[name] for name in figure.campaigns if name in found}
+    if not runs:
+        raise BoresightError(f"not drawn without a finished run of {' or '.join(figure.campaigns)}")
+    groups = [runs] if figure.together else [{name: run} for name, run in runs.items()]
+    named: list[NamedFigure] = []
+    for group in groups:
+        for drawing in figure.draw(group, jobs):
+            shown = [run.content.run for run in group.values()]
+            stamp(drawing.figure, shown)
+            beside = f"_{next(iter(group))}" if named else ""
+            suffix = drawing.stem if drawing.stem.startswith("_") else beside
+            named.append(figure.named(counted(drawing, shown), suffix))
+    if not named:
+        raise BoresightError(f"there is nothing to draw in the runs of {', '.join(runs)}")
+    return named
+
+
+def _command(name: str, runs: Path) -> str:
+    """Write the command that leaves a run of a campaign where it is looked for."""
+    return shlex.join(["boresight", "run", name, *([] if runs == RUNS else ["--out", str(runs / name)])])
+
+
+def _tables(lines: Sequence[PaperLine], found: Mapping[str, FinishedRun]) -> tuple[list[NamedFigure], list[str]]:
+    """Draw the tables of the paper of which something has been run, and say of the others what they need."""
+    tables, missing = [], []
+    for number, own in lines_by_table(lines).items():
+        campaigns = dict.fromkeys(line.campaign for line in own)
+        runs = [found[name].content.run for name in campaigns if name in found]
+        if runs:
+            table = table_figure(number, own)
+            stamp(table.figure, runs)
+            tables.append(table)
+        else:
+            missing.append(f"table {number}: not drawn without a finished run of {' or '.join(campaigns)}")
+    return tables, missing
+
+
+def _reports(paper: Paper) -> dict[str, str]:
+    """Return the key of the published values of each campaign that has one."""
+    specs = {name: load_campaign(name, CATALOG).spec for name in paper_campaigns(paper)}
+    return {name: spec.report for name, spec in specs.items() if spec.report}
+
+
+def _lines(paper: Paper, name: str, report: str, run: FinishedRun | None) -> list[PaperLine]:
+    labels = [label for method in paper.methods for label in run.labels(method)] if run else []
+    return list(paper_lines(name, load_published(report), run.content if run else None, labels))
+
+
+def _how(run: FinishedRun) -> str:
+    manifest = run.manifest
+    return (
+        f"{run.folder.path}, {_size(manifest)}, seed {manifest['seed']}, {manifest['finished']},"
+        f" commit {manifest['commit'] or 'unknown'}"
+    )
+
+
+def _size(manifest: Mapping[str, Any]) -> str:
+    draft = float(manifest.get("draft", 1.0))
+    return count_of(manifest["trials"], "trial") + (f" (a draft of scale {draft:g})" if draft < 1.0 else "")

@@ -1,0 +1,286 @@
+"""The ten figures of Rowell et al. (2015), each drawn from the newest finished runs of its campaigns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from campaign.imaging.world import World, open_world, typical_range_m
+from campaign.inspection.case import Case
+from campaign.kinds.single_image.examples import (
+    SecondLook,
+    alignment_of,
+    credit_lines,
+    fit_of,
+    median_trial,
+    second_look,
+)
+from campaign.machine import workers
+from campaign.papers.gather import FinishedRun
+from campaign.papers.kinds import Paper, PaperFigure, Runs
+from campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
+from campaign.products.landmark_database import KIND as DATABASE
+from estimators.landmark.build import BuiltDatabase, DatabaseOptions
+from reports.designs import design_grids
+from reports.figures import (
+    draw_alignment_panels,
+    draw_centroid_offsets,
+    draw_clusters,
+    draw_count_comparison,
+    draw_fit_panels,
+    draw_method_errors,
+    draw_triangulation,
+)
+from reports.grid import Grid
+from reports.labels import count_of
+from reports.named_figure import NamedFigure
+from reports.published import load_published
+from reports.run_data import select
+from reports.run_figures import centroid_offsets, landmark_figures, pose_figure
+from reports.sensitivity import mesh_variants, sensitivity_grid
+from scenarios.errors import BoresightError
+from scenarios.geometry import View
+
+RECOGNISER = "landmark-harris"
+_SENSITIVITY = ("rowell2015-sensitivity", "rowell2015-sensitivity-sun")
+
+_SIGNIFICANT_PHASE_DEG = 40.0
+_FIGURE_5 = {
+    "damping factor fixed at 1, 20 iterations": {
+        "non-linear-fixed": "non-linear only",
+        "closed-form": "closed form only",
+        "both-fixed": "both",
+    },
+    "adaptive damping, to convergence": {
+        "non-linear-quaternion": "non-linear only",
+        "closed-form": "closed form only",
+        "both-quaternion": "both",
+        "non-linear-minimal": "non-linear only, minimal",
+    },
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rebuilt:
+    """The data base of a run's first trial, made again, and a view of its body."""
+
+    world: World
+    built: BuiltDatabase
+    view: View
+    name: str
+
+
+@lru_cache(maxsize=1)
+def _rebuilt(run: FinishedRun, jobs: int | None) -> _Rebuilt:
+    """Make the data base of a run's first trial again; figures 1 and 2 show the same."""
+    campaign = run.campaign()
+    scenario, entry = campaign.scenarios[0], campaign.spec.estimators[0]
+    options = DatabaseOptions.model_validate(dict(entry.options))
+    options = options.model_copy(update={"seed": options.seed + campaign.seed})
+    world = open_world(scenario, campaign.variant)
+    built = built_again(world, options, workers(jobs, campaign.variant), campaign.variant)
+    return _Rebuilt(world, built, broadside_view(world, typical_range_m(scenario)), scenario.spec.name)
+
+
+def _figure_1(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
+    made = _rebuilt(runs["rowell2015-database"], jobs)
+    title = f"Landmarks out of a cloud of {len(made.built.points_m)} candidates, {made.name}"
+    yield NamedFigure(
+        "",
+        draw_clusters(cluster_view(made.world, made.built, made.view), title),
+        f"Extracting landmarks from the initial cloud of points, {made.name}: (a) points of seed clusters, a colour for"
+        " each cluster; (b) points of merged clusters, which are the landmarks; (c) the body. All as seen along its"
+        " shortest axis, points on the near side only.",
+        "Coloured points of seed clusters, those of merged clusters, and an image of the body.",
+    )
+
+
+def _figure_2(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
+    made = _rebuilt(runs["rowell2015-database"], jobs)
+    title = f"Surface through {len(made.built.database)} landmarks, {made.name}"
+    yield NamedFigure(
+        "",
+        draw_triangulation(surface_view(made.built.database, made.view), title),
+        f"Extracting a surface mesh, {made.name}: (a) all edges of the Delaunay triangulation of the landmarks, which"
+        " fill their convex hull; (b) the concave hull; (c) its outward normals, each from the centre of its facet.",
+        "A triangulation of points, the shaded surface mesh, and the mesh with its normals.",
+    )
+
+
+def _figure_3(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
+    del jobs
+    run = runs["rowell2015-simulated"]
+    label = run.labels(RECOGNISER)[0]
+    rows = run.content.run.rows
+    shaded = rows[(rows["phase_deg"] >= _SIGNIFICANT_PHASE_DEG) & (rows["estimator"] == label)]
+    prior = shaded.assign(position_error_m=shaded["prior_position_error_m"])
+    look, what, credits_ = _look(run, label, prior)
+    fit = alignment_of(look)
+    if fit is None:
+        raise BoresightError(f"{run.folder.path}: the trial of figure 3 has no alignment")
+    yield NamedFigure(
+        "",
+        draw_alignment_panels(fit, what, credits_),
+        f"Data base and body fitted by the brightness centroid, {what}: (a) the prior pose, with the 6-sigma search"
+        " ellipses and both centroids; (b) the mesh rendered for the first iteration; (c) after the alignment. The"
+        f" trial of median prior error among those of a phase angle above {_SIGNIFICANT_PHASE_DEG:g} deg.",
+        "The body with the mesh misplaced, the rendered mesh, and the body with the mesh shifted into place.",
+    )
+
+
+def _figure_4(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
+    del jobs
+    run = runs["rowell2015-centroid"]
+    found = centroid_offsets(run.content.run, run.labels("centroid")[0])
+    order = [scenario["name"] for scenario in run.manifest["identity"]["scenarios"]]
+    offsets = {name.removeprefix("itokawa-2km-"): found[name] for name in order if name in found}
+    yield NamedFigure(
+        "",
+        draw_centroid_offsets(offsets, "Offset of the brightness centroid: full model minus landmark mesh in Lambert"),
+        "Deviation of the brightness centroid between an image of the full model, in the reflectance function above"
+        " each panel, and one of the mesh in Lambert's, from the same viewpoint; ellipses: one standard deviation"
+        " of the sample.",
+        "Scatter of centroid offsets in panels of equal axes, one for each reflectance function.",
+    )
+
+
+def _figure_5(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
+    del jobs
+    run = runs["rowell2015-convergence"].content.run
+    scenario = run.pairs()[0][0]
+    have = {label for _, label in run.pairs()}
+    groups: dict[str, dict[str, pd.DataFrame]] = {}
+    for title, labels in _FIGURE_5.items():
+        groups[title] = {name: select(run.rows, scenario, label) for label, name in labels.items() if label in have}
+    n = len(run.rows[["scenario", "trial"]].drop_duplicates())
+    yield NamedFigure(
+        "",
+        draw_method_errors(
+            {title: methods for title, methods in groups.items() if methods},
+            f"Pose solvers on ten landmarks drawn from their covariances, {count_of(n, 'trial')}",
+        ),
+        "Comparison of pose estimation methods on drawn landmarks, normalised to frequency per degree and per metre."
+        " Above, the damping factor of equation (24) is held at 1 for 20 iterations; below, it adapts and the iteration"
+        " runs to its end. The paper does not say which it used. Minimal: six parameters in place of the seven with a"
+        " quaternion.",
+        "Histograms of attitude and position error of the pose solvers, in two rows.",
+    )
+
+
+def _figure_6(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
+    del jobs
+    yield _pose(runs["rowell2015-simulated"])
+
+
+def _figure_7(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
+    del jobs
+    run = runs["rowell2015-simulated"]
+    content, label = run.content, run.labels(RECOGNISER)[0]
+    yield from (
+        figure
+        for figure in landmark_figures(content, _scenario(run, label), label)
+        if figure.stem.startswith("landmark_errors")
+    )
+
+
+def _figure_8(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
+    del jobs
+    for run in runs.values():
+        label = run.labels(RECOGNISER)[0]
+        look, what, credits_ = _look(run, label, run.content.run.rows)
+        fit = fit_of(look)
+        if fit is None:
+            raise BoresightError(f"{run.folder.path}: the trial of figure 8 has no fit")
+        yield NamedFigure(
+            "",
+            draw_fit_panels(fit, what, credits_),
+            f"One test of {run.manifest['name']}, {what}, the trial of median position error: (a) the prior pose, with"
+            " the 6-sigma search ellipses and both brightness centroids; (b) the mesh rendered for the first iteration;"
+            " (c) the converged fit with the corners of the image.",
+            "The image with the mesh misplaced, the rendered mesh, and the image with the mesh in place.",
+        )
+
+
+def _figure_9(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
+    del jobs
+    yield from (_pose(run) for run in runs.values())
+
+
+def _figure_10(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
+    del jobs
+    counts, published, credits_ = dict[str, NDArray[np.float64]](), dict[str, float](), list[str]()
+    for name, run in runs.items():
+        label = run.labels(RECOGNISER)[0]
+        rows = run.content.run.rows
+        solved = rows[(rows["estimator"] == label) & (rows["status"] == "ok")]
+        counts[name] = solved["n_landmarks"].to_numpy(dtype=np.float64)
+        credits_ += run.manifest["credits"]
+        comparison = load_published(run.manifest["report"]) if run.manifest["report"] else None
+        printed = comparison.find("n_landmarks", "recognition", "median") if comparison else None
+        if comparison is not None and comparison.verdicts and printed is not None:
+            published[name] = printed.value
+    yield NamedFigure(
+        "",
+        draw_count_comparison(counts, published, "Recognised landmarks an image", credits_),
+        "Number of landmarks recognised in each image; dotted lines: medians; open triangles on the axis: medians of"
+        " the paper.",
+        "Histograms of the number of recognised landmarks in each image.",
+    )
+
+
+def _pose(run: FinishedRun) -> NamedFigure:
+    label = run.labels(RECOGNISER)[0]
+    return pose_figure(run.content, _scenario(run, label), label)
+
+
+def _scenario(run: FinishedRun, label: str) -> str:
+    """Return the first scenario in which an estimator ran."""
+    return next(scenario for scenario, name in run.content.run.pairs() if name == label)
+
+
+def _look(run: FinishedRun, label: str, rows: pd.DataFrame) -> tuple[SecondLook, str, Sequence[str]]:
+    """Look again at the median trial of some rows; also say what it is, and whom to credit."""
+    campaign, name = run.campaign(), _scenario(run, label)
+    trial = median_trial(rows[(rows["scenario"] == name) & (rows["estimator"] == label)])
+    look = None if trial is None else second_look(campaign, run.folder, Case(name, label, trial))
+    if look is None:
+        raise BoresightError(f"{run.folder.path}: no trial of {label} has an estimate to draw")
+    what = f"{name}, trial {trial} {look.image_name}".strip()
+    return look, what, credit_lines(campaign.scenario(name).spec)
+
+
+def _grids(run: FinishedRun) -> list[Grid]:
+    """Return the tables of a run that varies what the paper leaves open."""
+    if run.manifest["name"] not in _SENSITIVITY:
+        return []
+    content, paper = run.content, load_published("rowell2015-simulated")
+    grids = [*design_grids(content.run), sensitivity_grid(content.records, mesh_variants(content.run), paper)]
+    return [replace(grid, title=f"{run.manifest['name']}: {grid.title}") for grid in grids if grid]
+
+
+_REAL = ("rowell2015-real", "rowell2015-real-like", "navcam67p-real")
+_FIGURES = (
+    PaperFigure("1", ("rowell2015-database",), _figure_1),
+    PaperFigure("2", ("rowell2015-database",), _figure_2),
+    PaperFigure("3", ("rowell2015-simulated",), _figure_3),
+    PaperFigure("4", ("rowell2015-centroid",), _figure_4),
+    PaperFigure("5", ("rowell2015-convergence",), _figure_5),
+    PaperFigure("6", ("rowell2015-simulated",), _figure_6),
+    PaperFigure("7", ("rowell2015-simulated",), _figure_7),
+    PaperFigure("8", _REAL, _figure_8),
+    PaperFigure("9", _REAL, _figure_9),
+    PaperFigure("10", ("rowell2015-simulated", *_REAL), _figure_10, together=True),
+)
+_ORDER = ("database", "centroid", "convergence", "simulated", "real", "real-like")
+PAPER = Paper(
+    title="Rowell et al. (2015): every figure and every number",
+    campaigns=(*(f"rowell2015-{name}" for name in _ORDER), "navcam67p-real", *_SENSITIVITY),
+    methods=(RECOGNISER, "centroid", DATABASE),
+    figures=_FIGURES,
+    grids=_grids,
+)

@@ -1,0 +1,1 @@
+"""Worker processes, and the limits that a method works under."""

@@ -1,0 +1,106 @@
+"""A campaign with everything that decides its rows."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from campaign.imaging.real_images import images_digest
+from renderers.detector import Detector
+from renderers.mitsuba3 import MitsubaRenderer
+from scenarios.beliefs import believed_spec
+from scenarios.bodies import body_digest
+from scenarios.craters import shape_digest
+from scenarios.designs import Variation
+from scenarios.load import LoadedScenario, canonical_json, digest
+from scenarios.spec.campaign import CampaignSpec
+
+DRAFT_VERSION = 3
+"""Of the rule of `campaign.draft`: raise it when the same share leaves something else out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Versions:
+    """Versions of a campaign's kind of trial, and of the methods by their labels: each own, and what it builds on."""
+
+    kind: int
+    methods: Mapping[str, tuple[int, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class ResolvedCampaign:
+    """A campaign with its scenarios read: what the rows depend on, and nothing else.
+
+    ``versions`` are those of the code that works the rows out. ``kernels`` are those of adjustments, '' where rows do
+    not depend on them. ``variations`` tells, by the name of a scenario, where in the campaign's grid it stands.
+    ``overrides`` are those of the command line, which the scenarios hold already. ``draft`` is the share of what is
+    repeated, see `campaign.draft`; 1 for a run that is meant.
+
+    Equality and hash are those of the digest, so a worker can keep what it built for a campaign.
+    """
+
+    spec: CampaignSpec
+    scenarios: tuple[LoadedScenario, ...]
+    seed: int
+    versions: Versions
+    variant: str = ""
+    kernels: str = ""
+    variations: Mapping[str, Variation] = field(default_factory=dict)
+    overrides: tuple[str, ...] = ()
+    draft: float = 1.0
+
+    @cached_property
+    def identity(self) -> dict[str, object]:
+        """Everything that decides a row, in plain values."""
+        methods = self.versions.methods
+        return {
+            "experiment": [self.spec.experiment, self.versions.kind],
+            "seed": self.seed,
+            "scenarios": [
+                {
+                    "name": s.spec.name,
+                    "digest": digest(s.spec),
+                    "body": shape_digest(s.spec, s.search_dirs),
+                    "onboard": body_digest(believed_spec(s.spec).body, s.search_dirs),
+                    "images": images_digest(s),
+                }
+                for s in self.scenarios
+            ],
+            "estimators": [
+                {"label": e.label, "name": e.name, "options": e.options, "version": list(methods[e.label])}
+                for e in self.spec.estimators
+            ],
+            "renderer": [MitsubaRenderer.name, MitsubaRenderer.version, self.variant],
+            "detector": Detector.version,
+            **({"kernels": self.kernels} if self.kernels else {}),
+            **({"databases": self.spec.databases} if self.spec.databases > 1 else {}),
+            **({"draft": [self.draft, DRAFT_VERSION]} if self.draft < 1.0 else {}),
+        }
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of the identity: the key of the run."""
+        return hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the estimators in the order of the campaign."""
+        return tuple(entry.label for entry in self.spec.estimators)
+
+    def as_written(self) -> dict[str, object]:
+        """Return the campaign as a file would say it, so that it can be read again."""
+        written: dict[str, object] = json.loads(canonical_json(self.spec))
+        return {**written, "estimators": [{e.name: {"label": e.label, **e.options}} for e in self.spec.estimators]}
+
+    def scenario(self, name: str) -> LoadedScenario:
+        """Return one scenario by its name."""
+        return next(s for s in self.scenarios if s.spec.name == name)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ResolvedCampaign) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)

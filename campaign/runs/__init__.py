@@ -1,0 +1,1 @@
+"""From the name of a campaign to a finished run."""

@@ -1,0 +1,141 @@
+"""The manifest of a run: what was asked, from which versions, on which machine."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from campaign.imaging.real_images import left_out_notes, open_images
+from campaign.machine import describe, package_versions
+from campaign.products import BuiltProduct, MissingProduct
+from campaign.products.kinds import product_kind
+from campaign.resolved import ResolvedCampaign
+from campaign.runs.newest import KEY, next_start
+from campaign.runs.request import RunRequest
+from campaign.store.columns import FORMAT_VERSION
+from scenarios.load import canonical_json
+
+
+def make_manifest(
+    campaign: ResolvedCampaign,
+    request: RunRequest,
+    products: Sequence[BuiltProduct | MissingProduct],
+    previous: Mapping[str, Any] | None,
+) -> dict[str, object]:
+    """Describe a run before its first trial; what an earlier start of it asked for is not forgotten."""
+    earlier = previous or {}
+    return {
+        "format": FORMAT_VERSION,
+        "digest": campaign.digest,
+        "identity": campaign.identity,
+        "name": campaign.spec.name,
+        "title": campaign.spec.title or campaign.spec.name,
+        "description": campaign.spec.description,
+        "report": campaign.spec.report,
+        "seed": campaign.seed,
+        "trials": max(request.trials, int(earlier.get("trials", 0))),
+        "campaign": campaign.as_written(),
+        "overrides": list(campaign.overrides),
+        "draft": campaign.draft,
+        "files": {s.spec.name: [str(s.path), *map(str, s.search_dirs)] for s in campaign.scenarios},
+        "estimators": list(campaign.labels),
+        "scenarios": {s.spec.name: json.loads(canonical_json(s.spec)) for s in campaign.scenarios},
+        "credits": sorted({s.spec.images.credit for s in campaign.scenarios if s.spec.images and s.spec.images.credit}),
+        "grid": _grid(campaign),
+        "created": earlier.get("created") or now(),
+        KEY: next_start(request.out),
+        "command": request.command,
+        "trial_limit_s": request.limit_s,
+        "commit": commit_here(),
+        "versions": package_versions(),
+        "machine": {**describe(), "variant": campaign.variant, "kernels": campaign.kernels},
+        "left_out": {s.spec.name: dict(open_images(s).left_out) for s in campaign.scenarios if s.spec.images},
+        "notes": [
+            *(note for s in campaign.scenarios for note in left_out_notes(s)),
+            *_draft_notes(campaign),
+            *missing_notes(products),
+        ],
+        "products": [_product(request.out, product) for product in products if isinstance(product, BuiltProduct)],
+    }
+
+
+def updated(manifest: Mapping[str, object], **changes: object) -> dict[str, object]:
+    """Return a manifest with some entries replaced and the time of the change."""
+    return {**manifest, **changes, "updated": now(manifest)}
+
+
+def now(manifest: Mapping[str, object] | None = None) -> str:
+    """Return the time in UTC, to the second; not before what a manifest tells of, should a clock be set back."""
+    before = [str((manifest or {}).get(key) or "") for key in ("created", "finished", "updated")]
+    return max(datetime.now(UTC).isoformat(timespec="seconds"), *before)
+
+
+def missing_notes(products: Sequence[BuiltProduct | MissingProduct]) -> list[str]:
+    """Say of each product that cannot be made who goes without it, and why."""
+    return [
+        f"all trials of {missing.estimator} in {missing.scenario} are errors: {missing.reason}"
+        for missing in products
+        if isinstance(missing, MissingProduct)
+    ]
+
+
+def _draft_notes(campaign: ResolvedCampaign) -> list[str]:
+    if campaign.draft == 1.0:
+        return []
+    return [
+        f"A draft of scale {campaign.draft:g}: fewer trials, data bases of fewer images, shorter arcs of images, and"
+        " fewer sets of images, than are meant."
+    ]
+
+
+def _grid(campaign: ResolvedCampaign) -> dict[str, object] | None:
+    """Describe the campaign's grid: axes with their levels, and where each scenario stands in it."""
+    grid = campaign.spec.grid
+    if grid is None:
+        return None
+    axes = [
+        {"name": name, "label": axis.label or name, "levels": list(axis.overrides), "values": axis.values}
+        for name, axis in grid.axes.items()
+    ]
+    return {
+        "design": grid.design,
+        "axes": axes,
+        "scenarios": [{"name": name, **asdict(own)} for name, own in campaign.variations.items()],
+    }
+
+
+def _product(run: Path, product: BuiltProduct) -> dict[str, object]:
+    folder = run / "products" / product.folder
+    built = json.loads((folder / "built.json").read_text(encoding="utf-8"))
+    return {
+        "kind": product.kind,
+        "scenario": product.scenario,
+        "estimator": product.estimator,
+        "database": product.database,
+        "folder": f"products/{folder.name}",
+        "bytes": sum(file.stat().st_size for file in folder.iterdir() if file.name != "built.json"),
+        **product_kind(product.kind).about(folder),
+        **built,
+    }
+
+
+def commit_here() -> str:
+    """Return the commit of the checkout that runs; empty outside a checkout."""
+    here = Path(__file__).parent
+    try:
+        found = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=12", "--match="],  # noqa: S607  git is where the user has it
+            cwd=here, capture_output=True, text=True, timeout=10, check=False,
+        )  # fmt: skip
+        tracked = subprocess.run(  # noqa: S603
+            ["git", "ls-files", "--error-unmatch", Path(__file__).name],  # noqa: S607
+            cwd=here, capture_output=True, timeout=10, check=False,
+        )  # fmt: skip
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return found.stdout.strip() if found.returncode == 0 and tracked.returncode == 0 else ""

@@ -1,0 +1,197 @@
+"""From a campaign's name to everything that decides its rows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from campaign.resolved import ResolvedCampaign, Versions
+from campaign.trial.kind import kind_named
+from estimators.registry import base_of, needed_sensors
+from estimators.slam.kernels import kernel_variant
+from scenarios.designs import Cell, Variation, cells
+from scenarios.errors import BoresightError
+from scenarios.load import (
+    Entry,
+    LoadedCampaign,
+    LoadedScenario,
+    load_campaign,
+    load_scenario,
+    names_in,
+)
+from scenarios.spec.campaign import CampaignSpec, EstimatorSpec
+from scenarios.spec.scenario import ScenarioSpec
+
+CATALOG = Path(__file__).parents[1] / "catalog"
+
+
+def campaign_names() -> list[str]:
+    """Return the names of the campaigns that come with boresight."""
+    return names_in(CATALOG)
+
+
+def resolve(
+    name_or_path: str, overrides: Sequence[str] = (), seed: int | None = None, variant: str = ""
+) -> ResolvedCampaign:
+    """Read a campaign and its scenarios, with ``--set`` overrides put on every scenario.
+
+    ``variant`` is the Mitsuba variant of a run: images of two variants agree closely, but not bit for bit.
+
+    Raises
+    ------
+    BoresightError
+        If a file, a key or a value is wrong, an estimator is unknown or two scenarios share a name.
+    """
+    loaded = load_campaign(name_or_path, CATALOG)
+    spec = loaded.spec
+    found = [read_source(loaded, source, overrides) for source in sources(spec)]
+    scenarios = tuple(scenario for scenario, _ in found)
+    variations = {scenario.spec.name: variation for scenario, variation in found if variation is not None}
+    names = [s.spec.name for s in scenarios]
+    if len(set(names)) != len(names):
+        raise BoresightError(f"{loaded.path}: scenarios: two of them are called the same: {names}")
+    for scenario in scenarios:
+        if spec.databases > 1 and scenario.spec.images is not None:
+            raise BoresightError(
+                f"{loaded.path}: databases: {scenario.spec.name} has real images, of which each trial shares one with"
+                " others already: leave the key out"
+            )
+    try:
+        kind = kind_named(spec.experiment)
+    except BoresightError as error:
+        raise BoresightError(f"{loaded.path}: {error}") from error
+    versions = _versions(spec)
+    if spec.databases > 1 and not kind.databases:
+        raise BoresightError(
+            f"{loaded.path}: databases: 1 is all that a campaign of {kind.name} has: leave the key out"
+        )
+    for entry in spec.estimators:
+        _check_sensors(entry, scenarios)
+    return ResolvedCampaign(
+        spec,
+        scenarios,
+        spec.seed if seed is None else seed,
+        versions,
+        variant,
+        kernel_variant() if kind.compiled else "",
+        variations,
+        tuple(overrides),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a scenario of a campaign comes from: its file or name, and its cell of the grid, if there is one."""
+
+    file: str
+    cell: Cell | None
+
+
+def sources(campaign: CampaignSpec) -> list[Source]:
+    """List where the scenarios of a campaign come from, each in all variations of its grid, in their order."""
+    every = (None,) if campaign.grid is None else cells(campaign.grid)
+    return [Source(file, cell) for file in campaign.scenarios for cell in every]
+
+
+def read_source(
+    loaded: LoadedCampaign, source: Source, overrides: Sequence[str | Entry]
+) -> tuple[LoadedScenario, Variation | None]:
+    """Read one scenario of a campaign."""
+    cell = source.cell
+    levels = () if cell is None else cell.overrides
+    one = load_scenario(source.file, overrides, base=loaded.overrides, levels=levels, near=loaded.path.parent)
+    if cell is None:
+        return one, None
+    base = one.spec.name
+    own_name = "-".join(filter(None, (base, cell.suffix)))
+    return replace(one, spec=one.spec.model_copy(update={"name": own_name})), Variation(base, cell.levels)
+
+
+def _versions(spec: CampaignSpec) -> Versions:
+    """Collect the versions of methods, and of those that they build on; refuse an unknown one."""
+    kind, found = kind_named(spec.experiment), {}
+    for entry in spec.estimators:
+        names = [entry.name, base_of(entry.name, entry.options)]
+        if kind.name == "crater-matching" and "detector" in entry.options:
+            names.append(str(entry.options["detector"]))
+        found[entry.label] = tuple(kind.method_version(name) for name in names if name is not None)
+    return Versions(kind.version, found)
+
+
+def _check_sensors(entry: EstimatorSpec, scenarios: Sequence[LoadedScenario]) -> None:
+    """Refuse an estimator that needs what a scenario has not aboard."""
+    for scenario in scenarios:
+        for sensor in sorted(needed_sensors(entry.name) - scenario.spec.sensors.aboard):
+            raise BoresightError(
+                f"{scenario.path}: sensors.{sensor}: missing, but the estimator {entry.name} needs it:"
+                f" add the section, or leave the estimator out"
+            )
+
+
+def _in_order(manifest: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """List the scenarios as the campaign names them; a manifest is sorted by name."""
+    return [(entry["name"], manifest["scenarios"][entry["name"]]) for entry in manifest["identity"]["scenarios"]]
+
+
+def reload(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
+    """Resolve a stored run's campaign again from its manifest; None where code or data have changed since.
+
+    Raises
+    ------
+    BoresightError
+        If the data that it needs are gone.
+    """
+    campaign = _read_again(manifest)
+    return campaign if campaign is not None and campaign.digest == manifest["digest"] else None
+
+
+def unlike(manifest: Mapping[str, Any]) -> list[str]:
+    """Name what decides the rows of a stored run and is not as it was; empty where its manifest cannot be read."""
+    campaign = _read_again(manifest)
+    if campaign is None:
+        return []
+    now = json.loads(json.dumps(campaign.identity))
+    return list(_unlike(manifest["identity"], now, ""))
+
+
+def _unlike(then: Any, now: Any, where: str) -> Iterator[str]:
+    """Walk down two plain values to what differs; entries of a list go by their name, where they have one."""
+    if isinstance(then, dict) and isinstance(now, dict):
+        for key in sorted(then.keys() | now.keys()):
+            yield from _unlike(then.get(key), now.get(key), f"{where}.{key}" if where else key)
+    elif isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
+        for index, (old, new) in enumerate(zip(then, now, strict=True)):
+            name = old.get("label", old.get("name", index)) if isinstance(old, dict) else index
+            yield from _unlike(old, new, f"{where}[{name}]")
+    elif then != now:
+        yield where
+
+
+def _read_again(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
+    """Read the campaign of a manifest; None where it is not one that this version writes."""
+    try:
+        spec = CampaignSpec.model_validate_json(json.dumps(manifest["campaign"]))
+        scenarios = tuple(
+            LoadedScenario(
+                ScenarioSpec.model_validate_json(json.dumps(scenario)),
+                Path(manifest["files"][name][0]),
+                tuple(map(Path, manifest["files"][name][1:])),
+            )
+            for name, scenario in _in_order(manifest)
+        )
+        machine, seed = manifest["machine"], int(manifest["seed"])
+        variant = str(machine["variant"])
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError):
+        return None
+    return ResolvedCampaign(
+        spec,
+        scenarios,
+        seed,
+        _versions(spec),
+        variant,
+        machine.get("kernels", ""),
+        draft=float(manifest.get("draft", 1.0)),
+    )

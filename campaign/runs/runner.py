@@ -1,0 +1,151 @@
+"""Runs a campaign: products first, then blocks of trials on joblib workers, each stored as it comes."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any, Protocol
+
+from campaign.imaging.real_images import left_out_notes
+from campaign.pool.workers import in_order
+from campaign.products import BuiltProduct, MissingProduct, Shelf
+from campaign.resolved import ResolvedCampaign
+from campaign.runs import manifest as manifests
+from campaign.runs.costs import remember
+from campaign.runs.losses import Losses
+from campaign.runs.request import RunRequest
+from campaign.runs.worker import renew_after, run_block
+from campaign.store import RunFolder, RunLock
+from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
+from campaign.store.folder import Block, BlockState, blocks
+from campaign.trial.kind import Bench, Records, kind_named
+from scenarios.errors import BoresightError
+
+
+class Listener(Protocol):
+    """Is told how a run goes."""
+
+    def message(self, text: str) -> None:
+        """Hear of a step."""
+        ...
+
+    def started(self, done: int, total: int) -> None:
+        """Hear how many trials are stored already and how many there are in all."""
+        ...
+
+    def block(self, records: Records, trials: int) -> None:
+        """Hear of a block that is now stored."""
+        ...
+
+
+def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: Listener) -> RunFolder:
+    """Run what is not stored yet and return the run folder.
+
+    Raises
+    ------
+    BoresightError
+        If the folder holds another run, is in use, or cannot be written.
+    """
+    folder = RunFolder(request.out)
+    with RunLock(request.out):
+        folder.sweep()
+        previous = _previous(folder, campaign)
+        for note in (note for scenario in campaign.scenarios for note in left_out_notes(scenario)):
+            listener.message(note)
+        products = _build_products(campaign, request, listener)
+        manifest = manifests.make_manifest(campaign, request, products, previous)
+        for note in manifests.missing_notes(products):
+            listener.message(note)
+        folder.write_manifest(manifest)
+        todo, stored = _plan(folder, campaign, request, listener)
+        total = request.trials * len(campaign.scenarios)
+        listener.started(stored, total)
+        images: Counter[str] = Counter()
+        began = time.monotonic()
+        for block, records in _computed(campaign, todo, request, listener):
+            folder.write_block(block, records)
+            images.update(_images(records))
+            listener.block(records, block.last - block.first)
+        if not campaign.overrides:
+            remember(campaign.spec.name, total - stored, time.monotonic() - began, request.jobs)
+        if images:
+            fresh, kept = images[FRESH_IMAGE], images[STORED_IMAGE]
+            listener.message(f"images: {fresh} rendered or read, {kept} from the store")
+        folder.write_manifest(manifests.updated(manifest, finished=manifests.now(manifest)))
+    return folder
+
+
+def _previous(folder: RunFolder, campaign: ResolvedCampaign) -> dict[str, Any] | None:
+    """Return the manifest of an earlier start of the same run, None without one; refuse another run's folder."""
+    manifest = folder.read_manifest()
+    if manifest is None:
+        if any((folder.path / name).exists() for name in folder.table_names()):
+            raise BoresightError(f"{folder.path}: has tables but no manifest: choose another folder with --out")
+        return None
+    if manifest["digest"] != campaign.digest:
+        raise BoresightError(
+            f"{folder.path}: holds another run ({manifest.get('name')}, digest {manifest['digest'][:8]}, not"
+            f" {campaign.digest[:8]}): choose another folder with --out"
+        )
+    return manifest
+
+
+def _build_products(
+    campaign: ResolvedCampaign, request: RunRequest, listener: Listener
+) -> list[BuiltProduct | MissingProduct]:
+    """Build what the trials need, before any of them."""
+    kind = kind_named(campaign.spec.experiment)
+    products: list[BuiltProduct | MissingProduct] = []
+    for scenario in campaign.scenarios:
+        place = request.out / "products"
+        shelf = Shelf(scenario, place, request.jobs, campaign.variant, listener.message, campaign.draft)
+        products += kind.prepare(campaign, scenario, shelf)
+    return products
+
+
+def _images(records: Records) -> Counter[str]:
+    """Count the images of a block by where they came from; all estimators see the same one."""
+    ways = [record for record in records["timings"] if record["stage"] in (FRESH_IMAGE, STORED_IMAGE)]
+    return Counter({record["trial"]: str(record["stage"]) for record in ways}.values())
+
+
+def _plan(
+    folder: RunFolder, campaign: ResolvedCampaign, request: RunRequest, listener: Listener
+) -> tuple[list[Block], int]:
+    """Return the blocks that are not stored whole, and how many trials the others hold; say what is damaged."""
+    size = kind_named(campaign.spec.experiment).block_trials
+    every = list(blocks([s.spec.name for s in campaign.scenarios], request.trials, size))
+    states = [folder.state(block, len(campaign.labels)) for block in every]
+    bad = [block for block, state in zip(every, states, strict=True) if state is BlockState.DAMAGED]
+    if bad:
+        listener.message(
+            f"{len(bad)} of {len(every)} stored blocks are not what was stored (the first: {bad[0].file_name}):"
+            f" {sum(block.last - block.first for block in bad)} trials are run again"
+        )
+    todo = [block for block, state in zip(every, states, strict=True) if state is not BlockState.WHOLE]
+    stored = sum(b.last - b.first for b in every) - sum(b.last - b.first for b in todo)
+    return todo, stored
+
+
+def _computed(
+    campaign: ResolvedCampaign, todo: Sequence[Block], request: RunRequest, listener: Listener
+) -> Iterator[tuple[Block, Records]]:
+    """Yield each block with its records, in order, holding only what is in flight."""
+    if request.cluster is not None:
+        # Imported here: Dask is optional, and slow to import.
+        from campaign.runs.dask.cluster import blocks_in_order
+
+        there = blocks_in_order(request.cluster, campaign, request.out, todo, request.limit_s)
+        yield from zip(todo, there, strict=True)
+        return
+    bench = Bench(request.out, request.jobs, request.keep_images, request.limit_s)
+    results = in_order(
+        request.jobs,
+        run_block,
+        ((campaign, block, bench, {}) for block in todo),
+        apart=request.limit_s is not None,
+        renew_after=renew_after(kind_named(campaign.spec.experiment).block_trials),
+        after_death=Losses(listener.message).after,
+    )
+    yield from zip(todo, results, strict=True)

@@ -1,0 +1,219 @@
+"""Scenarios with keys varied together over a design of samples, run as one campaign with the same draws in all."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from SALib.sample import sobol
+from scipy.stats import qmc
+
+from campaign.resolved import ResolvedCampaign
+from campaign.runs.resolve import CATALOG, read_source, sources
+from reports.compare.metrics import Metric
+from reports.global_sensitivity import Sensitivity, Varied, outcome, problem, rank_shares, same_results, sobol_shares
+from reports.run_data import RunData
+from reports.statistics import Statistic
+from scenarios.errors import BoresightError
+from scenarios.load import Entry, LoadedScenario, load_campaign, parse_override
+from scenarios.spec.scenario import ScenarioSpec
+
+FloatArray = NDArray[np.float64]
+METHODS = ("sobol", "latin-hypercube")
+BASE = "base"
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_OVER = re.compile(rf"(?P<key>[\w.]+)=(?P<low>{_NUMBER}):(?P<high>{_NUMBER})")
+_BOUNDS = ("min", "max")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Design:
+    """Samples of varied keys, and the campaign whose scenarios they make.
+
+    Parameters
+    ----------
+    varied
+        K keys with their bounds.
+    samples
+        (n, K) values.
+    method
+        One of `METHODS`.
+    campaign
+        Its scenarios: the base, each key alone at its bounds, the samples.
+    """
+
+    varied: tuple[Varied, ...]
+    samples: FloatArray
+    method: str
+    campaign: ResolvedCampaign
+
+
+def parse_over(text: str) -> Varied:
+    """Read ``KEY=LOW:HIGH``.
+
+    Raises
+    ------
+    BoresightError
+        If it is written otherwise or the range is empty.
+    """
+    found = _OVER.fullmatch(text.strip())
+    if found is None:
+        raise BoresightError(f"--over {text}: write it as KEY=LOW:HIGH, for example detector.read_noise_e=0:10")
+    low, high = float(found["low"]), float(found["high"])
+    if not low < high:
+        raise BoresightError(f"--over {text}: {low:g} is not below {high:g}")
+    return Varied(found["key"], low, high)
+
+
+def draw_samples(varied: Sequence[Varied], n: int, method: str, seed: int) -> FloatArray:
+    """Draw the samples, (n (K + 2), K) after Saltelli or (n, K) of a Latin hypercube.
+
+    Raises
+    ------
+    BoresightError
+        If Sobol's sequence is not balanced over so many.
+    """
+    if method == "latin-hypercube":
+        unit = qmc.LatinHypercube(len(varied), rng=np.random.default_rng(seed)).random(n)
+        return np.asarray(qmc.scale(unit, [v.low for v in varied], [v.high for v in varied]), dtype=np.float64)
+    if n & (n - 1):
+        raise BoresightError(f"--samples {n}: Sobol's sequence wants a power of two: give 8, 16, 32, ...")
+    return np.asarray(sobol.sample(problem(varied), n, calc_second_order=False, seed=seed), dtype=np.float64)
+
+
+def make_design(
+    name: str, resolved: ResolvedCampaign, chosen: str | None, varied: Sequence[Varied], n: int, method: str
+) -> Design:
+    """Make the scenarios of a design from one scenario of a campaign: the ``chosen`` one, or the only one.
+
+    Raises
+    ------
+    BoresightError
+        If it is unknown or not chosen, a key is unknown or named twice, or a value not allowed.
+    """
+    number = _chosen(name, resolved, chosen)
+    keys = [one.key for one in varied]
+    if len(set(keys)) < len(keys):
+        raise BoresightError(f"--over {next(key for key in keys if keys.count(key) > 1)}: named twice")
+    base = resolved.scenarios[number]
+    samples = draw_samples(varied, n, method, resolved.seed)
+    for column, one in zip(samples.T, varied, strict=True):
+        if isinstance(_base_value(base.spec, one), int):
+            column[:] = np.round(column)
+    loaded = load_campaign(name, CATALOG)
+    source = sources(loaded.spec)[number]
+
+    def scenario(cell: str, values: Mapping[str, float]) -> LoadedScenario:
+        changes = [_override(base.spec, one, values[one.key]) for one in varied if one.key in values]
+        found, _ = read_source(loaded, source, [*resolved.overrides, *changes])
+        return replace(found, spec=found.spec.model_copy(update={"name": cell}))
+
+    scenarios = [scenario(BASE, {})]
+    for i, one in enumerate(varied):
+        scenarios += [
+            scenario(f"{_alone(i)}-{end}", {one.key: value}) for end, value in (("low", one.low), ("high", one.high))
+        ]
+    scenarios += [scenario(_sample(i), dict(zip(keys, row.tolist(), strict=True))) for i, row in enumerate(samples)]
+    spec = resolved.spec.model_copy(update={"scenarios": (source.file,), "grid": None})
+    campaign = replace(resolved, spec=spec, scenarios=tuple(scenarios), variations={})
+    return Design(tuple(varied), samples, method, campaign)
+
+
+def _chosen(name: str, resolved: ResolvedCampaign, chosen: str | None) -> int:
+    """Return the number of the scenario to vary."""
+    names = [one.spec.name for one in resolved.scenarios]
+    if chosen in names:
+        return names.index(chosen)
+    if chosen is None and len(names) == 1:
+        return 0
+    if chosen is None:
+        raise BoresightError(f"{name}: has {len(names)} scenarios: vary one, by --scenario: {', '.join(names)}")
+    raise BoresightError(f"--scenario {chosen}: {name} has no such scenario; choose one of {', '.join(names)}")
+
+
+def _alone(index: int) -> str:
+    return f"key-{index + 1}"
+
+
+def _sample(index: int) -> str:
+    return f"sample-{index + 1:05d}"
+
+
+def _value_at(spec: ScenarioSpec, key: str) -> object:
+    value: object = spec.model_dump(mode="python")
+    for part in key.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
+
+
+def _base_value(spec: ScenarioSpec, one: Varied) -> object:
+    value = _value_at(spec, one.key)
+    return None if isinstance(value, bool) else value
+
+
+def _override(spec: ScenarioSpec, one: Varied, value: float) -> Entry:
+    """Set a key to a value, under the name of what the user typed."""
+    return parse_override(_setting(spec, one, value), f"--over {one.key}={one.low:g}:{one.high:g}")
+
+
+def _setting(spec: ScenarioSpec, one: Varied, value: float) -> str:
+    """Write a value as ``--set`` does; ``KEY.max`` and ``KEY.min`` are bounds of a uniform distribution.
+
+    A distribution that is symmetric about zero stays so.
+    """
+    key, _, last = one.key.rpartition(".")
+    law = _value_at(spec, key) if last in _BOUNDS else None
+    if isinstance(law, Mapping) and "uniform" in law:
+        low, high = law["uniform"]
+        if low == -high:
+            low, high = -abs(value), abs(value)
+        else:
+            low, high = (value, high) if last == "min" else (low, value)
+        return f"{key}={{uniform: [{low!r}, {high!r}]}}"
+    number = int(value) if isinstance(_base_value(spec, one), int) else value
+    return f"{one.key}={number!r}"
+
+
+def analyse(
+    run: RunData, design: Design, metric: Metric, statistic: Statistic, labels: Sequence[str]
+) -> list[Sensitivity]:
+    """Work out what the varied keys do to every estimator.
+
+    Raises
+    ------
+    BoresightError
+        If an estimator has failed in too many trials of a sample and there is no prior to count them with.
+    """
+    found = []
+    for label in labels:
+
+        def of(cell: str, label: str = label) -> float:
+            value = outcome(run, metric, statistic, cell, label)
+            if not np.isfinite(value):
+                raise BoresightError(
+                    f"{run.folder}: {label} has no {statistic.name} of {metric.name} in {cell}, as it failed in too"
+                    " many trials: narrow the ranges of --over, or give more --trials"
+                )
+            return value
+
+        outcomes = np.array([of(_sample(i)) for i in range(len(design.samples))])
+        ends = {one.key: tuple(f"{_alone(i)}-{end}" for end in ("low", "high")) for i, one in enumerate(design.varied)}
+        shares = (
+            sobol_shares(design.varied, outcomes, run.manifest.seed)
+            if design.method == "sobol"
+            else rank_shares(design.samples, outcomes)
+        )
+        found.append(
+            Sensitivity(
+                label,
+                of(BASE),
+                outcomes,
+                {key: (of(low), of(high)) for key, (low, high) in ends.items()},
+                shares,
+                tuple(key for key, cells in ends.items() if all(same_results(run, BASE, c, label) for c in cells)),
+            )
+        )
+    return found

@@ -1,0 +1,199 @@
+"""Run until an interval is narrow enough.
+
+The rows of a trial do not depend on how many others there are, and a run is looked at after fixed numbers of trials,
+each time at the first so many: where it stops depends neither on jobs nor on interruptions nor on what is stored.
+
+To stop by the width of an interval, and not by a difference or a test, leaves estimates unbiased to first order, and
+their coverage tends to the nominal one as the wanted width goes to zero (Y. S. Chow and H. Robbins, On the asymptotic
+theory of fixed-width sequential confidence intervals for the mean, Annals of Mathematical Statistics 36, 1965). It is
+smaller for wide ones, because a run also stops where chance makes an interval narrow. So it goes on to one look more:
+intervals of medians of a lognormal error held 89.4 and 92.2 % at the first narrow look, after 280 and 74 trials, and
+92.2 and 93.2 % at the next; those of a mean 93.8 % at either (500 runs each, standard error 1.2 %;
+tests/campaign/test_until.py).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from campaign.resolved import ResolvedCampaign
+from campaign.runs import manifest as manifests
+from campaign.runs.request import RunRequest
+from campaign.runs.runner import Listener, run_campaign
+from campaign.store import RunFolder
+from campaign.trial.kind import Records, kind_named
+from reports.clusters import clusters_of
+from reports.compare.metrics import Metric, metric_values, names_before_a_run
+from reports.records import CONTROL
+from reports.run_data import RunData, read_run
+from reports.statistics import MEAN, MEDIAN, P75, P95, P99, RMS, Statistic, measure
+from scenarios.errors import BoresightError
+
+STATISTICS: Mapping[str, Statistic] = MappingProxyType(
+    {"median": MEDIAN, "mean": MEAN, "rms": RMS, "p75": P75, "p95": P95, "p99": P99}
+)
+CONTROLS = frozenset({CONTROL, "dead-reckoning"})
+_FIRST_LOOK = 30
+_GROWTH = 1.25
+_WRITTEN = re.compile(
+    r"\s*ci\(\s*(?P<metric>\w+)\s*,\s*(?P<statistic>\w+)\s*\)"
+    r"\s*<\s*(?P<width>\d*\.?\d+(?:e[+-]?\d+)?)\s*(?P<percent>%?)\s*",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Until:
+    """A wanted width.
+
+    Parameters
+    ----------
+    written
+        As the user wrote it.
+    metric, statistic
+        Whose 95 % interval.
+    width
+        From its lower to its upper end, in the metric's unit, or as a share of the statistic.
+    relative
+        Whether it is such a share.
+    """
+
+    written: str
+    metric: Metric
+    statistic: Statistic
+    width: float
+    relative: bool
+
+    def describe(self, width: float) -> str:
+        """Print a width."""
+        return f"{100.0 * width:.3g} %" if self.relative else f"{width:.3g} {self.metric.unit}".strip()
+
+
+def parse_until(text: str, experiment: str) -> Until:
+    """Read ``ci(METRIC, STATISTIC) < WIDTH`` or ``... < SHARE %``; nothing is evaluated.
+
+    Raises
+    ------
+    BoresightError
+        If it is written otherwise, or names a metric that such an experiment has not or an unknown statistic.
+    """
+    found = _WRITTEN.fullmatch(text)
+    if found is None:
+        raise BoresightError(f'--until {text!r}: write it as "ci(position_error_m, median) < 0.5", or "... < 5 %"')
+    metric, statistic, width = found["metric"], found["statistic"].lower(), float(found["width"])
+    metrics = names_before_a_run(experiment)
+    if metric not in metrics:
+        raise BoresightError(f"--until: {metric} is no metric of this campaign: choose one of {', '.join(metrics)}")
+    if statistic not in STATISTICS:
+        raise BoresightError(f"--until: {statistic} is no statistic: choose one of {', '.join(STATISTICS)}")
+    if width <= 0.0:
+        raise BoresightError(f"--until: a width of {width:g} is never reached: give one above 0")
+    relative = bool(found["percent"])
+    return Until(text.strip(), Metric(metric), STATISTICS[statistic], width / 100.0 if relative else width, relative)
+
+
+def looks(most: int, block: int) -> list[int]:
+    """List the numbers of trials after which to look: whole blocks, a quarter more each time, the cap last."""
+    found: list[int] = []
+    wanted = float(_FIRST_LOOK)
+    while True:
+        trials = int(np.ceil(wanted / block)) * block
+        if trials >= most:
+            return [*found, most]
+        found.append(trials)
+        wanted = max(wanted * _GROWTH, trials + 1.0)
+
+
+def widest(run: RunData, until: Until, trials: int, labels: Sequence[str]) -> tuple[float, str]:
+    """Measure the widest interval over scenarios and estimators of the first ``trials``, and say whose it is.
+
+    It is infinite where an estimator has solved less than two independent trials.
+    """
+    values = metric_values(run, until.metric)
+    worst, whose = -np.inf, ""
+    for scenario, label in run.pairs():
+        if label not in labels:
+            continue
+        own = (run.rows["scenario"] == scenario) & (run.rows["estimator"] == label) & (run.rows["trial"] < trials)
+        known = own & values.notna()
+        numbers = values[known].to_numpy(dtype=np.float64)
+        found = measure(numbers, clusters_of(run, run.rows[known]), (until.statistic,))[0]
+        width = np.inf
+        if found.value is not None and found.low is not None and found.high is not None:
+            width = (found.high - found.low) / (found.value if until.relative and found.value else 1.0)
+        if width > worst:
+            worst, whose = float(width), f"{label}, {scenario}"
+    return worst, whose
+
+
+def run_until(campaign: ResolvedCampaign, request: RunRequest, until: Until, listener: Listener) -> RunFolder:
+    """Run a campaign until every estimator's interval in every scenario is as narrow as wanted, and one look further.
+
+    It runs at most the request. Controls, which estimate nothing, do not count. The manifest tells after how many
+    trials it stopped, and why.
+    """
+    labels = [entry.label for entry in campaign.spec.estimators if entry.name not in CONTROLS]
+    if not labels:
+        raise BoresightError("--until: the campaign has no estimator but controls, which it does not wait for")
+    points = looks(request.trials, kind_named(campaign.spec.experiment).block_trials)
+    heard = _Once(listener, request.trials * len(campaign.scenarios))
+    met = False
+    for trials in points:
+        folder = run_campaign(campaign, replace(request, trials=trials), heard)
+        width, whose = widest(read_run(folder.path), until, trials, labels)
+        said = f"{trials} trials: the widest 95 % interval is {until.describe(width)} ({whose})"
+        listener.message(f"{said}, wanted {until.describe(until.width)}")
+        if met:
+            break
+        met = width < until.width
+    _note(folder, until, points[: points.index(trials) + 1], met)
+    if not met:
+        listener.message(f"stopped by --trials {request.trials}: {until.written} is not reached")
+    return folder
+
+
+def _note(folder: RunFolder, until: Until, points: Sequence[int], met: bool) -> None:
+    """Tell readers of the run how many trials there are, and why."""
+    manifest = folder.read_manifest() or {}
+    after = ", ".join(map(str, points))
+    why = (
+        f"The number of trials was not fixed beforehand: the run was looked at after {after} trials and"
+        + (
+            " stopped one look further than the first, if that was allowed,"
+            if met
+            else " reached the most that was allowed before the look"
+        )
+        + f" at which {until.written} held for every estimator and scenario. Stopping by the width of an interval,"
+        " not by a difference, does not favour any estimator; such intervals of 95 % hold 92 to 94 % in simulations."
+    )
+    notes = [*manifest.get("notes", []), why]
+    folder.write_manifest(manifests.updated(manifest, notes=notes))
+
+
+class _Once:
+    """Passes on what happens in several parts of one run as if it were one."""
+
+    def __init__(self, listener: Listener, total: int) -> None:
+        self._listener = listener
+        self._total = total
+        self._started = False
+
+    def message(self, text: str) -> None:
+        """Pass a step on."""
+        self._listener.message(text)
+
+    def started(self, done: int, total: int) -> None:
+        """Pass the first start on, with the number of trials that there may be in all."""
+        del total
+        if not self._started:
+            self._listener.started(done, self._total)
+        self._started = True
+
+    def block(self, records: Records, trials: int) -> None:
+        """Pass a stored block on."""
+        self._listener.block(records, trials)

@@ -1,0 +1,103 @@
+"""Where detections of craters meet the truth: matches, duplicates, false alarms, and errors of ellipses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from campaign.trial.checks import check_array, check_type
+from estimators.craters.contract import CraterDetections
+from scenarios.geometry import Ellipses
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+CENTRE_RADII, CENTRE_PX = 0.3, 1.5
+"""A match's centre lies within the larger of these."""
+
+LOG_RADIUS = 0.36
+"""A match's radius differs by less than this in its logarithm."""
+
+_MOST_PX = 1e6
+
+NONE = -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectionMatches:
+    """What each of m detections is.
+
+    Parameters
+    ----------
+    crater
+        (m,) row of the true crater that it stands for; -1 for a false alarm.
+    duplicate
+        (m,) false alarms that fit a crater which a more confident detection stands for.
+    """
+
+    crater: IndexArray
+    duplicate: BoolArray
+
+
+def match_detections(found: Ellipses, true: Ellipses) -> DetectionMatches:
+    """Match detections, the most confident first, with all craters of an image, one to one.
+
+    A detection takes the nearest crater that is left of those that it fits: the centres within max(0.3 r, 1.5 px), r
+    the crater's radius, and the logarithm of the ratio of the radii within 0.36 of 0. As the more confident choose
+    first, what a detection is does not depend on where a threshold is put below it.
+    """
+    crater = np.full(len(found), NONE, dtype=np.int64)
+    duplicate = np.zeros(len(found), dtype=bool)
+    if len(true) == 0:
+        return DetectionMatches(crater, duplicate)
+    apart = np.linalg.norm(found.centre_px[:, None] - true.centre_px, axis=2)
+    limit = np.maximum(CENTRE_RADII * true.radius_px, CENTRE_PX)
+    ratio = np.abs(np.log(found.radius_px[:, None] / true.radius_px))
+    cost = np.where((apart <= limit) & (ratio < LOG_RADIUS), (apart / limit) ** 2 + (ratio / LOG_RADIUS) ** 2, np.inf)
+    for row in range(len(found)):
+        nearest = int(np.argmin(cost[row]))
+        if np.isfinite(cost[row, nearest]):
+            crater[row] = nearest
+            # Those that come later fit it as well, but only as duplicates.
+            duplicate[row + 1 :] |= np.isfinite(cost[row + 1 :, nearest])
+            cost[row + 1 :, nearest] = np.inf
+    return DetectionMatches(crater, duplicate & (crater == NONE))
+
+
+def ellipse_errors(found: Ellipses, true: Ellipses) -> dict[str, FloatArray]:
+    """Errors (k,), px, of k ellipses against k true ones: centre, its coordinates, and the two semi-axes."""
+    offset = found.centre_px - true.centre_px
+    axes = found.semi_axes_px - true.semi_axes_px
+    return {
+        "centre_error_px": np.linalg.norm(offset, axis=1),
+        "centre_error_u_px": offset[:, 0],
+        "centre_error_v_px": offset[:, 1],
+        "major_error_px": axes[:, 0],
+        "minor_error_px": axes[:, 1],
+    }
+
+
+def check_detections(found: CraterDetections) -> None:
+    """Refuse detections that do not keep the contract.
+
+    Raises
+    ------
+    ValueError
+        If it is none, lengths differ, a number is not finite or of an impossible size, axes are not positive with the
+        longer first, or the confidence ascends.
+    """
+    check_type(found, CraterDetections)
+    check_type(found.ellipses, Ellipses)
+    ellipses, confidence = found.ellipses, np.asarray(found.confidence)
+    n = len(ellipses)
+    check_array("the centres of detections", ellipses.centre_px, (n, 2), _MOST_PX)
+    check_array("the axes of detections", ellipses.semi_axes_px, (n, 2), _MOST_PX)
+    check_array("the angles of detections", ellipses.angle_rad, (n,))
+    check_array("the confidence of detections", confidence, (n,))
+    if np.any(ellipses.semi_axes_px[:, 1] <= 0.0) or np.any(np.diff(ellipses.semi_axes_px, axis=1) > 0.0):
+        raise ValueError("semi-axes of detections must be positive, the longer one first")
+    if np.any(np.diff(confidence) > 0.0):
+        raise ValueError("detections must come in the order of their confidence, the most confident first")

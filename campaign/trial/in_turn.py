@@ -1,0 +1,58 @@
+"""Trials that have several data bases, or worlds of craters, in turn: trial t has number t modulo their count."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Generic, Protocol, Self, TypeVar
+
+from campaign.trial.kind import Records, Trials, Witness, add_records
+
+
+class Part(Protocol):
+    """The trials with one data base."""
+
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one method, shown to a witness."""
+        ...
+
+    def trial(self, trial: int) -> Records:
+        """Run one trial: the records of each stored table."""
+        ...
+
+    def flush(self) -> None:
+        """Keep what was rendered."""
+        ...
+
+
+PartT = TypeVar("PartT", bound=Part)
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InTurn(Generic[PartT]):
+    """Trials of one scenario with each of its data bases; most have one."""
+
+    parts: tuple[PartT, ...]
+
+    def of(self, trial: int) -> PartT:
+        """Return those with the data base of a trial."""
+        return self.parts[trial % len(self.parts)]
+
+    def watched(self, label: str, witness: Witness) -> InTurn[PartT]:
+        """Return the same trials of one method, shown to a witness."""
+        return InTurn(tuple(part.watched(label, witness) for part in self.parts))
+
+    def run(self, trials: range) -> Records:
+        """Run trials, in their order."""
+        records: Records = {}
+        for trial in trials:
+            add_records(records, self.of(trial).trial(trial))
+        for part in self.parts:
+            part.flush()
+        return records
+
+
+def part_of(trials: Trials, kind: type[T], trial: int) -> T | None:
+    """Return the trials that one trial is of; None where they are of another class."""
+    own = trials.of(trial) if isinstance(trials, InTurn) else trials
+    return own if isinstance(own, kind) else None

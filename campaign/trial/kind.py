@@ -1,0 +1,135 @@
+"""A kind of trial: what a run needs of it, and where it is found by its name."""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, Self, cast
+
+from scenarios.errors import BoresightError
+
+if TYPE_CHECKING:
+    from campaign.products import BuiltProduct, MissingProduct, Shelf
+    from campaign.resolved import ResolvedCampaign
+    from scenarios.load import LoadedScenario
+
+Record = dict[str, object]
+Records = dict[str, list[Record]]
+Witness = Callable[[object], None]
+"""Is shown what came about in a trial of one method: truth, what the method saw, and what it returned."""
+
+_KINDS = "campaign.kinds"
+
+
+def add_records(records: Records, found: Records, key: Record | None = None) -> None:
+    """Add what a trial found to the records of each table, each with the columns of ``key`` before its own."""
+    for table, added in found.items():
+        records.setdefault(table, []).extend({**(key or {}), **record} for record in added)
+
+
+def each_trial(trials: Iterable[int], scenario: str, one: Callable[[int], Mapping[str, Records]]) -> Records:
+    """Run trials one after another: the records of each table, with their keys.
+
+    Parameters
+    ----------
+    trials
+        Their numbers.
+    scenario
+        Name of the scenario.
+    one
+        Runs a trial: label of a method to its records, without their key.
+    """
+    records: Records = {}
+    for trial in trials:
+        for label, found in one(trial).items():
+            add_records(records, found, {"trial": trial, "scenario": scenario, "estimator": label})
+    return records
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """Where and how a worker works; nothing here may change a row, but that a method over ``limit_s`` is stopped.
+
+    ``limit_s`` is the time that a method may take for a trial, None for as long as it likes.
+    """
+
+    run: Path
+    jobs: int
+    keep_images: bool
+    limit_s: float | None = None
+
+
+class Trials(Protocol):
+    """The trials of one scenario in a worker: the only code that sees truth and estimate together."""
+
+    def watched(self, label: str, witness: Witness) -> Self:
+        """Return the same trials of one method alone, all of whose stages ``witness`` is shown.
+
+        Its records are those of a run bit for bit. A kind that has nothing to show never calls the witness.
+        """
+        ...
+
+    def run(self, trials: range) -> Records:
+        """Run trials: the records of each stored table, in the order of trials and methods."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kind:
+    """A kind of trial.
+
+    Parameters
+    ----------
+    name
+        As campaigns give it under ``experiment``.
+    version
+        Part of every run's digest: raise it when rows change for another reason than the parts they are made of.
+    block_trials
+        How many trials are computed, stored and resumed together.
+    method_version
+        Returns the version of a method (an estimator) by its name; raises BoresightError if it is unknown.
+    prepare
+        Builds what the trials need, before any of them; a product that cannot be made leaves its method without trials.
+    open
+        Makes the trials of a scenario ready in a worker.
+    databases
+        Whether trials may have several data bases, or worlds of craters, in turn.
+    compiled
+        Whether rows are worked out by the kernels of `estimators.slam.kernels`, of which there are two sorts.
+    """
+
+    name: str
+    version: int
+    block_trials: int
+    method_version: Callable[[str], int]
+    prepare: Callable[[ResolvedCampaign, LoadedScenario, Shelf], Sequence[BuiltProduct | MissingProduct]]
+    open: Callable[[ResolvedCampaign, LoadedScenario, Bench], Trials]
+    databases: bool = False
+    compiled: bool = False
+
+
+def kind_names() -> list[str]:
+    """List the kinds of trial: one for each folder of `campaign.kinds`."""
+    folders = pkgutil.iter_modules(import_module(_KINDS).__path__)
+    return sorted(folder.name.replace("_", "-") for folder in folders if folder.ispkg)
+
+
+def kind_named(name: str) -> Kind:
+    """Look up a kind of trial.
+
+    Raises
+    ------
+    BoresightError
+        If there is none of that name.
+    """
+    if name not in kind_names():
+        raise BoresightError(f"experiment: {name!r} is no kind of trial: choose one of {', '.join(kind_names())}")
+    return cast("Kind", import_module(module_of(name)).KIND)
+
+
+def module_of(name: str) -> str:
+    """Return the package of a kind of trial."""
+    return f"{_KINDS}.{name.replace('-', '_')}"

@@ -1,0 +1,130 @@
+"""Methods as a campaign builds them: wrong options are refused first, what cannot be built costs its own rows alone."""
+
+from __future__ import annotations
+
+import json
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NoReturn, TypeVar
+
+from campaign.products import MissingProduct
+from campaign.resolved import ResolvedCampaign
+from estimators.contract import ImageRenderer, NoProductError
+from estimators.registry import estimator_class
+from scenarios.errors import BoresightError, MachineError, text_of
+from scenarios.geometry import Camera, TriangleMesh
+from scenarios.load import LoadedScenario
+from scenarios.spec.campaign import EstimatorSpec
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Unbuilt:
+    """Why a method cannot be built in a scenario, and the trace of that."""
+
+    reason: str
+    trace: str
+
+
+def methods(
+    campaign: ResolvedCampaign, scenario: LoadedScenario, make: Callable[[EstimatorSpec], T]
+) -> dict[str, T | Unbuilt]:
+    """Build the methods of a campaign by their labels, where they are lent nothing; wrong options are refused."""
+    return {
+        entry.label: built(entry, scenario.spec.name, partial(make, entry), BoresightError)
+        for entry in campaign.spec.estimators
+    }
+
+
+def built(
+    entry: EstimatorSpec, scenario: str, make: Callable[[], T], refused: type[BoresightError] = MachineError
+) -> T | Unbuilt:
+    """Build a method for a scenario, or say why it cannot be.
+
+    Raises
+    ------
+    BoresightError
+        If ``make`` raises one of the kind ``refused``, which ends the run.
+    """
+    try:
+        return make()
+    except (KeyboardInterrupt, refused):
+        raise
+    except NoProductError as error:
+        return Unbuilt(str(error), _trace(error))
+    except BaseException as error:  # noqa: BLE001  whatever a method raises is its own fault
+        options = f"its options are {json.dumps(entry.options)}" if entry.options else "its options are the defaults"
+        reason = f"{entry.label} cannot be built for {scenario}: {text_of(error)}; {options}"
+        return Unbuilt(reason, _trace(error))
+
+
+def able(method: T | Unbuilt) -> T:
+    """Return a method.
+
+    Raises
+    ------
+    NoProductError
+        If there is none, with the trace of why. It is another one each time: the traceback of one that is raised again
+        grows with each trial.
+    """
+    if not isinstance(method, Unbuilt):
+        return method
+    error = NoProductError(method.reason)
+    error.add_note(method.trace)
+    raise error
+
+
+def missing(scenario: LoadedScenario, found: Mapping[str, object]) -> list[MissingProduct]:
+    """List the methods, by their labels, that could not be built."""
+    name = scenario.spec.name
+    return [MissingProduct(name, label, one.reason) for label, one in found.items() if isinstance(one, Unbuilt)]
+
+
+def check_options(entries: Sequence[EstimatorSpec], camera: Camera) -> None:
+    """Refuse wrong options of estimators, before anything is built that one of them asks for.
+
+    An estimator reads its options before it asks for a shape, a renderer or a product. What it raises later, or what is
+    no `BoresightError`, is told when it is built.
+    """
+    for entry in entries:
+        nothing = _NothingYet(camera)
+        try:
+            estimator_class(entry.name).from_options(entry.options, nothing)
+        except KeyboardInterrupt:
+            raise
+        except BoresightError as error:
+            if not (nothing.asked or isinstance(error, NoProductError)):
+                raise
+        except BaseException:  # noqa: BLE001, S112  it comes again when the estimator is built
+            continue
+
+
+class _NothingYet:
+    """Assets of which only the camera can be lent yet; ``asked`` tells whether another was asked for."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+        self.asked = False
+
+    def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
+        """Lend nothing."""
+        self._refuse()
+
+    def shape(self) -> TriangleMesh:
+        """Lend nothing."""
+        self._refuse()
+
+    def product(self, kind: str, options: Mapping[str, object]) -> object:
+        """Lend nothing."""
+        self._refuse()
+
+    def _refuse(self) -> NoReturn:
+        self.asked = True
+        raise NoProductError("options are checked before anything is built")
+
+
+def _trace(error: BaseException) -> str:
+    return "".join(traceback.format_exception(error))
