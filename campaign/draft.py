@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
-from reports.clusters import all_but_body
+from reports.run.clusters import all_but_body
 from scenarios.load import LoadedScenario, canonical_json
 from scenarios.spec.base import SpecModel
 

@@ -10,16 +10,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from reports.build import write_report
-    from reports.content import summary
-    from reports.run_data import read_run
+    from reports.pages.build import write_report
+    from reports.pages.content import summary
+    from reports.run.data import read_run
 
 __all__ = ["read_run", "summary", "write_report"]
 
 _HOMES = {
-    "read_run": "reports.run_data",
-    "summary": "reports.content",
-    "write_report": "reports.build",
+    "read_run": "reports.run.data",
+    "summary": "reports.pages.content",
+    "write_report": "reports.pages.build",
 }
 
 

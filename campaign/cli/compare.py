@@ -40,7 +40,7 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
 def _compare(arguments: argparse.Namespace) -> int:
     # Imported here: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
     from reports.compare import compare_runs, write_comparison
-    from reports.console import rich_parts
+    from reports.pages.console import rich_parts
 
     factors = list(dict.fromkeys(filter(None, (part.strip() for part in arguments.by.split(",")))))
     if not factors:

@@ -56,7 +56,7 @@ def _tables(arguments: argparse.Namespace) -> list[Path]:
     # Imported here: pandas and the reports take a third of the start-up, and most commands need none of them.
     from campaign.export.tables import write_latex, write_tables
     from campaign.inspection.case import Choice, checked_trials, chosen_rows
-    from reports.run_data import read_run
+    from reports.run.data import read_run
 
     folder = find_run(arguments.run)
     if arguments.to == "latex":
@@ -78,7 +78,7 @@ def _poses(arguments: argparse.Namespace) -> list[Path]:
     from campaign.export.tum import write_trajectory
     from campaign.inspection.case import Choice, cases_of, checked_trials, chosen_rows
     from campaign.inspection.recompute import reopened
-    from reports.run_data import read_run
+    from reports.run.data import read_run
 
     folder = find_run(arguments.run)
     choice = Choice(arguments.scenario, arguments.estimator)

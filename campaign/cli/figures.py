@@ -23,7 +23,7 @@ from scenarios.errors import BoresightError
 if TYPE_CHECKING:
     from argparse import _SubParsersAction
 
-    from reports.paper import PaperLine
+    from reports.papers.page import PaperLine
 
 
 ALL = "all"
@@ -117,7 +117,7 @@ class _Written:
 def _written(name: str, folder: Path, runs: Path, jobs: int | None, scale: float, among: int) -> _Written:
     """Write the page of a paper, beside the pages of others."""
     from campaign.papers.page import paper_called, paper_page
-    from reports.paper import write_paper
+    from reports.papers.page import write_paper
 
     with sharing_cores(among):
         page = paper_page(paper_called(name), runs, jobs, scale)
@@ -130,8 +130,8 @@ def _written(name: str, folder: Path, runs: Path, jobs: int | None, scale: float
 
 def _told(written: _Written) -> int:
     """Print what a page came to; return the exit code."""
-    from reports.console import rich_table
-    from reports.paper import paper_grid, verdict_tally
+    from reports.pages.console import rich_table
+    from reports.papers.page import paper_grid, verdict_tally
 
     out = console()
     shown = ("campaign", "scenario", "quantity", "statistic", "paper", "ours [95 %]", "ok", "verdict")

@@ -48,10 +48,10 @@ def _look(arguments: argparse.Namespace) -> int:
     from campaign.inspection.case import Choice
     from campaign.inspection.look import look_of
     from campaign.inspection.recompute import reopened
-    from reports.look import write_look
-    from reports.look_recording import write_recording
-    from reports.named_figure import file_stem
-    from reports.run_data import read_run
+    from reports.pages.look import write_look
+    from reports.pages.look_recording import write_recording
+    from reports.run.data import read_run
+    from reports.schema.named_figure import file_stem
 
     for name in ("trial", "worst", "metric"):
         if getattr(arguments, name) is not None:
@@ -81,7 +81,7 @@ def _cases(arguments: argparse.Namespace) -> int:
     from campaign.inspection.case import Choice, chosen_rows, named_cases
     from campaign.inspection.ranking import ORDER, worst_cases
     from campaign.inspection.recompute import reopened
-    from reports.run_data import read_run
+    from reports.run.data import read_run
 
     if arguments.trial is not None and arguments.worst is not None:
         raise BoresightError("--trial and --worst: give one of them")

@@ -18,7 +18,7 @@ from campaign.runs.request import RunRequest
 from campaign.runs.resolve import resolve
 from campaign.runs.runner import run_campaign
 from renderers.mitsuba3 import choose_variant
-from reports.labels import count_of
+from reports.schema.labels import count_of
 from scenarios.errors import BoresightError
 
 

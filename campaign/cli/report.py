@@ -9,10 +9,10 @@ from campaign.inspection.show import show_of
 from campaign.inspection.worst import worst_figures
 from campaign.runs.resolve import reload
 from campaign.store import RunFolder
-from reports.build import write_report
-from reports.console import console_table
-from reports.named_figure import NamedFigure
-from reports.reasons import reason_lines
+from reports.pages.build import write_report
+from reports.pages.console import console_table
+from reports.run.reasons import reason_lines
+from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 
 

@@ -16,7 +16,7 @@ from campaign.runs.newest import newest_first
 from campaign.runs.request import Cluster
 from campaign.runs.start import RUNS, start
 from campaign.store import RunFolder
-from reports.labels import count_of
+from reports.schema.labels import count_of
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:

@@ -54,12 +54,12 @@ def _sensitivity(arguments: argparse.Namespace) -> int:
     # Imported here: SALib and Matplotlib take seconds, and most commands need neither.
     from campaign.runs.sensitivity import analyse, make_design, parse_over
     from campaign.runs.until import CONTROLS, STATISTICS
+    from reports.compare.global_sensitivity import sensitivity_grid
     from reports.compare.metrics import choose_metric, names_before_a_run
-    from reports.console import rich_parts
-    from reports.global_sensitivity import sensitivity_grid
-    from reports.global_sensitivity_page import write_sensitivity
-    from reports.known import short_line
-    from reports.run_data import read_run
+    from reports.pages.console import rich_parts
+    from reports.pages.global_sensitivity import write_sensitivity
+    from reports.run.data import read_run
+    from reports.run.known import short_line
 
     varied = [parse_over(text) for text in arguments.over]
     if arguments.statistic not in STATISTICS:

@@ -17,9 +17,9 @@ from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
 from campaign.store.columns import TABLES
 from campaign.trial.kind import Record
-from reports.case_page import CasePage, write_case
-from reports.grid import NO_VALUE, Grid, number
-from reports.labels import as_title
+from reports.pages.case import CasePage, write_case
+from reports.schema.grid import NO_VALUE, Grid, number
+from reports.schema.labels import as_title
 
 _SHORT = ("stages", "references", "diagnostics", "orbits", "crater_matches")
 """Tables that are a few rows a case; the longer ones are kept as Parquet beside the page."""

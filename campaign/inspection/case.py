@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from reports.named_figure import file_stem
+from reports.schema.named_figure import file_stem
 from scenarios.errors import BoresightError
 
 CONTROLS = ("prior", "dead-reckoning")

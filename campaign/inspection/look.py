@@ -6,8 +6,8 @@ from campaign.inspection.case import CONTROLS, Choice, unknown
 from campaign.inspection.show import Scene, show_of
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
-from reports.look import Look
-from reports.run_data import RunData
+from reports.pages.look import Look
+from reports.run.data import RunData
 from scenarios.errors import BoresightError
 
 

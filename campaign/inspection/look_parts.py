@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from campaign.inspection.case import Case, Choice
 from campaign.inspection.ranking import worst_cases
 from campaign.inspection.show import Scene
-from reports.look import BAD, FAILED, GOOD, Cameras
-from reports.run_data import select
+from reports.pages.look import BAD, FAILED, GOOD, Cameras
+from reports.run.data import select
 
 FloatArray = NDArray[np.float64]
 

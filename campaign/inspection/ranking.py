@@ -8,7 +8,7 @@ import pandas as pd
 from campaign.inspection.case import CONTROLS, Case, Choice, cases_of, chosen_rows
 from reports.compare.craters import THERE, detection_counts
 from reports.compare.metrics import Metric, choose_metric, metric_names, metric_values
-from reports.run_data import TRIAL_KEY, RunData, in_order_of
+from reports.run.data import TRIAL_KEY, RunData, in_order_of
 
 ORDER = "estimators that raised, then failures by their prior error, then solved trials by"
 MISSED_OR_WRONG = "n_missed_or_wrong"

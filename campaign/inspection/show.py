@@ -18,9 +18,9 @@ from campaign.resolved import ResolvedCampaign
 from campaign.runs.worker import opened
 from campaign.store import RunFolder
 from campaign.trial.kind import module_of
-from reports.look import Look
-from reports.named_figure import NamedFigure
-from reports.run_data import RunData
+from reports.pages.look import Look
+from reports.run.data import RunData
+from reports.schema.named_figure import NamedFigure
 from scenarios.geometry import Pose
 
 T = TypeVar("T")

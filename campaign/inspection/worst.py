@@ -12,8 +12,8 @@ from campaign.inspection.recompute import recompute
 from campaign.inspection.show import show_of
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
-from reports.named_figure import NamedFigure
-from reports.run_data import read_run
+from reports.run.data import read_run
+from reports.schema.named_figure import NamedFigure
 
 
 def worst_figures(campaign: ResolvedCampaign, folder: RunFolder, count: int) -> Iterator[NamedFigure]:

@@ -10,13 +10,13 @@ from campaign.kinds.crater_matching.examples import matching_example
 from campaign.papers.gather import FinishedRun
 from campaign.papers.kinds import Draw, Paper, PaperFigure, Runs
 from estimators.craters.planning.plan import PLANNER
-from reports.grid import Grid
-from reports.kinds import report_grids
-from reports.named_figure import NamedFigure
-from reports.navigation import counts_figure
-from reports.orbits import reference_scenarios, residual_figure
-from reports.run_data import select
-from reports.surveys import survey_figures
+from reports.kinds.crater_navigation import counts_figure
+from reports.kinds.image_survey import survey_figures
+from reports.kinds.orbit_determination import reference_scenarios, residual_figure
+from reports.kinds.report import report_grids
+from reports.run.data import select
+from reports.schema.grid import Grid
+from reports.schema.named_figure import NamedFigure
 
 _DETECTOR, _FILTER, _CHAIN = "crater-classic", "batch-filter", "crater-navigation"
 _MATCHERS = ("invariants", "hybrid")

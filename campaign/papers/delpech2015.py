@@ -8,12 +8,10 @@ from dataclasses import replace
 from campaign.papers.first_image import first_image
 from campaign.papers.gather import FinishedRun
 from campaign.papers.kinds import Draw, Paper, PaperFigure, Runs
-from reports.designs import design_grids
 from reports.figures.sightings import draw_sightings
 from reports.figures.traces import LANDMARKS, POSITION
-from reports.grid import Grid
-from reports.named_figure import NamedFigure
-from reports.sequences import (
+from reports.kinds.designs.tables import design_grids
+from reports.kinds.sequence.tables import (
     pooled_alone,
     ratio_grids,
     revolution_figure,
@@ -23,7 +21,9 @@ from reports.sequences import (
     start_figure,
     trace_figure,
 )
-from reports.vision import vision_grid
+from reports.kinds.sequence.vision import vision_grid
+from reports.schema.grid import Grid
+from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 
 _STRONGEST = 30

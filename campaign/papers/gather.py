@@ -12,9 +12,10 @@ from campaign.resolved import ResolvedCampaign
 from campaign.runs.newest import start_of
 from campaign.runs.resolve import campaign_names, reload
 from campaign.store import RunFolder
-from reports.content import Content, content_of
+from reports.kinds.kind import Content
+from reports.pages.content import content_of
 from reports.published import load_published
-from reports.run_data import RunData, read_run
+from reports.run.data import RunData, read_run
 from scenarios.errors import BoresightError, one_line
 from scenarios.reading import plain_json
 

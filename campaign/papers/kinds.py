@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from campaign.papers.gather import FinishedRun
-from reports.grid import Grid
-from reports.named_figure import NamedFigure
+from reports.schema.grid import Grid
+from reports.schema.named_figure import NamedFigure
 
 Runs = Mapping[str, FinishedRun]
 Draw = Callable[[Runs, int | None], Iterator[NamedFigure]]

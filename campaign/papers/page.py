@@ -12,13 +12,13 @@ from campaign.papers.gather import FinishedRun, Gathered, gather_runs, run_folde
 from campaign.papers.kinds import Paper, PaperFigure
 from campaign.runs.resolve import CATALOG, campaign_names
 from campaign.runs.start import RUNS
-from reports.known import short_line
-from reports.labels import count_of
-from reports.named_figure import NamedFigure
-from reports.paper import PaperLine, PaperPage, paper_lines
-from reports.paper_tables import lines_by_table, table_figure
-from reports.provenance import counted, stamp
+from reports.figures.provenance import counted, stamp
+from reports.papers.page import PaperLine, PaperPage, paper_lines
+from reports.papers.tables import lines_by_table, table_figure
 from reports.published import load_published
+from reports.run.known import short_line
+from reports.schema.labels import count_of
+from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 from scenarios.load import load_campaign
 

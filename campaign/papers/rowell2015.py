@@ -26,7 +26,6 @@ from campaign.papers.kinds import Paper, PaperFigure, Runs
 from campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
 from campaign.products.landmark_database import KIND as DATABASE
 from estimators.landmark.build import BuiltDatabase, DatabaseOptions
-from reports.designs import design_grids
 from reports.figures import (
     draw_alignment_panels,
     draw_centroid_offsets,
@@ -36,13 +35,14 @@ from reports.figures import (
     draw_method_errors,
     draw_triangulation,
 )
-from reports.grid import Grid
-from reports.labels import count_of
-from reports.named_figure import NamedFigure
+from reports.kinds.designs.tables import design_grids
+from reports.kinds.single_image.figures import centroid_offsets, landmark_figures, pose_figure
+from reports.kinds.single_image.sensitivity import mesh_variants, sensitivity_grid
 from reports.published import load_published
-from reports.run_data import select
-from reports.run_figures import centroid_offsets, landmark_figures, pose_figure
-from reports.sensitivity import mesh_variants, sensitivity_grid
+from reports.run.data import select
+from reports.schema.grid import Grid
+from reports.schema.labels import count_of
+from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 from scenarios.geometry import View
 

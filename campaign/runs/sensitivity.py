@@ -13,10 +13,18 @@ from scipy.stats import qmc
 
 from campaign.resolved import ResolvedCampaign
 from campaign.runs.resolve import CATALOG, read_source, sources
+from reports.compare.global_sensitivity import (
+    Sensitivity,
+    Varied,
+    outcome,
+    problem,
+    rank_shares,
+    same_results,
+    sobol_shares,
+)
 from reports.compare.metrics import Metric
-from reports.global_sensitivity import Sensitivity, Varied, outcome, problem, rank_shares, same_results, sobol_shares
-from reports.run_data import RunData
-from reports.statistics import Statistic
+from reports.run.data import RunData
+from reports.statistics.measured import Statistic
 from scenarios.errors import BoresightError
 from scenarios.load import Entry, LoadedScenario, load_campaign, parse_override
 from scenarios.spec.scenario import ScenarioSpec

@@ -27,11 +27,11 @@ from campaign.runs.request import RunRequest
 from campaign.runs.runner import Listener, run_campaign
 from campaign.store import RunFolder
 from campaign.trial.kind import Records, kind_named
-from reports.clusters import clusters_of
 from reports.compare.metrics import Metric, metric_values, names_before_a_run
-from reports.records import CONTROL
-from reports.run_data import RunData, read_run
-from reports.statistics import MEAN, MEDIAN, P75, P95, P99, RMS, Statistic, measure
+from reports.run.clusters import clusters_of
+from reports.run.data import RunData, read_run
+from reports.schema.records import CONTROL
+from reports.statistics.measured import MEAN, MEDIAN, P75, P95, P99, RMS, Statistic, measure
 from scenarios.errors import BoresightError
 
 STATISTICS: Mapping[str, Statistic] = MappingProxyType(

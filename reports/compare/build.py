@@ -11,13 +11,13 @@ from reports.compare.figures import comparison_figures
 from reports.compare.grids import contrast_grid, contrast_table, subject_grid, subject_table
 from reports.compare.subjects import RunComparison
 from reports.compare.trials import is_pooled_control
+from reports.figures.provenance import stamp
 from reports.figures.style import save_figure
-from reports.grid import Grid
-from reports.known import known_lines
-from reports.labels import as_title
-from reports.named_figure import NamedFigure
-from reports.provenance import stamp
-from reports.records import CONTROL
+from reports.run.known import known_lines
+from reports.schema.grid import Grid
+from reports.schema.labels import as_title
+from reports.schema.named_figure import NamedFigure
+from reports.schema.records import CONTROL
 from scenarios.errors import BoresightError
 
 

@@ -13,8 +13,8 @@ from reports.compare.craters import DETECTION, MATCHING
 from reports.compare.metrics import BORESIGHT, LATERAL, Metric
 from reports.compare.trials import CONDITIONS
 from reports.figures.curves import Points
-from reports.intervals import FloatArray
-from reports.statistics import MEDIAN, measure, share_of
+from reports.statistics.intervals import FloatArray
+from reports.statistics.measured import MEDIAN, measure, share_of
 
 ATTITUDE = "attitude_error_deg"
 SUCCESS = "success"

@@ -9,16 +9,16 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.cells import interval
 from reports.compare.looks import colours, credits_of, groups, titled
 from reports.compare.subjects import RunComparison, Subject
 from reports.figures.calibration import Claim, draw_calibration
-from reports.grid import Grid, number
-from reports.intervals import FloatArray
-from reports.named_figure import NamedFigure, file_stem
-from reports.records import CONTROL
-from reports.run_data import TRIAL_KEY
-from reports.weighed import Judged, judge, weighed_errors, weighed_label
+from reports.run.data import TRIAL_KEY
+from reports.schema.grid import Grid, number
+from reports.schema.named_figure import NamedFigure, file_stem
+from reports.schema.records import CONTROL
+from reports.statistics.intervals import FloatArray
+from reports.statistics.weighed import Judged, judge, weighed_errors, weighed_label
+from reports.tables.cells import interval
 
 
 @dataclass(frozen=True, slots=True, eq=False)

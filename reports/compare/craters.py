@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.run_data import TRIAL_KEY, RunData, in_order_of
+from reports.run.data import TRIAL_KEY, RunData, in_order_of
 
 MISSED, FALSE_ALARMS, CENTRE_ERROR, WRONG = "missed_share", "false_alarm_share", "centre_error_px", "wrong_share"
 COMMON_CENTRE_ERROR = "common_centre_error_px"

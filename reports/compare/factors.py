@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from reports.run_data import RunData
+from reports.run.data import RunData
 from scenarios.errors import BoresightError
 
 ESTIMATOR, SCENARIO, RUN = "estimator", "scenario", "run"

@@ -24,11 +24,11 @@ from reports.compare.subjects import RunComparison, Subject
 from reports.figures.binned import draw_binned
 from reports.figures.pose import draw_cumulative_errors
 from reports.figures.standings import Standing, draw_standings
-from reports.labels import as_title
-from reports.named_figure import NamedFigure, file_stem
-from reports.records import CONTROL
-from reports.run_data import TRIAL_KEY
-from reports.statistics import Measured
+from reports.run.data import TRIAL_KEY
+from reports.schema.labels import as_title
+from reports.schema.named_figure import NamedFigure, file_stem
+from reports.schema.records import CONTROL
+from reports.statistics.measured import Measured
 
 
 def comparison_figures(found: RunComparison) -> Iterator[NamedFigure]:

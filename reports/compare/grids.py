@@ -6,15 +6,15 @@ from dataclasses import asdict, replace
 
 import pandas as pd
 
-from reports.cells import chance, interval
 from reports.compare.pairs import Contrast
 from reports.compare.subjects import STATISTICS, RunComparison, Subject
-from reports.grid import NO_VALUE, Grid, number
-from reports.known import short_line
-from reports.labels import as_title
-from reports.records import CONTROL, FAILURES_AT_PRIOR
-from reports.statistics import Measured
-from reports.success import MEANING
+from reports.run.known import short_line
+from reports.run.success import MEANING
+from reports.schema.grid import NO_VALUE, Grid, number
+from reports.schema.labels import as_title
+from reports.schema.records import CONTROL, FAILURES_AT_PRIOR
+from reports.statistics.measured import Measured
+from reports.tables.cells import chance, interval
 
 FAILURES_WORST = "failures-worst"
 """Stage in which a trial without an error counts as worse than any that has one."""

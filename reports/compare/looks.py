@@ -6,7 +6,7 @@ from reports.compare.factors import ESTIMATOR
 from reports.compare.subjects import RunComparison, Subject
 from reports.figures.looks import colour_of
 from reports.figures.style import GREY, SERIES_COLOURS
-from reports.records import CONTROL
+from reports.schema.records import CONTROL
 
 
 def colours(found: RunComparison) -> dict[tuple[str, ...], str]:

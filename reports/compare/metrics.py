@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 
 from reports.compare.craters import DETECTION, MATCHING, THERE, crater_numbers
-from reports.labels import measure_label
-from reports.measures import SEQUENCE_COLUMNS
-from reports.records import unit_of
-from reports.run_data import POSE_COLUMNS, TRIAL_KEY, RunData, in_order_of
+from reports.run.data import POSE_COLUMNS, TRIAL_KEY, RunData, in_order_of
+from reports.schema.labels import measure_label
+from reports.schema.records import unit_of
+from reports.statistics.measures import SEQUENCE_COLUMNS
 from scenarios.errors import BoresightError
 
 LATERAL, BORESIGHT = "lateral_error_m", "boresight_error_m"

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from scipy.stats import mannwhitneyu
 
 from reports.compare.trials import KEY
-from reports.intervals import FloatArray
-from reports.paired import rate_difference, sign_test
-from reports.statistics import MEAN, MEDIAN, Measured, measure
+from reports.statistics.intervals import FloatArray
+from reports.statistics.measured import MEAN, MEDIAN, Measured, measure
+from reports.statistics.paired import rate_difference, sign_test
 
 
 @dataclass(frozen=True, slots=True)

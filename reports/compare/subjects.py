@@ -16,10 +16,22 @@ from reports.compare.factors import ESTIMATOR, SCENARIO, check_factors
 from reports.compare.metrics import Metric, choose_metric
 from reports.compare.pairs import Contrast, contrast, corrected, independent_contrast, without_failures
 from reports.compare.trials import all_factors, check_pairs, tabulate_trials
-from reports.intervals import FloatArray
-from reports.records import CONTROL
-from reports.run_data import RunData, read_run
-from reports.statistics import MEDIAN, P75, P95, P99, RMS, WORST, Measured, Statistic, bounded, measure, share_of
+from reports.run.data import RunData, read_run
+from reports.schema.records import CONTROL
+from reports.statistics.intervals import FloatArray
+from reports.statistics.measured import (
+    MEDIAN,
+    P75,
+    P95,
+    P99,
+    RMS,
+    WORST,
+    Measured,
+    Statistic,
+    bounded,
+    measure,
+    share_of,
+)
 from scenarios.errors import BoresightError
 
 STATISTICS = (MEDIAN, RMS, P75, P95, P99)

@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.clusters import clusters_of
 from reports.compare.factors import ESTIMATOR, NAMED, RUN, difference, draws, level, remainder, short_levels
 from reports.compare.metrics import BORESIGHT, COMPONENTS, LATERAL, Metric, metric_values, nothing_to_find, prior_values
-from reports.records import CONTROL
-from reports.run_data import POSE_COLUMNS, RunData
-from reports.success import succeeded
+from reports.run.clusters import clusters_of
+from reports.run.data import POSE_COLUMNS, RunData
+from reports.run.success import succeeded
+from reports.schema.records import CONTROL
 from scenarios.errors import BoresightError
 
 KEY = ["seed", "draws", "rest", "trial"]

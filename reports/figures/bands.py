@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.intervals import is_told
+from reports.statistics.intervals import is_told
 
 SHARES = (0.05, 0.95)
 

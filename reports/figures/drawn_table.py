@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from reports.figures.style import hide_axes, new_figure, styled
-from reports.grid import Grid
+from reports.schema.grid import Grid
 
 _LINE_IN, _GAP_IN, _TITLE_IN, _SIZE = 0.19, 0.22, 0.45, 8.0
 

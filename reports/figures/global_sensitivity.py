@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from reports.figures.style import BLUE, GREY, ORANGE, FloatArray, grid_figure, styled
-from reports.statistics import Measured
+from reports.statistics.measured import Measured
 
 _LONG = 18
 _SHOWN = (-1.1, 1.4)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from reports.figures.log_axis import scale_ordinate
 from reports.figures.looks import Look, looks
 from reports.figures.style import new_figure, styled
-from reports.statistics import MEAN, measure
+from reports.statistics.measured import MEAN, measure
 
 AFTER_REVOLUTIONS = {"error_after_1_m": "after 1 revolution", "error_after_2_m": "after 2 revolutions"}
 """Columns of rows, and what they are the errors of."""

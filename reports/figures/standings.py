@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from reports.figures.log_axis import mark_decades
 from reports.figures.style import GREY, add_credits, grid_figure, styled
-from reports.statistics import Measured
+from reports.statistics.measured import Measured
 
 _LINE_IN = 0.32
 _MARKS = (("RMS", "D"), ("75th", "|"), ("95th", "|"), ("99th", "|"))

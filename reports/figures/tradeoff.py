@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from reports.figures.log_axis import mark_decades
 from reports.figures.looks import looks
 from reports.figures.style import GREY, add_credits, grid_figure, styled
-from reports.statistics import Measured
+from reports.statistics.measured import Measured
 
 _ERRORS = (("position_error_m", "position error, m"), ("attitude_error_deg", "attitude error, deg"))
 

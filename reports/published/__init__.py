@@ -9,7 +9,7 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from reports.records import DERIVED, DIAGNOSTICS, RATIO, REDUCTION, UNITS, unit_of
+from reports.schema.records import DERIVED, DIAGNOSTICS, RATIO, REDUCTION, UNITS, unit_of
 from scenarios.errors import BoresightError
 from scenarios.load.yaml_text import parse_yaml
 from scenarios.reading import held_to

@@ -24,11 +24,11 @@ from campaign.runs.runner import run_campaign
 from campaign.store import RunFolder
 from estimators.craters.contract import CraterDetections
 from renderers.mitsuba3 import choose_variant
-from reports.content import read_content
-from reports.craters import confidence_curve, crater_records, shown
-from reports.grid import number
-from reports.records import find
-from reports.run_data import read_run
+from reports.kinds.crater_detection.rates import confidence_curve, crater_records, shown
+from reports.pages.content import read_content
+from reports.run.data import read_run
+from reports.schema.grid import number
+from reports.schema.records import find
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Ellipses
 from scenarios.observation import Frame

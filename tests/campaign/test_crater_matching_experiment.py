@@ -19,9 +19,9 @@ from campaign.kinds.crater_matching.trial import (
 from campaign.runs.resolve import resolve
 from campaign.trial.kind import Bench
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
-from reports.crater_matching import RECALL, WRONG, matching_grids, matching_records
-from reports.grid import value_of
-from reports.run_data import read_run
+from reports.kinds.crater_matching import RECALL, WRONG, matching_grids, matching_records
+from reports.run.data import read_run
+from reports.schema.grid import value_of
 from scenarios.craters.pairs import CraterLook, CraterPair
 from scenarios.craters.simulated import NO_CRATER, LabelledDetections
 from scenarios.errors import BoresightError

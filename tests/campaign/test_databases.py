@@ -16,8 +16,8 @@ from campaign.products.databases import APART, of_database, with_knowledge, with
 from campaign.runs.resolve import resolve
 from campaign.store import RunFolder
 from estimators.maplets.build import MapletOptions, spread_points
-from reports.build import write_report
-from reports.content import read_content
+from reports.pages.build import write_report
+from reports.pages.content import read_content
 from scenarios.beliefs import believed_spec
 from scenarios.bodies import load_body
 from scenarios.load import load_scenario

@@ -9,7 +9,7 @@ import subprocess
 import pytest
 
 from campaign.cli import main
-from reports.grid import _SPECIAL, Grid
+from reports.schema.grid import _SPECIAL, Grid
 
 LATEX, FINDER = shutil.which("pdflatex"), shutil.which("kpsewhich")
 

@@ -6,8 +6,7 @@ from scipy.stats import spearmanr
 from stored_runs import SCENARIO, RunBuilder
 
 from campaign.runs.sensitivity import draw_samples, parse_over
-from reports.compare.metrics import Metric
-from reports.global_sensitivity import (
+from reports.compare.global_sensitivity import (
     FIRST,
     RANK,
     TOTAL,
@@ -17,8 +16,9 @@ from reports.global_sensitivity import (
     same_results,
     sobol_shares,
 )
-from reports.run_data import read_run
-from reports.statistics import MEAN, MEDIAN
+from reports.compare.metrics import Metric
+from reports.run.data import read_run
+from reports.statistics.measured import MEAN, MEDIAN
 from scenarios.errors import BoresightError
 
 PI = [Varied(name, -np.pi, np.pi) for name in "abc"]

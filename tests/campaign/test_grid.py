@@ -7,7 +7,7 @@ import pytest
 from tiny_campaign import SCENE, compute
 
 from campaign.runs.resolve import CATALOG, campaign_names, reload, resolve
-from reports.build import write_report
+from reports.pages.build import write_report
 from scenarios.errors import BoresightError
 from scenarios.load import load_campaign
 

@@ -23,7 +23,7 @@ from campaign.inspection.recompute import recompute, reopened
 from campaign.store import RunFolder
 from campaign.trial.kind import kind_named, kind_names
 from estimators.landmark.recognizer import LandmarkRecognizer
-from reports.run_data import read_run
+from reports.run.data import read_run
 
 
 @pytest.fixture

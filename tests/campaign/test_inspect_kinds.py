@@ -17,7 +17,7 @@ from campaign.inspection.recompute import recompute, reopened
 from campaign.kinds.crater_matching.draw import draw_pair_case
 from campaign.kinds.sequence.draw import followed_of, last_seen, lives_of
 from campaign.store import RunFolder
-from reports.run_data import read_run
+from reports.run.data import read_run
 
 SEQUENCE = """\
 extends: apophis-sphere-sequence
@@ -114,8 +114,8 @@ def test_a_matched_pair_is_drawn_with_the_counts_that_are_stored(pairs, tmp_path
     again = recompute(reopened(folder), folder, Case("tiny-pairs", "vote", 0))
     title = draw_pair_case(again).figures[0].figure.get_suptitle()
     counts = stored.loc[0]
-    wanted = f"trial 0 of tiny-pairs / vote: {counts['n_correct']} right, {counts['n_wrong']} wrong, {counts['n_missed']} missed"
-    assert title == wanted
+    wanted = f"{counts['n_correct']} right, {counts['n_wrong']} wrong, {counts['n_missed']} missed"
+    assert title == f"trial 0 of tiny-pairs / vote: {wanted}"
 
 
 def test_a_look_at_pairs_has_the_matches_that_are_stored(pairs):

@@ -71,7 +71,7 @@ def test_the_wheel_holds_the_data_and_no_tests(wheel):
         if path.suffix in {".py", ".yaml", ".html", ".css", ".typed"} and "__pycache__" not in path.parts
     }
     assert expected <= set(names), f"left out: {sorted(expected - set(names))}"
-    for name in ("campaign/catalog/quickstart.yaml", "reports/page.html", "reports/page.css"):
+    for name in ("campaign/catalog/quickstart.yaml", "reports/pages/page.html", "reports/pages/page.css"):
         assert name in expected
     assert any(name.startswith("reports/published/") and name.endswith(".yaml") for name in expected)
     assert any(name.endswith("licenses/LICENSE") for name in names)

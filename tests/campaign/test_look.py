@@ -24,7 +24,7 @@ from campaign.inspection.look_parts import camera_sets
 from campaign.inspection.recompute import reopened
 from campaign.kinds.single_image.look import landmark_marks
 from campaign.store import RunFolder
-from reports.run_data import read_run
+from reports.run.data import read_run
 from scenarios.geometry import TriangleMesh
 
 # What plotly's script and a browser without a graphics card say of their own speed.

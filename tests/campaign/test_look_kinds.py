@@ -19,7 +19,7 @@ from campaign.kinds.orbit_determination.look import image_sets, landmark_errors,
 from campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from estimators.craters.contract import CraterMatches
 from estimators.orbit.contract import Orbit, OrbitEstimate
-from reports.look import BAD, GOOD, Look, lifted_from, write_look
+from reports.pages.look import BAD, GOOD, Look, lifted_from, write_look
 from scenarios.craters.pairs import CraterLook, CraterPair
 from scenarios.craters.simulated import NO_CRATER, LabelledDetections
 from scenarios.geometry import Ellipses

@@ -26,8 +26,8 @@ from campaign.store import RunFolder
 from campaign.store.columns import FORMAT_VERSION
 from estimators.landmark.build import DatabaseOptions
 from renderers.mitsuba3 import choose_variant
-from reports.named_figure import NamedFigure
 from reports.published import load_published
+from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 
 PAPER = paper_called("rowell2015")

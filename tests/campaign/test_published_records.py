@@ -13,9 +13,10 @@ from tiny_campaign import SCENE, compute
 from tiny_pairs import PAIRS
 
 from campaign.runs.resolve import CATALOG
-from reports.content import Content, read_content
+from reports.kinds.kind import Content
+from reports.pages.content import read_content
 from reports.published import Comparison, load_published
-from reports.records import DERIVED
+from reports.schema.records import DERIVED
 from scenarios.load import load_campaign
 
 DATABASE = {"images": 40, "min_observations": 6, "clusters": {"seed_radius_m": 15}}

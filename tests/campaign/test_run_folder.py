@@ -31,7 +31,7 @@ from campaign.runs.resolve import reload, resolve
 from campaign.store import TABLES, RunFolder
 from campaign.trial.pose_score import pose_error
 from renderers.mitsuba3 import choose_variant
-from reports.measures import SEQUENCE_COLUMNS
+from reports.statistics.measures import SEQUENCE_COLUMNS
 from scenarios.load import canonical_json, load_scenario
 
 OF_IMAGES = {"rows", "stages", "landmarks", "diagnostics"}

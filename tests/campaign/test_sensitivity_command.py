@@ -11,7 +11,7 @@ from tiny_campaign import CAMPAIGN, write_campaign
 from campaign.cli import main
 from campaign.runs.resolve import resolve
 from campaign.runs.sensitivity import make_design
-from reports.global_sensitivity import Varied
+from reports.compare.global_sensitivity import Varied
 
 
 def sensitivity(file, out, *arguments):

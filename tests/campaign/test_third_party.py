@@ -11,7 +11,7 @@ from tiny_campaign import RESULTS, SCENE, boresight, compute, files, run, write_
 
 from campaign.cli import main
 from campaign.store import RunFolder
-from reports.measures import SEQUENCE_COLUMNS
+from reports.statistics.measures import SEQUENCE_COLUMNS
 
 TRIALS = 12
 # One estimator for each way to break the contract; `answer` gets the prior pose and returns what `estimate` returns.

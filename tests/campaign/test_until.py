@@ -15,7 +15,7 @@ from campaign.runs.request import RunRequest
 from campaign.runs.resolve import resolve
 from campaign.runs.until import looks, parse_until, run_until
 from renderers.mitsuba3 import choose_variant
-from reports.statistics import MEDIAN, measure
+from reports.statistics.measured import MEDIAN, measure
 from scenarios.errors import BoresightError
 
 

@@ -9,6 +9,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+KIND_OF = {
+    "epochs": "sequence",
+    "crater_matches": "crater-matching",
+    "crater_images": "crater-detection",
+    "surveyed_images": "image-survey",
+    "navigation": "crater-navigation",
+    "orbits": "orbit-determination",
+}
+"""The kind of trial that stores a table."""
 SCENARIO, ESTIMATOR = "itokawa", "landmark-harris"
 
 
@@ -65,6 +74,9 @@ class RunBuilder:
             "machine": {"cores": 2},
             "credits": [],
         }
+        kind = next((kind for table, kind in KIND_OF.items() if table in self.tables), "single-image")
+        whole = whole | manifest
+        whole["campaign"] = {"experiment": kind, **whole.get("campaign", {})}
         self.folder.mkdir(parents=True, exist_ok=True)
-        (self.folder / "manifest.json").write_text(json.dumps(whole | manifest), encoding="utf-8")
+        (self.folder / "manifest.json").write_text(json.dumps(whole), encoding="utf-8")
         return self.folder

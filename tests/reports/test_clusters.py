@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, bootstrap, t
 
-from reports.build import write_report
-from reports.clusters import image_set, pools
-from reports.console import console_table
-from reports.contrasts import ratio_records
-from reports.designs import DesignData, Outcome
-from reports.measures import SEQUENCE_COLUMNS, measure_run
-from reports.paired import BETTER, SIGN_TEST
-from reports.records import RATIO, SEQUENCE, find
-from reports.run_data import read_run
-from reports.sequences import revolution_figure, revolution_series
-from reports.statistics import MEAN, measure, measure_deviation
-from reports.vision import vision_records
+from reports.kinds.designs.tables import DesignData, Outcome
+from reports.kinds.sequence.contrasts import ratio_records
+from reports.kinds.sequence.tables import revolution_figure, revolution_series
+from reports.kinds.sequence.vision import vision_records
+from reports.pages.build import write_report
+from reports.pages.console import console_table
+from reports.run.clusters import image_set, pools
+from reports.run.data import read_run
+from reports.schema.records import RATIO, SEQUENCE, find
+from reports.statistics.measured import MEAN, measure, measure_deviation
+from reports.statistics.measures import SEQUENCE_COLUMNS, measure_run
+from reports.statistics.paired import BETTER, SIGN_TEST
 
 STARTS = 6
 POOL = "sphere, {} sets of images"

@@ -11,7 +11,7 @@ from stored_runs import SCENARIO, RunBuilder, pose_error
 from reports.compare import compare_runs, write_comparison
 from reports.compare.build import notes
 from reports.compare.pairs import holm
-from reports.statistics import MEDIAN, P75, P99, RMS
+from reports.statistics.measured import MEDIAN, P75, P99, RMS
 from scenarios.errors import BoresightError
 
 PRIOR = ((40.0, 0.0, 0.0), 1.0)

@@ -9,7 +9,7 @@ from stored_runs import SCENARIO, RunBuilder, pose_error
 
 from reports.compare import compare_runs, write_comparison
 from reports.compare.metrics import metric_names, names_before_a_run
-from reports.run_data import read_run
+from reports.run.data import read_run
 
 ELLIPSE = dict.fromkeys(("u_px", "v_px", "major_px", "minor_px", "angle_deg"), 20.0)
 ERRORS = ("centre_error_px", "major_error_px", "minor_error_px")

@@ -5,7 +5,9 @@ import pytest
 from scipy.stats import chi2, kstest
 from stored_runs import RunBuilder, pose_error
 
-from reports.consistency import (
+from reports.run.data import read_run
+from reports.schema.records import find
+from reports.statistics.consistency import (
     BAND,
     INSIDE,
     RATIO,
@@ -13,9 +15,7 @@ from reports.consistency import (
     consistency_records,
     rms_ratio,
 )
-from reports.records import find
-from reports.run_data import read_run
-from reports.weighed import NEES, consistent_mean, judge, weighed_errors
+from reports.statistics.weighed import NEES, consistent_mean, judge, weighed_errors
 
 TRIALS = 400
 

@@ -8,10 +8,10 @@ import pandas as pd
 import pytest
 from scipy.stats import binomtest
 
-from reports.contrasts import ratio_records, reduction_records
-from reports.paired import BETTER, SIGN_TEST
+from reports.kinds.sequence.contrasts import ratio_records, reduction_records
 from reports.published import Comparison, PublishedValue
-from reports.run_data import RunData
+from reports.run.data import RunData
+from reports.statistics.paired import BETTER, SIGN_TEST
 
 RNG = np.random.default_rng(5)
 COMMON = RNG.gamma(3.0, 2.0, 200)

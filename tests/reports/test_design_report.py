@@ -7,15 +7,15 @@ import pandas as pd
 import pytest
 from stored_runs import RunBuilder, pose_error
 
-from reports.build import write_report
-from reports.content import read_content
-from reports.design_figures import design_figures
-from reports.designs import DesignData, Outcome, design_grids, outcomes
 from reports.figures.curves import CurvePanel, Points, draw_curves
 from reports.figures.matrix import Matrix, draw_matrix
-from reports.kinds import report_grids
-from reports.run_data import read_run
-from reports.tables import failure_grid
+from reports.kinds.designs.figures import design_figures
+from reports.kinds.designs.tables import DesignData, Outcome, design_grids, outcomes
+from reports.kinds.report import report_grids
+from reports.pages.build import write_report
+from reports.pages.content import read_content
+from reports.run.data import read_run
+from reports.tables.general import failure_grid
 
 TRIALS = 40
 POSITION = Outcome("landmark-harris", "", "position_error_m")
@@ -115,7 +115,7 @@ def test_each_axis_is_compared_with_the_reference(builder):
 def test_the_levels_of_a_single_axis_stand_beside_each_other(builder):
     world = axis("world", "matched", "mismatched")
     run = store(builder, "full", [world], {("matched",): 1.0, ("mismatched",): 4.0}).run
-    drawn = {stem: figure for stem, figure, _, _ in design_figures(run)}
+    drawn = {one.stem: one.figure for one in design_figures(run)}
     assert list(drawn) == ["compare", "cumulative_rock-0", "cumulative_rock-1"]
     errors, success, _ = drawn["compare"].axes
     lines = [label.get_text() for label in errors.get_yticklabels()]

@@ -5,8 +5,9 @@ import pandas as pd
 import pytest
 from scipy.stats import mannwhitneyu, norm
 
-from reports.build import write_report
-from reports.detection import (
+from reports.pages.build import write_report
+from reports.run.data import read_run
+from reports.statistics.roc import (
     ABOVE_MEDIANS,
     ABOVE_PRIOR,
     AUC,
@@ -23,7 +24,6 @@ from reports.detection import (
     outlier_records,
     roc_curve,
 )
-from reports.run_data import read_run
 
 GOOD_ERROR, BAD_ERROR, PRIOR = (10.0, 0.0, 0.0), (80.0, 0.0, 0.0), ((50.0, 0.0, 0.0), 1.0)
 

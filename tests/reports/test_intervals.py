@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reports.intervals import LARGE, interval_of_sums, quantile_interval
-from reports.statistics import MEAN, MEDIAN, RMS, Statistic, measure, measure_deviation
+from reports.statistics.intervals import LARGE, interval_of_sums, quantile_interval
+from reports.statistics.measured import MEAN, MEDIAN, RMS, Statistic, measure, measure_deviation
 
 P90 = Statistic("90 %", 0.9)
 
@@ -178,7 +178,7 @@ def test_intervals_of_five_data_bases_hold_the_truth_of_all(statistic):
     ],
 )
 def test_coverage_of_independent_values(kind, n, least):
-    """3,000 repetitions, standard error 0.4 to 0.7 %; prints what stands in the table of `reports.intervals`."""
+    """3,000 repetitions, standard error 0.4 to 0.7 %; prints what stands in the table of `intervals`."""
     rng, repetitions = np.random.default_rng(n), 3000
     for statistic, wanted in least.items():
         if statistic is P90 and n < 36:
@@ -196,7 +196,7 @@ def test_coverage_of_independent_values(kind, n, least):
 @pytest.mark.long
 @pytest.mark.parametrize(("n", "least"), [(20, (0.83, 0.73)), (50, (0.86, 0.81)), (100, (0.88, 0.84))])
 def test_coverage_of_deviations(n, least):
-    """3,000 repetitions; prints what stands in the table of `reports.intervals`."""
+    """3,000 repetitions; prints what stands in the table of `intervals`."""
     rng = np.random.default_rng(n)
     for sigma, wanted in zip((0.5, 0.8), least, strict=True):
         truth = np.sqrt(np.expm1(sigma**2) * np.exp(sigma**2))
@@ -217,7 +217,7 @@ def t5_truth(statistic):
 @pytest.mark.parametrize("between", [0.0, 0.1, 0.3, 0.6])
 @pytest.mark.parametrize(("databases", "each"), [(5, 100), (5, 20), (10, 50)])
 def test_coverage_of_data_bases(databases, each, between):
-    """3,000 repetitions; prints what stands in the table of `reports.intervals`."""
+    """3,000 repetitions; prints what stands in the table of `intervals`."""
     rng = np.random.default_rng(databases * each)
     for statistic, wanted in {MEDIAN: 0.93, MEAN: 0.90, RMS: 0.82}.items():
         found = data_base_coverage(statistic, databases, each, between, 3000, rng)

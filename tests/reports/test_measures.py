@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from reports.measures import clusters_of, measure_run
-from reports.records import FAILURES_AT_PRIOR, find
-from reports.run_data import read_run
+from reports.run.data import read_run
+from reports.schema.records import FAILURES_AT_PRIOR, find
+from reports.statistics.measures import clusters_of, measure_run
 from scenarios.errors import BoresightError
 
 ITOKAWA = {"scenario": "itokawa", "estimator": "landmark-harris"}

@@ -6,12 +6,12 @@ from scipy.stats import chi2
 from stored_runs import SCENARIO, RunBuilder, pose_error
 from terminal_text import terminal_lines
 
-from reports.build import write_report
-from reports.consistency import BAND, CONSISTENCY, INSIDE
-from reports.grid import of_ended
-from reports.orbits import ORBIT
-from reports.records import find
-from reports.weighed import AT_EPOCH
+from reports.kinds.orbit_determination import ORBIT
+from reports.pages.build import write_report
+from reports.schema.grid import of_ended
+from reports.schema.records import find
+from reports.statistics.consistency import BAND, CONSISTENCY, INSIDE
+from reports.statistics.weighed import AT_EPOCH
 
 ERRORS = (1.0, 2.0, 3.0, 10.0)
 

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom, binomtest, ttest_1samp
 
-from reports.build import write_report
-from reports.paired import (
+from reports.pages.build import write_report
+from reports.run.data import read_run, select
+from reports.run.success import succeeded
+from reports.statistics.measured import MEDIAN
+from reports.statistics.paired import (
     BETTER,
     DIFFERENCE,
     FAILURE_RATE,
@@ -15,9 +18,6 @@ from reports.paired import (
     THEIRS,
     paired_records,
 )
-from reports.run_data import read_run, select
-from reports.statistics import MEDIAN
-from reports.success import succeeded
 
 PRIOR = ((40.0, 0.0, 0.0), 1.0)
 

@@ -7,12 +7,12 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from reports.build import write_report
-from reports.content import read_content
 from reports.figures import draw_landmark_counts
-from reports.named_figure import NamedFigure
-from reports.provenance import counted
-from reports.run_data import read_run
+from reports.figures.provenance import counted
+from reports.pages.build import write_report
+from reports.pages.content import read_content
+from reports.run.data import read_run
+from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
@@ -200,7 +200,7 @@ def test_failed_writing_leaves_the_former_report_untouched(report, tmp_path, mon
     def full_disk(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("reports.build.save_figure", full_disk)
+    monkeypatch.setattr("reports.pages.build.save_figure", full_disk)
     with pytest.raises(BoresightError, match="No space left on device"):
         write_report(run, out)
     assert _contents(out) == before

@@ -5,13 +5,13 @@ from stored_runs import RunBuilder
 from terminal_text import terminal_lines
 
 from reports.compare import compare_runs
-from reports.content import read_content
-from reports.grid import Grid, number, value_of
-from reports.labels import count_of
-from reports.reasons import reason_lines
-from reports.records import Record
-from reports.run_data import read_run
-from reports.tables import failure_grid, pose_grids, reference_grid, timing_grid
+from reports.pages.content import read_content
+from reports.run.data import read_run
+from reports.run.reasons import reason_lines
+from reports.schema.grid import Grid, number, value_of
+from reports.schema.labels import count_of
+from reports.schema.records import Record
+from reports.tables.general import failure_grid, pose_grids, reference_grid, timing_grid
 
 LINE = Record("s", "e", "recognition", "", "position_error_m", "m", "median", 20.94, 19.06, 121.4, 9, 10)
 

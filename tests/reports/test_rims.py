@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from reports.craters import Shown
-from reports.rims import rim_grid, rim_scatter
+from reports.kinds.crater_detection.rates import Shown
+from reports.kinds.crater_detection.rims import rim_grid, rim_scatter
 
 
 def seen(n=4000, wild=0.05):

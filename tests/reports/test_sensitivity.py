@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pandas as pd
 
+from reports.kinds.single_image.sensitivity import mesh_variants, sensitivity_grid
 from reports.published import load_published
-from reports.records import Record
-from reports.run_data import Manifest, Product, RunData
-from reports.sensitivity import mesh_variants, sensitivity_grid
+from reports.run.data import Manifest, Product, RunData
+from reports.schema.records import Record
 
 
 def records(label, landmarks, position, against=""):

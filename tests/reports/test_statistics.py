@@ -3,8 +3,7 @@ import warnings
 import numpy as np
 import pytest
 
-from reports.resampling import content_rng
-from reports.statistics import (
+from reports.statistics.measured import (
     MEAN,
     MEDIAN,
     P95,
@@ -17,6 +16,7 @@ from reports.statistics import (
     measure_share,
     share_of,
 )
+from reports.statistics.resampling import content_rng
 
 ALL = (MEDIAN, MEAN, RMS, ROOT_MEDIAN_SQUARE, P95)
 

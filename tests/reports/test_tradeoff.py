@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from reports.build import write_report
-from reports.content import read_content
 from reports.figures import TradeMark, draw_trade_off
 from reports.figures.style import render
-from reports.records import find
-from reports.run_data import read_run
-from reports.statistics import Measured
-from reports.tradeoff import costs, trade_grid
+from reports.kinds.single_image.tradeoff import costs, trade_grid
+from reports.pages.build import write_report
+from reports.pages.content import read_content
+from reports.run.data import read_run
+from reports.schema.records import find
+from reports.statistics.measured import Measured
 
 PRIOR = ((40.0, 0.0, 0.0), 1.0)
 ITOKAWA = "itokawa"

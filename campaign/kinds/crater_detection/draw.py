@@ -7,7 +7,7 @@ import numpy as np
 from campaign.inspection.recompute import Recomputed
 from campaign.inspection.show import Drawn
 from campaign.kinds.crater_detection.trial import DetectedImage
-from reports.crater_figures import draw_example, ellipses_of
+from reports.kinds.crater_detection.figures import draw_example, ellipses_of
 from scenarios.craters.simulated import NO_CRATER
 
 

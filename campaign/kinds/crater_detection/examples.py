@@ -11,9 +11,9 @@ from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
 from campaign.trial.in_turn import part_of
 from estimators.craters.detection.classic import CraterClassic
-from reports.crater_figures import example_figure, stages_figure
-from reports.named_figure import NamedFigure
-from reports.run_data import RunData, read_run, select
+from reports.kinds.crater_detection.figures import example_figure, stages_figure
+from reports.run.data import RunData, read_run, select
+from reports.schema.named_figure import NamedFigure
 
 _EXAMPLES = 3
 

@@ -8,8 +8,8 @@ from campaign.inspection.crater_look import crater_look, outcome_marks, places_o
 from campaign.inspection.ranking import crater_faults
 from campaign.inspection.show import Scene
 from campaign.kinds.crater_detection.trial import CraterDetection
-from reports.look import Look
-from reports.run_data import select
+from reports.pages.look import Look
+from reports.run.data import select
 from scenarios.errors import BoresightError
 
 

@@ -9,7 +9,7 @@ from campaign.inspection.recompute import Recomputed
 from campaign.inspection.show import Drawn
 from campaign.kinds.crater_matching.trial import MatchedPair
 from reports.figures.crater_pairs import MatchedRims, draw_matched_pair
-from reports.named_figure import NamedFigure
+from reports.schema.named_figure import NamedFigure
 from scenarios.craters.simulated import NO_CRATER
 
 

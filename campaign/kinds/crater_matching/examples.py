@@ -12,8 +12,8 @@ from campaign.kinds.crater_matching.trial import MatchedPair, right_matches
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
 from reports.figures.matched_pair import draw_matched_pair
-from reports.named_figure import NamedFigure, file_stem
-from reports.run_data import RunData, read_run, select
+from reports.run.data import RunData, read_run, select
+from reports.schema.named_figure import NamedFigure, file_stem
 
 _ALIKE_DEG = (20.0, 10.0)
 

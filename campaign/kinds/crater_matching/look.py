@@ -15,8 +15,8 @@ from campaign.inspection.recompute import recompute
 from campaign.inspection.show import Scene
 from campaign.kinds.crater_matching.pairs import PairSource, RenderedPairs, SimulatedPairs
 from campaign.kinds.crater_matching.trial import CraterMatching, MatchedPair
-from reports.look import Look
-from reports.run_data import select
+from reports.pages.look import Look
+from reports.run.data import select
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
 

@@ -10,7 +10,7 @@ from campaign.inspection.show import Drawn
 from campaign.kinds.orbit_determination.score import orbit_errors, residual_records, wrong_sightings
 from campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from reports.figures.orbit import draw_orbit_case_errors, draw_residuals, draw_sightings_used
-from reports.named_figure import NamedFigure
+from reports.schema.named_figure import NamedFigure
 
 
 def draw_orbit_case(again: Recomputed) -> Drawn | None:

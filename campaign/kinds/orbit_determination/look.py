@@ -13,7 +13,7 @@ from campaign.inspection.recompute import recompute
 from campaign.inspection.show import Scene
 from campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from estimators.orbit.contract import Orbit
-from reports.look import FAILED, Cameras, Look, Marks
+from reports.pages.look import FAILED, Cameras, Look, Marks
 from scenarios.errors import BoresightError
 from scenarios.orbits.draw import OrbitTruth
 from scenarios.orbits.flown import DAY_S

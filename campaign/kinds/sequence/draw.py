@@ -21,7 +21,7 @@ from reports.figures.followed import (
     draw_tracks,
     draw_trajectory,
 )
-from reports.named_figure import NamedFigure
+from reports.schema.named_figure import NamedFigure
 from scenarios.sequences import SequenceTruth
 from scenarios.tracks import TrackSequence
 

@@ -12,7 +12,7 @@ from campaign.inspection.show import Scene
 from campaign.kinds.sequence.draw import last_seen
 from campaign.kinds.sequence.trial import FollowedSequence, SequenceTrials
 from campaign.resolved import ResolvedCampaign
-from reports.look import TRUE, Cameras, Look, Marks
+from reports.pages.look import TRUE, Cameras, Look, Marks
 from scenarios.bodies import load_body
 from scenarios.bodies.embedded import sphere
 from scenarios.errors import BoresightError

@@ -19,7 +19,7 @@ from renderers.mitsuba3 import BodyRenderer
 from reports.figures.fit import draw_alignment_panels, draw_fit_panels
 from reports.figures.posed import PosedLook, draw_posed
 from reports.figures.recognised import Recognised, draw_recognised
-from reports.named_figure import NamedFigure
+from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, View
 

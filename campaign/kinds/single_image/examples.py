@@ -20,7 +20,7 @@ from estimators.landmark.projection import project_landmarks
 from estimators.landmark.recognizer import LandmarkRecognizer, Recognition
 from estimators.landmark.visibility import visible_landmarks
 from reports.figures import Fit, Overlay, draw_fit_panels
-from reports.named_figure import NamedFigure, file_stem
+from reports.schema.named_figure import NamedFigure, file_stem
 from scenarios.geometry import Camera, Pose, TriangleMesh
 from scenarios.observation import Observation
 from scenarios.spec.scenario import ScenarioSpec

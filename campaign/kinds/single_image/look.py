@@ -16,8 +16,8 @@ from estimators.craters.database.landmarks import Landmarks
 from estimators.craters.pose.estimator import CraterPose
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.visibility import visible_landmarks
-from reports.look import Look, Marks
-from reports.run_data import select
+from reports.pages.look import Look, Marks
+from reports.run.data import select
 from scenarios.geometry import View
 
 FloatArray = NDArray[np.float64]

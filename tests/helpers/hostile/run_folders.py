@@ -23,9 +23,9 @@ from campaign.store.columns import schema
 from campaign.store.folder import Block, RunFolder
 from hostile import recipes
 from hostile.target import Target
-from reports.clusters import clusters_of, pools
-from reports.known import known_lines
-from reports.run_data import read_run
+from reports.run.clusters import clusters_of, pools
+from reports.run.data import read_run
+from reports.run.known import known_lines
 from scenarios.checksums import checksum_text
 from scenarios.errors import BoresightError
 

@@ -1,0 +1,165 @@
+"""How much of an outcome's variation each varied key of a scenario explains.
+
+Sobol's indices by the estimators of Saltelli and Jansen (A. Saltelli et al., Variance based sensitivity analysis of
+model output, Computer Physics Communications 181, 2010), as SALib has them: the first-order index is the share of the
+variance that a key explains by itself, the total index the share that is left where all others are known. Of a Latin
+hypercube, the rank correlations of the outcome with each key.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from SALib.analyze import sobol
+from scipy.stats import spearmanr
+
+from reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
+from reports.run.data import RunData
+from reports.schema.grid import NO_VALUE, Grid
+from reports.schema.records import CONTROL
+from reports.statistics.intervals import LEVEL, FloatArray
+from reports.statistics.measured import WORST, Measured, Statistic, bounded
+from reports.statistics.resampling import RESAMPLES, content_rng
+from reports.tables.cells import interval
+
+_KEY = ("trial", "scenario")
+_CIRCUMSTANCES = ("image", "range_m", "phase_deg", "latitude_deg", "view_deg", "sun_deg", "epipolar_offset_px")
+_RESULTS = (
+    "rows", "stages", "landmarks", "diagnostics", "epochs", "vision", "crater_matches", "detections", "orbits",
+    "navigation", "surveyed_images", "surveyed_craters",
+)  # fmt: skip
+"""Tables of what methods find, of any kind of trial."""
+FIRST, TOTAL, RANK = "first-order index", "total index", "rank correlation"
+
+
+@dataclass(frozen=True, slots=True)
+class Varied:
+    """A key of the scenarios with the bounds between which it is varied."""
+
+    key: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensitivity:
+    """What varied keys do to one estimator.
+
+    Parameters
+    ----------
+    estimator
+        Its label.
+    base
+        The outcome where nothing is varied.
+    outcomes
+        (n,) of the samples.
+    alone
+        By key the outcomes at its lower and upper bound, all else as it was.
+    shares
+        By the name of an index, one for each key; None where the outcome does not vary.
+    unmoved
+        Keys that change no result of this estimator, bit for bit, at either bound.
+    """
+
+    estimator: str
+    base: float
+    outcomes: FloatArray
+    alone: Mapping[str, tuple[float, float]]
+    shares: Mapping[str, tuple[Measured, ...]]
+    unmoved: tuple[str, ...]
+
+
+def outcome(run: RunData, metric: Metric, statistic: Statistic, scenario: str, estimator: str) -> float:
+    """Evaluate a statistic over the trials of a scenario; NaN or infinite where too few have a value.
+
+    A failure counts with its prior's error. Where there are no priors it counts in medians and percentiles, as worse
+    than any error; a mean of such does not exist, and is that of the solved trials.
+    """
+    own = (run.rows["scenario"] == scenario) & (run.rows["estimator"] == estimator) & ~nothing_to_find(run, metric)
+    values, prior = metric_values(run, metric)[own], prior_values(run, metric)
+    if prior is not None:
+        values = values.fillna(prior[own])
+    elif statistic.quantile is not None and metric.is_error:
+        values = values.fillna(WORST)
+    known = values.dropna().to_numpy(dtype=np.float64)
+    return bounded(statistic.of(known)) if len(known) else float("nan")
+
+
+def same_results(run: RunData, one: str, other: str, estimator: str) -> bool:
+    """Whether an estimator gives the same results in two scenarios, bit for bit, whatever its trials are like."""
+    tables = [table for table in (getattr(run, name) for name in _RESULTS) if len(table)]
+    return all(_results(table, one, estimator).equals(_results(table, other, estimator)) for table in tables)
+
+
+def _results(table: pd.DataFrame, scenario: str, estimator: str) -> pd.DataFrame:
+    own = table[(table["scenario"] == scenario) & (table["estimator"] == estimator)]
+    if "stage" in own:
+        own = own[own["stage"] != CONTROL]
+    about = [name for name in own if name in (*_KEY, *_CIRCUMSTANCES) or str(name).startswith(("prior_", "true_"))]
+    return own.drop(columns=about).reset_index(drop=True)
+
+
+def sobol_shares(varied: Sequence[Varied], outcomes: FloatArray, seed: int) -> dict[str, tuple[Measured, ...]]:
+    """Estimate Sobol's indices with their 95 % bootstrap intervals; none where the outcomes (n,) are all the same."""
+    if float(np.ptp(outcomes)) == 0.0:
+        return {}
+    found = sobol.analyze(problem(varied), outcomes, calc_second_order=False, conf_level=LEVEL, seed=seed)
+    return {
+        name: tuple(
+            Measured(float(x), float(x - c), float(x + c)) for x, c in zip(found[s], found[f"{s}_conf"], strict=True)
+        )
+        for name, s in ((FIRST, "S1"), (TOTAL, "ST"))
+    }
+
+
+def rank_shares(samples: FloatArray, outcomes: FloatArray) -> dict[str, tuple[Measured, ...]]:
+    """Estimate Spearman's correlation of the outcomes (n,) with each key of the samples (n, k), with its interval."""
+    if float(np.ptp(outcomes)) == 0.0:
+        return {}
+    rng = content_rng(samples, outcomes)
+    drawn = rng.integers(0, len(outcomes), (RESAMPLES // 4, len(outcomes)))
+    found = []
+    for column in samples.T:
+        draws = [spearmanr(column[pick], outcomes[pick]).statistic for pick in drawn if np.ptp(outcomes[pick]) > 0.0]
+        low, high = np.percentile(draws, [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)])
+        found.append(Measured(float(spearmanr(column, outcomes).statistic), float(low), float(high)))
+    return {RANK: tuple(found)}
+
+
+def problem(varied: Sequence[Varied]) -> dict[str, object]:
+    """Describe what is varied as SALib wants it."""
+    return {"num_vars": len(varied), "names": [v.key for v in varied], "bounds": [[v.low, v.high] for v in varied]}
+
+
+def sensitivity_grid(found: Sequence[Sensitivity], varied: Sequence[Varied], metric: Metric, statistic: str) -> Grid:
+    """Tabulate the indices of every estimator and key."""
+    names = list(dict.fromkeys(name for one in found for name in one.shares))
+    unit = f", {metric.unit}" if metric.unit else ""
+    heads = (
+        "estimator",
+        "key",
+        "from",
+        "to",
+        f"base{unit}",
+        f"at from{unit}",
+        f"at to{unit}",
+        *(f"{name} [95 %]" for name in names),
+        "",
+    )
+    rows = []
+    for one in found:
+        for i, key in enumerate(varied):
+            shares = (interval(one.shares[name][i]) if name in one.shares else NO_VALUE for name in names)
+            alone = (interval(Measured(x)) for x in (one.base, *one.alone[key.key]))
+            remark = "changes no result" if key.key in one.unmoved else ""
+            rows.append((one.estimator, key.key, f"{key.low:g}", f"{key.high:g}", *alone, *shares, remark))
+    note = (
+        f"Outcome: {statistic} of the {metric.label} over the trials of a sample, the same draws in all samples; a"
+        " failure counts with its prior's error, without priors in medians and percentiles as worse than any. At from,"
+        " at to: that key alone at its bounds. 'changes no result': at both bounds every number of the estimator is"
+        " that of the base, bit for bit. An index whose interval is wider than 1 says nothing: take more --samples."
+    )
+    return Grid("Sensitivity", heads, tuple(rows), frozenset({0, 1, len(heads) - 1}), note)

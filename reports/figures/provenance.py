@@ -1,0 +1,47 @@
+"""Where a figure comes from, printed in its footer and its caption, so that it tells so when it stands alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from matplotlib.figure import Figure
+
+from reports.figures.style import add_footer
+from reports.run.data import Manifest, RunData
+from reports.schema.labels import count_of
+from reports.schema.named_figure import NamedFigure
+
+_FEW = 6
+
+
+def made_by(manifest: Manifest) -> str:
+    """Name a run: campaign, trials, seed and commit."""
+    commit = f", commit {manifest.commit}" if manifest.commit else ""
+    return f"boresight {manifest.name}, {count_of(manifest.trials, 'trial')}, seed {manifest.seed}{commit}"
+
+
+def stamp(figure: Figure, runs: Sequence[RunData]) -> None:
+    """Print the runs that a figure is of in its footer."""
+    add_footer(figure, list(dict.fromkeys(made_by(run.manifest) for run in runs)))
+
+
+def counted(figure: NamedFigure, runs: Sequence[RunData]) -> NamedFigure:
+    """Say at the end of a caption of how many trials the runs are that it shows, and how many each method solved."""
+    told = [_counts(run) for run in runs]
+    named = told if len(told) == 1 else [f"{run.manifest.name} {one}" for run, one in zip(runs, told, strict=True)]
+    return replace(figure, caption=f"{figure.caption} Of {'; '.join(dict.fromkeys(named))}.")
+
+
+def _counts(run: RunData) -> str:
+    """Count the trials of a run over all scenarios, and those that methods solved."""
+    trials, several = run.progress()[0], run.rows["scenario"].nunique()
+    solved = (run.rows["status"] == "ok").groupby(run.rows["estimator"], sort=False).sum()
+    if len(solved) > _FEW:
+        whose = f"{solved.min()} to {solved.max()} by each of {len(solved)} methods"
+    else:
+        order = {str(label): place for place, label in enumerate(run.manifest.estimators)}
+        labels = sorted(map(str, solved.index), key=lambda label: order.get(label, len(order)))
+        whose = ", ".join(f"{label} {solved[label]}" for label in labels)
+    of = f" of {several} scenarios" if several > 1 else ""
+    return f"{count_of(trials, 'trial')}{of}, solved: {whose}"

@@ -1,0 +1,142 @@
+"""Figures of a run that detects craters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reports.figures.crater_rates import (
+    FALSE_COLOUR,
+    FOUND_COLOUR,
+    OTHER_COLOUR,
+    TRUE_COLOUR,
+    ConfidenceCurve,
+    draw_confidence_curves,
+    draw_found_and_true,
+    draw_rates,
+)
+from reports.figures.craters import draw_stages
+from reports.kinds.crater_detection.rates import BINNINGS, Shown, binned_rates, confidence_curve, shown
+from reports.run.data import RunData
+from reports.schema.named_figure import NamedFigure, file_stem
+from scenarios.geometry import Ellipses
+
+_ELLIPSE = ["u_px", "v_px", "major_px", "minor_px", "angle_deg"]
+
+
+def crater_figures(run: RunData) -> Iterator[NamedFigure]:
+    """Draw, for each scenario, the curves over confidence and the rates by what craters are like."""
+    every = list(shown(run))
+    for scenario in dict.fromkeys(one.scenario for one in every):
+        ones = [one for one in every if one.scenario == scenario and len(one.detections)]
+        if ones:
+            yield _curves(scenario, ones)
+            yield _rates(scenario, ones)
+
+
+def _curves(scenario: str, ones: list[Shown]) -> NamedFigure:
+    curves = {}
+    for one in ones:
+        curve = confidence_curve(one)
+        at = int(one.detections["kept"].sum()) - 1  # the detections above the threshold are the first of the curve
+        curves[one.estimator] = ConfidenceCurve(
+            100.0 * curve.false_share, 100.0 * curve.found_share, 100.0 * curve.clean_share, at
+        )
+    title = f"Craters found over false alarms, {scenario}"
+    return NamedFigure(
+        file_stem("crater_curves", scenario),
+        draw_confidence_curves(curves, title),
+        f"{title}: as the threshold on the confidence falls. Detections of listed craters that are not"
+        " detectable count neither way. Circles: at the detector's own threshold."
+        " Star: what the paper claims, without a definition.",
+        "Curves that rise from the left: the share of craters found against the share of false alarms.",
+    )
+
+
+def _rates(scenario: str, ones: list[Shown]) -> NamedFigure:
+    panels = {
+        what: {
+            one.estimator: [
+                (_span(low, high), rate[0], rate[1] if rate[1] is not None else rate[0], rate[2] or rate[0])
+                for (low, high), (rate, _) in binned_rates(one, values, edges).items()
+                if rate[0] is not None
+            ]
+            for one in ones
+        }
+        for what, values, edges in BINNINGS
+    }
+    title = f"Detectable craters found, {scenario}"
+    return NamedFigure(
+        file_stem("crater_rates", scenario),
+        draw_rates(panels, title),
+        f"{title}: by diameter, degradation and incidence, at each detector's threshold; bars: 95 %, by images.",
+        "Rates with error bars in bins of diameter, degradation and incidence.",
+    )
+
+
+def _span(low: float, high: float) -> str:
+    return f"{low:g}-{high:g}" if np.isfinite(high) else f"{low:g}+"
+
+
+def example_figure(run: RunData, scenario: str, estimator: str, trial: int, image: NDArray[np.float32]) -> NamedFigure:
+    """Draw one image of a stored run with its craters and a detector's: figures 2 and 3 of Cheng et al. (2003)."""
+    truth = run.craters[(run.craters["scenario"] == scenario) & (run.craters["trial"] == trial)]
+    found = run.detections
+    found = found[(found["scenario"] == scenario) & (found["estimator"] == estimator) & (found["trial"] == trial)]
+    found = found[found["kept"].to_numpy(dtype=bool)]
+    detectable, matched = (values.to_numpy(dtype=np.bool_) for values in (truth["detectable"], found["crater"] >= 0))
+    return draw_example(
+        image,
+        (ellipses_of(truth.to_dict("records")), detectable),
+        (ellipses_of(found.to_dict("records")), matched),
+        file_stem("crater_example", scenario, estimator, str(trial)),
+        f"{scenario}, {estimator}, image {trial}",
+    )
+
+
+Marked = tuple[Ellipses, NDArray[np.bool_]]
+"""Rims, and which of them are detectable or matched."""
+
+
+def draw_example(image: NDArray[np.float32], truth: Marked, found: Marked, stem: str, title: str) -> NamedFigure:
+    """Draw an image with its true rims, bright where detectable, and with detected ones, red where none is matched."""
+    (true_rims, detectable), (found_rims, matched) = truth, found
+    figure = draw_found_and_true(
+        image,
+        [(true_rims[~detectable], OTHER_COLOUR), (true_rims[detectable], TRUE_COLOUR)],
+        [(found_rims[matched], FOUND_COLOUR), (found_rims[~matched], FALSE_COLOUR)],
+        title,
+    )
+    return NamedFigure(
+        stem,
+        figure,
+        f"{title}: left, the image; middle, the true rims, bright where they are detectable; right, detections, blue"
+        " where a crater is matched and red where none is.",
+        "A cratered surface three times: plain, with the true rims, and with the detected ones.",
+    )
+
+
+def stages_figure(
+    image: NDArray[np.float32],
+    edges: NDArray[np.bool_],
+    arcs: Mapping[str, Sequence[NDArray[np.float64]]],
+    found: Ellipses,
+    what: str,
+) -> NamedFigure:
+    """Draw the stages of a detector of rims: figure 2 of Cheng et al. (2003)."""
+    return NamedFigure(
+        file_stem("crater_stages", what),
+        draw_stages(image, edges, arcs, found),
+        f"Results of the stages of detection, {what}: (a) the image; (b) Canny edges of both passes; (c) the convex rim"
+        " edges that are left, those of the shaded side blue and those of the lit side orange; (d) detected craters.",
+        "A cratered surface, its edges, those of them that are rims, and the detected craters.",
+    )
+
+
+def ellipses_of(rows: Sequence[Mapping[Any, object]]) -> Ellipses:
+    """Read rims from rows of a stored table."""
+    numbers = np.array([[float(str(row[name])) for name in _ELLIPSE] for row in rows]).reshape(-1, len(_ELLIPSE))
+    return Ellipses(numbers[:, :2], numbers[:, 2:4], np.radians(numbers[:, 4]))

@@ -1,0 +1,331 @@
+"""How well detectors of craters find what is there: rates with intervals over images, and errors in pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from reports.run.clusters import clusters_of
+from reports.run.data import RunData, select
+from reports.schema.grid import NO_VALUE, Grid, value_of
+from reports.schema.records import Record, unit_of
+from reports.statistics.intervals import is_told
+from reports.statistics.measured import MEDIAN, RMS, measure, measure_share
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+DETECTION = "detection"
+"""Stage of what is counted over the detections that reach the detector's threshold."""
+
+BEST = 12
+"""So many of the most confident detections of an image are judged by themselves: as many as the paper finds in one."""
+
+FALSE_SHARES = (0.01, 0.02, 0.05, 0.1, 0.2)
+_DIAMETERS_PX = (12.0, 16.0, 24.0, 36.0, 60.0, np.inf)
+_DEGRADATIONS = (0.0, 0.15, 0.3, 0.45, 0.6)
+_INCIDENCES_DEG = (20.0, 35.0, 45.0, 55.0, 65.0, 75.0)
+_LABELS = {
+    "detection_share": "detectable craters found, %",
+    "clean_detection_share": "clean craters found, %",
+    "false_alarm_share": "false alarms among detections of detectable craters and false ones, %",
+    "listed_false_alarm_share": "false alarms among all detections, any listed crater counting as right, %",
+    "beyond_detectable_share": "detections that are of no detectable crater, %",
+    "duplicate_share": "duplicates among the detections, %",
+    "detections_per_image": "detections in an image",
+    "best_false_alarm_share": f"false alarms among these of the {BEST} most confident of an image, %",
+    "best_within_1px_share": f"centres within 1 px among those of these {BEST} that are matched, %",
+    "best_centre_error_px": f"centre error of these {BEST}, px",
+    "centre_error_px": "centre error of detectable craters, px",
+    "axes_error_px": "error of a semi-axis of detectable craters, px",
+    "clean_centre_error_px": "centre error of clean craters, px",
+    "clean_axes_error_px": "error of a semi-axis of clean craters, px",
+}
+_BRIEF_SHARES = ("detection_share", "clean_detection_share", "false_alarm_share")
+_NOTE = (
+    "Over the detections that reach the detector's threshold (`confidence_min`), which was chosen on images of another"
+    " world before this run; intervals are 95 %, with images, or worlds of craters where"
+    " there are several, as the unit. A detection is matched with a crater whose centre lies within max(0.3 r, 1.5 px)"
+    " and whose radius differs by less than 0.36 in its logarithm, one to one; every crater of 150 m or"
+    " more is listed for that. False alarms lead with"
+    " the same craters that recall is of: a detection of a listed crater that is not detectable counts neither way, as"
+    " difficult objects do in Pascal VOC (Everingham et al. 2010, IJCV 88, 303); detectors of craters are mostly held"
+    " against whole catalogues (as Silburt et al. 2019, Icarus 317, 27), which is the second rate, and the third counts"
+    " such detections as false. Detectable: 12 px or more"
+    " across, 90 % of the rim visible, 95 % in the frame, half of it lit, emission under 60 deg, incidence 20 to 75"
+    " deg, degradation up to 0.6, at most 25 % cut. Clean: of these, a rim within 1 % of an ellipse of an axis ratio"
+    " over 0.5."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """What one detector was shown and found: images, true craters with what was found of each, and detections.
+
+    Craters and detections have the columns ``kept``: whether by the detector's own threshold; ``world``: within which
+    a crater has one number; ``unit``: what is independent of all others, the world where there are several, else the
+    image.
+    """
+
+    scenario: str
+    estimator: str
+    images: pd.DataFrame
+    craters: pd.DataFrame
+    detections: pd.DataFrame
+
+
+def shown(run: RunData) -> Iterator[Shown]:
+    """Yield each detector's images, of the trials that it did not fail on for a fault of its own."""
+    for scenario, estimator in run.pairs():
+        rows = select(run.rows, scenario, estimator)
+        images = rows[["scenario", "trial"]].sort_values("trial")
+        unit = clusters_of(run, images)
+        images = images.assign(unit=unit, world=unit if run.databases > 1 else "")
+        found = select(run.detections, scenario, estimator).merge(images, on=["scenario", "trial"])
+        here = run.craters.merge(images, on=["scenario", "trial"])
+        matched = found.loc[found["crater"] >= 0, ["trial", "crater", "confidence", "kept"]]
+        craters = here.merge(matched, on=["trial", "crater"], how="left")
+        craters["kept"] = craters["kept"].eq(True)
+        yield Shown(scenario, estimator, images, craters, found)
+
+
+def crater_records(run: RunData) -> list[Record]:
+    """Measure every detector; images on which it failed count with what is there and nothing found."""
+    return [record for one in (shown(run) if not run.craters.empty else ()) for record in _records(one)]
+
+
+def _records(one: Shown) -> Iterator[Record]:
+    craters, found = one.craters, one.detections[one.detections["kept"].to_numpy(dtype=bool)]
+    was_found = craters["kept"].to_numpy(dtype=bool)
+    detectable, clean = craters["detectable"].to_numpy(dtype=bool), craters["clean"].to_numpy(dtype=bool)
+    around = craters["unit"].to_numpy()
+    yield _share(one, "detection_share", was_found[detectable], around[detectable])
+    yield _share(one, "clean_detection_share", was_found[clean], around[clean])
+    false = found["crater"].to_numpy() < 0
+    counted = counts_as_detection(found)
+    unit = found["unit"].to_numpy()
+    yield _share(one, "false_alarm_share", false[counted], unit[counted])
+    yield _share(one, "listed_false_alarm_share", false, unit)
+    yield _share(one, "beyond_detectable_share", false | ~counted, unit)
+    yield _share(one, "duplicate_share", found["duplicate"].to_numpy(dtype=bool), unit)
+    sizes = found.groupby("trial").size().reindex(one.images["trial"], fill_value=0)
+    per_image = np.asarray(sizes, dtype=np.float64)
+    for statistic, known in zip((MEDIAN,), measure(per_image, one.images["unit"].to_numpy(), (MEDIAN,)), strict=True):
+        bounds = (known.value, known.low, known.high)
+        yield _record(one, "detections_per_image", statistic.name, bounds, len(per_image), len(per_image))
+    best = (found["rank"] < BEST).to_numpy()
+    yield _share(one, "best_false_alarm_share", false[best & counted], unit[best & counted])
+    good = best & ~false
+    error = found["centre_error_px"].to_numpy(dtype=np.float64)
+    yield _share(one, "best_within_1px_share", error[good] <= 1.0, unit[good])
+    yield from _errors(one, "best_centre_error_px", error[good], unit[good])
+    axes = found[["major_error_px", "minor_error_px"]].to_numpy(dtype=np.float64)
+    for prefix, which in (("", "detectable"), ("clean_", "clean")):
+        seen = found[which].to_numpy(dtype=bool) & ~false
+        yield from _errors(one, f"{prefix}centre_error_px", error[seen], unit[seen])
+        yield from _errors(one, f"{prefix}axes_error_px", np.abs(axes[seen]).ravel(), np.repeat(unit[seen], 2))
+
+
+def counts_as_detection(found: pd.DataFrame) -> BoolArray:
+    """Tell which detections (m,) count: false ones and those of detectable craters, not of other listed ones."""
+    return np.asarray((found["crater"] < 0) | found["detectable"].astype(bool))
+
+
+def _share(one: Shown, name: str, yes: BoolArray, unit: NDArray[np.generic]) -> Record:
+    """Measure a share in percent, images or worlds being drawn as a whole."""
+    return _record(one, name, "mean", ratio(yes, unit), len(yes), len(yes))
+
+
+def ratio(yes: BoolArray, unit: NDArray[np.generic]) -> tuple[float | None, float | None, float | None]:
+    """Share (%) of what is true with its 95 % interval; None where there is nothing."""
+    if len(yes) == 0:
+        return None, None, None
+    found = measure_share(yes.astype(np.float64), np.ones(len(yes)), unit)
+    return found.value, found.low, found.high
+
+
+def _errors(one: Shown, name: str, error: FloatArray, unit: NDArray[np.generic]) -> Iterator[Record]:
+    for statistic, known in zip((MEDIAN, RMS), measure(error, unit, (MEDIAN, RMS)), strict=True):
+        yield _record(one, name, statistic.name, (known.value, known.low, known.high), len(error), len(error))
+
+
+def _record(
+    one: Shown, name: str, statistic: str, bounds: tuple[float | None, float | None, float | None], n_ok: int, n: int
+) -> Record:
+    return Record(one.scenario, one.estimator, DETECTION, "", name, unit_of(name), statistic, *bounds, n_ok, n)
+
+
+def crater_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
+    """Tabulate rates and errors, rates by what craters are like, and the curve over confidence; [] without craters."""
+    lines = tuple(
+        (r.scenario, r.estimator, _LABELS[r.measure], r.statistic, value_of(r, interval=True), str(r.n))
+        for r in records
+        if r.stage == DETECTION
+    )
+    if not lines:
+        return []
+    heads = ("scenario", "detector", "quantity", "statistic", "value [95 %]", "n")
+    ones = list(shown(run))
+    return [
+        Grid("Detection of craters", heads, lines, frozenset({0, 1, 2, 3}), _NOTE),
+        _curve_grid(ones),
+        *(_binned_grid(ones, *binning) for binning in BINNINGS),
+        _image_grid(run),
+    ]
+
+
+def crater_brief(records: Sequence[Record]) -> list[Grid]:
+    """Tabulate what fits a terminal: the rates of each detector, and how far the centres are off; a grid a scenario."""
+    known = {(r.scenario, r.estimator, r.measure, r.statistic): r for r in records if r.stage == DETECTION}
+    rows: dict[str, list[tuple[str, ...]]] = {}
+    for scenario, estimator in dict.fromkeys(key[:2] for key in known):
+        shares = [value_of(known[scenario, estimator, name, "mean"], interval=True) for name in _BRIEF_SHARES]
+        shares.append(value_of(known[scenario, estimator, "listed_false_alarm_share", "mean"]))
+        centre = value_of(known[scenario, estimator, "centre_error_px", RMS.name])
+        rows.setdefault(scenario, []).append((estimator, *shares, centre))
+    heads = ("detector", "found, %", "of clean, %", "false, %", "of all, %", "RMS px")
+    return [Grid(f"Detection of craters, {scenario}", heads, tuple(lines)) for scenario, lines in rows.items()]
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A detector's operating points as the confidence falls: (m,) shares of false alarms and of craters found.
+
+    ``false_share`` is among the detections that count (`counts_as_detection`), ``listed_false_share`` among all.
+    """
+
+    false_share: FloatArray
+    listed_false_share: FloatArray
+    found_share: FloatArray
+    clean_share: FloatArray
+    confidence: FloatArray
+
+
+def confidence_curve(one: Shown) -> Curve:
+    """Follow the threshold on the confidence from the highest to the lowest."""
+    found = one.detections.sort_values("confidence", ascending=False, kind="stable")
+    false = np.cumsum(found["crater"].to_numpy() < 0)
+    counted = np.cumsum(counts_as_detection(found))
+    matched = found["crater"].to_numpy() >= 0
+    hits = {name: np.cumsum(found[name].to_numpy(dtype=bool) & matched) for name in ("detectable", "clean")}
+    totals = {name: max(int(one.craters[name].sum()), 1) for name in hits}
+    return Curve(
+        false / np.maximum(counted, 1),
+        false / np.arange(1, len(found) + 1),
+        hits["detectable"] / totals["detectable"],
+        hits["clean"] / totals["clean"],
+        found["confidence"].to_numpy(dtype=np.float64),
+    )
+
+
+def _curve_grid(ones: Sequence[Shown]) -> Grid:
+    """List what is found where the threshold lets so many false alarms through at most."""
+    rows: list[tuple[str, ...]] = []
+    for one in ones:
+        curve = confidence_curve(one)
+        for wanted in FALSE_SHARES:
+            allowed = np.flatnonzero(curve.false_share <= wanted)
+            if not len(allowed):
+                rows.append((one.scenario, one.estimator, f"{100 * wanted:g}", "-", "-", "-", "-", "-"))
+                continue
+            threshold = float(curve.confidence[allowed[-1]])
+            above = one.craters["confidence"].to_numpy(dtype=np.float64) >= threshold
+            cells = []
+            for name in ("detectable", "clean"):
+                chosen = one.craters[name].to_numpy(dtype=bool)
+                cells.append(_cell(ratio(above[chosen], one.craters["unit"].to_numpy()[chosen])))
+            kept = int((one.detections["confidence"] >= threshold).sum())
+            listed = f"{100 * curve.listed_false_share[allowed[-1]]:.1f}"
+            own = (one.scenario, one.estimator, f"{100 * wanted:g}", listed, f"{threshold:.3g}")
+            rows.append((*own, *cells, str(kept)))
+    return Grid(
+        "Detection of craters by confidence",
+        (
+            "scenario",
+            "detector",
+            "false alarms, % at most",
+            "of all, %",
+            "confidence",
+            "detectable found, %",
+            "clean found, %",
+            "n",
+        ),
+        tuple(rows),
+        frozenset({0, 1}),
+        "Had the threshold on the confidence let at most so many false alarms through, over all images together, among"
+        " false detections and those of detectable craters; of all: among all detections, of which those of other"
+        " listed craters count as right; n: detections kept.",
+    )
+
+
+def _diameter_px(craters: pd.DataFrame) -> FloatArray:
+    return np.asarray(2.0 * np.sqrt(craters["major_px"] * craters["minor_px"]), dtype=np.float64)
+
+
+def _column(name: str) -> Callable[[pd.DataFrame], FloatArray]:
+    return lambda craters: craters[name].to_numpy(dtype=np.float64)
+
+
+Binning = tuple[str, Callable[[pd.DataFrame], FloatArray], tuple[float, ...]]
+BINNINGS: tuple[Binning, ...] = (
+    ("diameter, px", _diameter_px, _DIAMETERS_PX),
+    ("degradation", _column("degradation"), _DEGRADATIONS),
+    ("incidence, deg", _column("incidence_deg"), _INCIDENCES_DEG),
+)
+
+
+def binned_rates(
+    one: Shown, values: Callable[[pd.DataFrame], FloatArray], edges: Sequence[float]
+) -> Mapping[tuple[float, float], tuple[tuple[float | None, float | None, float | None], int]]:
+    """Rates of detectable craters found, with intervals, and their numbers, between edges of something of theirs."""
+    craters = one.craters[one.craters["detectable"].astype(bool)]
+    of, unit = values(craters), craters["unit"].to_numpy()
+    was_found = craters["kept"].to_numpy(dtype=bool)
+    rates = {}
+    for low, high in pairwise(edges):
+        within = (of >= low) & ((of < high) | ((of == high) & (high == edges[-1])))
+        rates[low, high] = ratio(was_found[within], unit[within]), int(within.sum())
+    return rates
+
+
+def _binned_grid(
+    ones: Sequence[Shown], what: str, values: Callable[[pd.DataFrame], FloatArray], edges: Sequence[float]
+) -> Grid:
+    rows = []
+    for one in ones:
+        for (low, high), (rate, n) in binned_rates(one, values, edges).items():
+            span = f"{low:g} to {high:g}" if np.isfinite(high) else f"from {low:g}"
+            rows.append((one.scenario, one.estimator, span, _cell(rate), str(n)))
+    heads = ("scenario", "detector", what, "detectable found, %", "n")
+    return Grid(f"Detection of craters by {what.split(',')[0]}", heads, tuple(rows), frozenset({0, 1, 2}))
+
+
+def _cell(rate: tuple[float | None, float | None, float | None]) -> str:
+    value, low, high = rate
+    if value is None:
+        return "-"
+    return f"{value:.1f}" if low is None or high is None else f"{value:.1f} [{low:.1f}, {high:.1f}]"
+
+
+def _image_grid(run: RunData) -> Grid:
+    """Tell what the images are like."""
+    rows = []
+    for scenario, images in run.crater_images.groupby("scenario", sort=False):
+        for name, label in (
+            ("phase_deg", "phase, deg"),
+            ("n_craters", "craters of 150 m or more in sight"),
+            ("n_detectable", "detectable craters"),
+            ("n_clean", "clean craters"),
+        ):
+            values = images[name].to_numpy(dtype=np.float64)
+            low, middle, high = (f"{end:.3g}" for end in np.percentile(values, [5.0, 50.0, 95.0]))
+            if not is_told(len(values), 0.05):
+                low = high = NO_VALUE
+            rows.append((str(scenario), label, low, middle, high, str(len(values))))
+    heads = ("scenario", "of an image", "5 %", "median", "95 %", "images")
+    return Grid("Images", heads, tuple(rows), frozenset({0, 1}))

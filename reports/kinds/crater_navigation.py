@@ -1,0 +1,153 @@
+"""What a report tells of the chain of crater navigation, before the orbit: images, craters, matches and landmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from reports.figures.navigation import draw_counts, draw_landmark_spans
+from reports.kinds.orbit_determination import REPORT as OF_ORBIT
+from reports.run.clusters import clusters_of
+from reports.run.data import TRIAL_KEY, RunData, select
+from reports.schema.grid import Grid, value_of_ended
+from reports.schema.named_figure import NamedFigure, file_stem
+from reports.schema.records import Record, find, unit_of
+from reports.statistics.measured import MEAN, MEDIAN, measure
+
+NAVIGATION = "navigation"
+"""Stage of what the chain comes to before the orbit."""
+_NOTE = (
+    "Of the last round. False: detections that are no crater. Wrong: matches that join two different craters; found:"
+    " right matches over the craters that matched images have in common. Mixed: sightings in the data base of another"
+    " crater than most of their number. Truth has a part in these counts, and in what the chain is given: centre of"
+    " mass and the RMS error of the believed shape are the true ones, and the spin where nothing else is said."
+)
+
+
+def navigation_records(run: RunData) -> list[Record]:
+    """Measure what the chains come to, under the stage ``navigation``."""
+    records: list[Record] = []
+    if run.navigation.empty:
+        return records
+    table = _measured(run)
+    for scenario, estimator in run.pairs():
+        own, n = select(table, scenario, estimator), len(select(run.rows, scenario, estimator))
+        for name in _MEASURES:
+            numbers = own[name].to_numpy(dtype=np.float64)
+            known = np.isfinite(numbers)
+            for statistic in (MEAN, MEDIAN):
+                (found,) = measure(numbers[known], clusters_of(run, own)[known], (statistic,))
+                records.append(
+                    Record(
+                        scenario, estimator, NAVIGATION, "", name, unit_of(name), statistic.name, found.value,
+                        found.low, found.high, int(known.sum()), n,
+                    )
+                )  # fmt: skip
+    return records
+
+
+_MEASURES = (
+    "rounds", "images_taken", "craters_detected", "craters_per_image", "median_craters_per_image",
+    "listed_false_alarm_share", "image_pairs", "matching_recall_share", "matching_wrong_share", "database_landmarks",
+    "hits_per_landmark", "mixed_share", "processing_seconds",
+)  # fmt: skip
+
+
+def _measured(run: RunData) -> pd.DataFrame:
+    """Work out the measures of each trial and chain."""
+    table = run.navigation.set_index(TRIAL_KEY)
+    images = run.navigated_images.groupby(TRIAL_KEY)["n_detections"]
+    landmarks = run.navigated_landmarks.groupby(TRIAL_KEY)
+    worked = run.timings[~run.timings["stage"].isin(["imaging", "scoring"])]
+    matches = table["n_correct"] + table["n_wrong"]
+    hits = landmarks["hits"].sum().reindex(table.index)
+    return pd.DataFrame(
+        {
+            "rounds": table["rounds"],
+            "images_taken": table["n_images"],
+            "craters_detected": table["n_detections"],
+            "craters_per_image": images.mean(),
+            "median_craters_per_image": images.median(),
+            "listed_false_alarm_share": _percent(table["n_false"], table["n_detections"]),
+            "image_pairs": table["n_pairs"],
+            "matching_recall_share": _percent(table["n_correct"], table["n_common"]),
+            "matching_wrong_share": _percent(table["n_wrong"], matches),
+            "database_landmarks": table["n_landmarks"],
+            "hits_per_landmark": hits / table["n_landmarks"].where(table["n_landmarks"] > 0),
+            "mixed_share": _percent(landmarks["n_other"].sum().reindex(table.index), hits),
+            "processing_seconds": worked.groupby(TRIAL_KEY)["seconds"].sum(),
+        }
+    ).reset_index()
+
+
+def _percent(part: pd.Series, whole: pd.Series) -> pd.Series:
+    return 100.0 * part / whole.where(whole > 0)
+
+
+def navigation_grid(records: Sequence[Record], run: RunData) -> Grid | None:
+    """Tabulate the chain up to the data base; None without one."""
+    if run.navigation.empty:
+        return None
+    heads = {
+        "rounds": "rounds", "images_taken": "images", "craters_per_image": "craters an image",
+        "listed_false_alarm_share": "false %", "image_pairs": "pairs", "matching_recall_share": "found %",
+        "matching_wrong_share": "wrong %", "database_landmarks": "landmarks", "hits_per_landmark": "images each",
+        "mixed_share": "mixed %", "processing_seconds": "time s",
+    }  # fmt: skip
+    rows = []
+    for scenario, estimator in run.pairs():
+        key = {"scenario": scenario, "estimator": estimator, "stage": NAVIGATION, "statistic": MEAN.name}
+        cells = [value_of_ended(find(records, **key, measure=name), interval=False) for name in heads]
+        rows.append((scenario, estimator, *cells))
+    columns = ("scenario", "estimator", *heads.values())
+    return Grid("From images to the data base", columns, tuple(rows), frozenset({0, 1}), _NOTE)
+
+
+def navigation_figures(run: RunData) -> Iterator[NamedFigure]:
+    """Draw the counts and the spans of the first trial of each scenario and chain."""
+    for scenario, estimator in run.pairs():
+        if len(select(run.navigated_images, scenario, estimator)):
+            yield counts_figure(run, scenario, estimator)
+        if len(select(run.navigated_landmarks, scenario, estimator)):
+            yield _spans_figure(run, scenario, estimator)
+
+
+def counts_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
+    """Draw how many craters images have and how many images landmarks, in the first trial."""
+    images = _first(select(run.navigated_images, scenario, estimator))
+    landmarks = _first(select(run.navigated_landmarks, scenario, estimator))
+    title = f"Craters of images and images of landmarks, {scenario}, {estimator}, first trial"
+    return NamedFigure(
+        file_stem("crater_counts", scenario, estimator),
+        draw_counts(images, landmarks, title),
+        f"{title} (figures 8b and 9 of Cheng et al. 2003): {images['n_detections'].mean():.3g}"
+        f" craters an image on average, median {images['n_detections'].median():.3g}.",
+        "Two histograms: craters detected in an image, and images that show a landmark.",
+    )
+
+
+def _spans_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
+    title = f"Landmarks over time, {scenario}, {estimator}, first trial"
+    return NamedFigure(
+        file_stem("landmark_spans", scenario, estimator),
+        draw_landmark_spans(_first(select(run.navigated_landmarks, scenario, estimator)), title),
+        f"{title}: from the first to the last image that shows each landmark of the data base.",
+        "A horizontal line for each landmark over the days of the arc.",
+    )
+
+
+def _first(table: pd.DataFrame) -> pd.DataFrame:
+    """Leave only the first trial that is stored."""
+    first: pd.DataFrame = table[table["trial"] == table["trial"].min()]
+    return first
+
+
+REPORT = replace(
+    OF_ORBIT,
+    records=lambda run, comparison: (*navigation_records(run), *OF_ORBIT.records(run, comparison)),
+    tables=lambda content: (navigation_grid(content.records, content.run), *OF_ORBIT.tables(content)),
+    figures=lambda content: (*navigation_figures(content.run), *OF_ORBIT.figures(content)),
+)

@@ -1,0 +1,316 @@
+"""What a grid of scenarios shows: errors by level, and changes between levels trial by trial.
+
+A change is the ratio of geometric means over the same trials, whose views and priors are the same in every scenario:
+``exp(mean_t(ln e_t - ln e'_t))``. It is paired, one bad trial does not decide it, and the effects of several axes
+multiply.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from reports.run.clusters import clusters_of, image_set
+from reports.run.data import Design, RunData, select
+from reports.run.stages import errors_by_stage, final_stage
+from reports.run.success import MEANING, succeeded
+from reports.schema.grid import NO_VALUE, Grid, of_ended
+from reports.schema.labels import measure_label, stage_label
+from reports.schema.records import CONTROL, SEQUENCE, unit_of
+from reports.statistics.main_effects import main_effects
+from reports.statistics.measured import MEAN, MEDIAN, Measured, measure
+from reports.statistics.measures import SEQUENCE_COLUMNS
+from reports.tables.cells import interval
+
+POSITION, ATTITUDE, CENTROID = "position_error_m", "attitude_error_deg", "centroid_offset_px"
+REVOLUTION_ERRORS = tuple(name for name in SEQUENCE_COLUMNS if name.startswith("error_after_"))
+_REPORTED = "diagnostics"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What is compared between scenarios: an error of an estimator after one of its stages, '' for the final one.
+
+    The stage ``diagnostics`` stands for numbers that the estimator reports, ``sequence`` for what a trial of a sequence
+    comes to.
+    """
+
+    estimator: str
+    stage: str
+    measure: str
+
+    @property
+    def label(self) -> str:
+        """In words, with the unit."""
+        if self.stage == CONTROL:
+            return f"prior, {unit_of(self.measure)}"
+        after = f" {stage_label(self.stage)}" if self.stage not in ("", _REPORTED, SEQUENCE) else ""
+        return f"{measure_label(self.measure)}{after}, {unit_of(self.measure)}"
+
+
+def outcomes(run: RunData) -> list[Outcome]:
+    """List the outcomes of a run: what there is of centroiding, then the final position and attitude.
+
+    The attitude is none of an estimator that leaves it as it was, such as centroiding alone. Of sequences, list the
+    errors after whole revolutions that they are long enough for.
+    """
+    if not run.epochs.empty:
+        names = dict.fromkeys(name for _, name in run.pairs())
+        reached = [name for name in REVOLUTION_ERRORS if run.rows[name].notna().any()]
+        return [Outcome(estimator, SEQUENCE, name) for estimator in names for name in reached or [POSITION]]
+    found = []
+    for estimator in dict.fromkeys(name for _, name in run.pairs() if name != CONTROL):
+        scenario = next(where for where, name in run.pairs() if name == estimator)
+        stages = errors_by_stage(run, scenario, estimator)
+        if _reports(run, estimator, CENTROID):
+            found.append(Outcome(estimator, _REPORTED, CENTROID))
+        if "centroid" in stages and final_stage(run, scenario, estimator) != "centroid":
+            found.append(Outcome(estimator, "centroid", POSITION))
+        found.append(Outcome(estimator, "", POSITION))
+        if _turns(run, estimator):
+            found.append(Outcome(estimator, "", ATTITUDE))
+    return found
+
+
+def _reports(run: RunData, estimator: str, name: str) -> bool:
+    told = run.diagnostics
+    return bool(((told["estimator"] == estimator) & (told["name"] == name)).any())
+
+
+def _turns(run: RunData, estimator: str) -> bool:
+    """Whether an estimator changes the attitude at all."""
+    rows = run.rows[(run.rows["estimator"] == estimator) & (run.rows["status"] == "ok")]
+    return rows.empty or bool(((rows[ATTITUDE] - rows[f"prior_{ATTITUDE}"]).abs() > 1e-9).any())
+
+
+class DesignData:
+    """A run of a grid of scenarios, with the errors of an outcome by scenario and trial.
+
+    Parameters
+    ----------
+    run
+        The run; its manifest describes the grid.
+    design
+        That description.
+    """
+
+    def __init__(self, run: RunData, design: Design) -> None:
+        self.run = run
+        self.design = design
+        done = set(run.rows["scenario"])
+        self._variations = {one.name: one for one in design.scenarios if one.name in done}
+        self._errors: dict[tuple[str, Outcome], pd.Series] = {}
+
+    def scenarios(self, **levels: str) -> list[str]:
+        """List the scenarios that have been run in which the named axes are at the given levels."""
+        return [name for name in self._variations if levels.items() <= self.levels(name).items()]
+
+    def levels(self, scenario: str) -> dict[str, str]:
+        """Return a scenario's level of each axis, in the order of the axes."""
+        own = self._variations[scenario].levels
+        return {axis.name: own[axis.name] for axis in self.design.axes}
+
+    def bases(self) -> dict[str, list[str]]:
+        """Group the scenarios that have been run by the one that they vary."""
+        groups: dict[str, list[str]] = {}
+        for name, one in self._variations.items():
+            groups.setdefault(one.base, []).append(name)
+        return groups
+
+    def errors(self, scenario: str, outcome: Outcome) -> pd.Series:
+        """Return the errors by trial; trials without an estimate, or which did not reach the stage, have none."""
+        key = (scenario, outcome)
+        if key not in self._errors:
+            of_stage = {_REPORTED: self._reported, SEQUENCE: self._followed}.get(outcome.stage, self._posed)
+            self._errors[key] = of_stage(scenario, outcome).dropna().astype(float)
+        return self._errors[key]
+
+    def _followed(self, scenario: str, outcome: Outcome) -> pd.Series:
+        """Return the error of every trial that came so far, whether or not it failed later."""
+        return select(self.run.rows, scenario, outcome.estimator).set_index("trial")[outcome.measure]
+
+    def _posed(self, scenario: str, outcome: Outcome) -> pd.Series:
+        stages = errors_by_stage(self.run, scenario, outcome.estimator)
+        table = stages.get(outcome.stage or final_stage(self.run, scenario, outcome.estimator))
+        return pd.Series(dtype=float) if table is None else table.set_index("trial")[outcome.measure]
+
+    def _reported(self, scenario: str, outcome: Outcome) -> pd.Series:
+        told = select(self.run.diagnostics, scenario, outcome.estimator)
+        return told[told["name"] == outcome.measure].set_index("trial")["value"]
+
+    def trials(self, scenario: str, outcome: Outcome) -> int:
+        """Count the trials of a scenario, with and without an estimate."""
+        rows = self.run.rows
+        return int(((rows["scenario"] == scenario) & (rows["estimator"] == outcome.estimator)).sum())
+
+    def priors(self, names: Sequence[str], estimator: str) -> list[Outcome]:
+        """Return the position error of the prior that an estimator began with, where its trials have one."""
+        prior = Outcome(estimator, CONTROL, POSITION)
+        return [prior] if any(len(self.errors(name, prior)) for name in names) else []
+
+    def median(self, scenario: str, outcome: Outcome) -> Measured:
+        """Return the median error with its interval."""
+        errors = self.errors(scenario, outcome)
+        return measure(errors.to_numpy(), self._clusters(scenario, errors), (MEDIAN,))[0]
+
+    def printed_median(self, scenario: str, outcome: Outcome) -> str:
+        """Print the median error with its interval, and of how many trials where others have none."""
+        cell, trials = interval(self.median(scenario, outcome)), self.trials(scenario, outcome)
+        return of_ended(cell, len(self.errors(scenario, outcome)), trials)
+
+    def ok(self, scenarios: Sequence[str], outcome: Outcome) -> str:
+        """Print n_ok/n over scenarios."""
+        n_ok = sum(len(self.errors(name, outcome)) for name in scenarios)
+        return f"{n_ok}/{sum(self.trials(name, outcome) for name in scenarios)}"
+
+    def counts(self, scenarios: Sequence[str], outcome: Outcome) -> tuple[str, ...]:
+        """Print the trials behind a median and, where trials have priors, those that succeeded, over scenarios."""
+        solved = self.ok(scenarios, outcome)
+        if not self.priors(scenarios, outcome.estimator):
+            return (solved,)
+        good = [succeeded(select(self.run.rows, name, outcome.estimator)) for name in scenarios]
+        return (solved, f"{sum(int(own.sum()) for own in good)}/{sum(map(len, good))}")
+
+    def change(self, scenario: str, against: str, outcome: Outcome) -> Measured:
+        """Return the ratio of geometric means between two scenarios, over the trials known to both."""
+        errors = (self.errors(name, outcome).clip(lower=1e-12) for name in (scenario, against))
+        logs = pd.concat([np.log(series) for series in errors], axis=1, join="inner")
+        difference = logs.iloc[:, 0] - logs.iloc[:, 1]
+        found = measure(difference.to_numpy(), self._clusters(scenario, difference), (MEAN,))[0]
+        return Measured(*(None if x is None else float(np.exp(x)) for x in (found.value, found.low, found.high)))
+
+    def _clusters(self, scenario: str, by_trial: pd.Series) -> NDArray[np.generic]:
+        return clusters_of(self.run, pd.DataFrame({"scenario": scenario, "trial": by_trial.index}))
+
+    def effects(self, names: Sequence[str], outcome: Outcome) -> list[Measured]:
+        """Return the main effect of each axis between its first and last level; of images or data bases without."""
+        levels = {name: self.levels(name).values() for name in names}
+        firsts = [axis.levels[0] for axis in self.design.axes]
+        high = {name: [a != b for a, b in zip(own, firsts, strict=True)] for name, own in levels.items()}
+        found = main_effects({name: self.errors(name, outcome) for name in names}, high)
+        seen = any(image_set(self.run.manifest.scenarios[name]) for name in names)
+        return [Measured(one.value) for one in found] if seen or self.run.databases > 1 else found
+
+
+_CHANGE_NOTE = (
+    "Change: the ratio of geometric means of the error over the same trials, with its 95 % interval; above 1"
+    " it got worse."
+)
+_COUNTED = ("ok",), "ok: trials behind the median, of all."
+_POSED = ("solved", "success"), MEANING
+"""Headings of `DesignData.counts`, and what they mean."""
+
+
+def design_grids(run: RunData) -> list[Grid]:
+    """Tabulate a grid of scenarios; nothing for other runs."""
+    design = run.manifest.grid
+    if design is None:
+        return []
+    tabulate: dict[str, Callable[[DesignData, str, list[str]], Iterator[Grid]]] = {
+        "full": _cell_grids,
+        "one-at-a-time": _axis_grids,
+        "two-level": _effect_grids,
+    }
+    data = DesignData(run, design)
+    return [grid for base, names in data.bases().items() for grid in tabulate[design.design](data, base, names)]
+
+
+def matching(design: Design, levels: dict[str, str]) -> dict[str, str] | None:
+    """Return the levels at which the last of two axes agrees with the first; None where it has no such level."""
+    first, last = design.axes[0], design.axes[-1]
+    if len(design.axes) != 2 or first.levels != last.levels:
+        return None
+    return {first.name: levels[first.name], last.name: levels[first.name]}
+
+
+def _cell_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]:
+    """Tabulate each combination, beside the one at which both axes agree."""
+    design = data.design
+    square = matching(design, data.levels(names[0])) is not None
+    note = _CHANGE_NOTE
+    for estimator, group in _by_estimator(data):
+        heads = [axis.label for axis in design.axes]
+        prior = data.priors(names, estimator)
+        ends, meaning = _POSED if prior else _COUNTED
+        heads += [outcome.label for outcome in prior]
+        for outcome in group:
+            heads += [outcome.label, *(["change"] if square else [])]
+        rows = []
+        for name in names:
+            levels = data.levels(name)
+            cells = [*levels.values(), *(interval(data.median(name, outcome)) for outcome in prior)]
+            for outcome in group:
+                cells.append(data.printed_median(name, outcome))
+                if square:
+                    reference = [n for n in data.scenarios(**(matching(design, levels) or {})) if n in names]
+                    cells.append(
+                        NO_VALUE if reference in ([], [name]) else interval(data.change(name, reference[0], outcome))
+                    )
+            rows.append((*cells, *data.counts([name], group[-1])))
+        what = " against ".join(axis.name for axis in design.axes)
+        text = frozenset(range(len(design.axes)))
+        said = [note, "The reference of a line is the combination whose levels agree."] if square else []
+        yield Grid(f"{what}, {base}, {estimator}", (*heads, *ends), tuple(rows), text, " ".join([*said, meaning]))
+
+
+def _axis_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]:
+    """Tabulate each level of each axis beside the reference."""
+    for estimator, group in _by_estimator(data):
+        prior = data.priors(names, estimator)
+        ends, meaning = _POSED if prior else _COUNTED
+        heads = ["axis", "level", *(outcome.label for outcome in prior)]
+        for outcome in group:
+            heads += [outcome.label, "change"]
+        reference = names[0]
+        rows = [("reference", "", *_axis_cells(data, reference, "", group))]
+        for axis in data.design.axes:
+            for level in axis.levels[1:]:
+                for name in (n for n in names if n != reference and data.levels(n)[axis.name] == level):
+                    rows.append((axis.label, level, *_axis_cells(data, name, reference, group)))
+        said = f"{_CHANGE_NOTE} {meaning}"
+        yield Grid(f"One at a time, {base}, {estimator}", (*heads, *ends), tuple(rows), frozenset({0}), said)
+
+
+def _axis_cells(data: DesignData, name: str, reference: str, group: list[Outcome]) -> tuple[str, ...]:
+    cells = [interval(data.median(name, prior)) for prior in data.priors([name], group[0].estimator)]
+    for outcome in group:
+        change = interval(data.change(name, reference, outcome)) if reference else NO_VALUE
+        cells += [data.printed_median(name, outcome), change]
+    return (*cells, *data.counts([name], group[-1]))
+
+
+def _effect_grids(data: DesignData, base: str, names: list[str]) -> Iterator[Grid]:
+    """Tabulate main effects: the scenarios with an axis at its last level against those with it at its first."""
+    note = (
+        "Main effect: the factor by which the error changes from the first to the last level of an axis, by least"
+        " squares on its logarithm over all scenarios with a constant for each trial, with its 95 % bootstrap interval."
+        " Trials are counted at either level."
+    )
+    for estimator, group in _by_estimator(data):
+        ends, meaning = _POSED if data.priors(names, estimator) else _COUNTED
+        at_ends = (f"{head} {end}" for end in ("from", "to") for head in ends)
+        heads = ("axis", "from", "to", *(outcome.label.split(",")[0] for outcome in group), *at_ends)
+        effects = [data.effects(names, outcome) for outcome in group]
+        rows = []
+        for k, axis in enumerate(data.design.axes):
+            levels = (axis.levels[0], axis.levels[-1])
+            sides = [[n for n in names if data.levels(n)[axis.name] == level] for level in levels]
+            cells = [interval(found[k]) for found in effects]
+            rows.append((axis.label, *levels, *cells, *(n for side in sides for n in data.counts(side, group[-1]))))
+        said = f"{note} {meaning}{_prior_note(data, names, estimator)}"
+        yield Grid(f"Main effects, {base}, {estimator}", heads, tuple(rows), frozenset({0}), said)
+
+
+def _prior_note(data: DesignData, names: list[str], estimator: str) -> str:
+    """Say the prior's error where scenarios have no line of their own: in the one whose levels are all first."""
+    found = [interval(data.median(names[0], prior)) for prior in data.priors(names[:1], estimator)]
+    return "".join(f" Median position error of the prior at the first levels: {error} m." for error in found)
+
+
+def _by_estimator(data: DesignData) -> list[tuple[str, list[Outcome]]]:
+    found = outcomes(data.run)
+    return [(name, [o for o in found if o.estimator == name]) for name in dict.fromkeys(o.estimator for o in found)]

@@ -1,0 +1,209 @@
+"""The figures of a report of single images, as far as the tables of the run allow them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pandas as pd
+
+from reports.figures import (
+    MOST_CURVES,
+    Curve,
+    TradeMark,
+    draw_centroid_offsets,
+    draw_cumulative_errors,
+    draw_landmark_counts,
+    draw_landmark_errors,
+    draw_method_errors,
+    draw_pose_errors,
+    draw_roc,
+    draw_trade_off,
+)
+from reports.kinds.kind import Content
+from reports.kinds.single_image.tradeoff import ATTITUDE, POSITION, costs, prior_medians
+from reports.run.data import RunData, select
+from reports.run.stages import errors_by_stage, final_stage
+from reports.schema.labels import stage_label
+from reports.schema.named_figure import NamedFigure, file_stem
+from reports.schema.records import CONTROL
+from reports.statistics.intervals import FloatArray
+from reports.statistics.measured import MEDIAN
+from reports.statistics.roc import DEFINITIONS, Detection, area, detections, roc_curve
+
+
+def image_figures(content: Content) -> Iterator[NamedFigure]:
+    """Draw every figure that the tables of a run of single images allow."""
+    run = content.run
+    for scenario in dict.fromkeys(scenario for scenario, _ in run.posed_pairs()):
+        for _, estimator in (pair for pair in run.posed_pairs() if pair[0] == scenario and pair[1] != CONTROL):
+            yield pose_figure(content, scenario, estimator)
+            yield from landmark_figures(content, scenario, estimator)
+            yield from _outlier_figures(content, scenario, estimator)
+        yield from _method_figures(content, scenario)
+        yield from _trade_figures(content, scenario)
+        yield _cumulative_figure(content, scenario)
+    yield from _centroid_figures(content)
+
+
+def published_medians(content: Content, scenario: str, estimator: str) -> dict[tuple[str, str], float]:
+    """Medians of the paper by (stage, measure), for the figures of one scenario and estimator."""
+    return {
+        (c.published.stage, c.published.measure): c.published.value
+        for c in content.compared
+        if (c.scenario, c.estimator) == (scenario, estimator) and c.published.statistic == MEDIAN.name
+        if c.verdict != "context"
+    }
+
+
+def pose_figure(content: Content, scenario: str, estimator: str) -> NamedFigure:
+    """Draw the errors of an estimator after each of its stages."""
+    run = content.run
+    errors = {stage_label(name): table for name, table in errors_by_stage(run, scenario, estimator).items()}
+    medians = published_medians(content, scenario, estimator)
+    published = {(stage_label(stage), measure): value for (stage, measure), value in medians.items()}
+    title = f"Pose error, {scenario}, {estimator}"
+    triangles = " Open triangles on the axis: medians of the paper." if published else ""
+    return NamedFigure(
+        file_stem("pose_errors", scenario, estimator),
+        draw_pose_errors(errors, title, published, run.manifest.credits),
+        f"{title}: attitude and translation error before and after each stage, normalised; dotted lines: medians."
+        f"{triangles}",
+        f"Two histograms of the errors of attitude and position for the stages {', '.join(errors)}.",
+    )
+
+
+def landmark_figures(content: Content, scenario: str, estimator: str) -> Iterator[NamedFigure]:
+    """Draw the errors of recognised landmarks, and their number an image, where there are any."""
+    run = content.run
+    credit_lines = run.manifest.credits
+    marks = select(run.landmarks, scenario, estimator)
+    error, chi_square = (_finite(marks[name]) for name in ("error_m", "chi_square"))
+    if len(error) and len(chi_square):
+        title = f"Landmark recognition error, {scenario}, {estimator}"
+        yield NamedFigure(
+            file_stem("landmark_errors", scenario, estimator),
+            draw_landmark_errors(error, chi_square, title, credit_lines),
+            f"{title}: distance from the landmark of the data base to the surface point that was matched with it, and"
+            " the same weighted by the landmark's covariance, with the distribution that a Gaussian error would give.",
+            "Histogram of landmark errors in metres, and histogram of chi-square with its theoretical curve.",
+        )
+    rows = select(run.rows, scenario, estimator)
+    counts = _finite(rows.loc[rows["status"] == "ok", "n_landmarks"])
+    if len(set(counts)) > 1:
+        title = f"Landmarks an image, {scenario}, {estimator}"
+        medians = published_medians(content, scenario, estimator)
+        median = medians.get((final_stage(run, scenario, estimator), "n_landmarks"))
+        yield NamedFigure(
+            file_stem("landmark_counts", scenario, estimator),
+            draw_landmark_counts(counts, title, median, credit_lines),
+            f"{title}: number of recognised landmarks in each image with an estimate.",
+            "Histogram of the number of recognised landmarks in each image.",
+        )
+
+
+def _outlier_figures(content: Content, scenario: str, estimator: str) -> Iterator[NamedFigure]:
+    run = content.run
+    found = [d for d in detections(run) if (d.scenario, d.estimator) == (scenario, estimator)]
+    if found:
+        title = f"What tells bad solutions, {scenario}, {estimator}"
+        yield NamedFigure(
+            file_stem("outliers", scenario, estimator),
+            draw_roc(_curves(found), title, run.manifest.credits),
+            f"{title}: share of the bad solutions against that of the good ones beyond a threshold on a number that the"
+            " estimator reports; the diagonal is chance.",
+            f"Receiver operating characteristics for {' and '.join(_curves(found))}.",
+        )
+
+
+def _curves(found: Sequence[Detection]) -> dict[str, list[Curve]]:
+    """Choose the scores whose area is farthest from chance, for each definition of bad."""
+    curves: dict[str, list[Curve]] = {}
+    for one in found:
+        sign = -1.0 if one.low_is_bad else 1.0
+        false, true, _ = roc_curve(sign * one.score, one.bad)
+        size = area(sign * one.score, one.bad)
+        name = f"{one.name} (low)" if one.low_is_bad else one.name
+        panel = f"{DEFINITIONS[one.definition]} ({int(one.bad.sum())} of {len(one.bad)})"
+        curves.setdefault(panel, []).append(Curve(name, false, true, size))
+    return {panel: sorted(lines, key=lambda line: -line.area)[:MOST_CURVES] for panel, lines in curves.items()}
+
+
+def _method_figures(content: Content, scenario: str) -> Iterator[NamedFigure]:
+    """Lay the final errors of several estimators over each other."""
+    run = content.run
+    labels = [name for where, name in run.posed_pairs() if where == scenario and name != CONTROL]
+    if len(labels) > 1:
+        errors = {label: select(run.rows, scenario, label) for label in labels}
+        title = f"Final pose error by estimator, {scenario}"
+        yield NamedFigure(
+            file_stem("method_errors", scenario),
+            draw_method_errors({"": errors}, title, run.manifest.credits),
+            f"{title}: normalised histograms over the trials with an estimate; what lies beyond the axis is said in the"
+            " legend.",
+            f"Two histograms of the errors of attitude and position of {', '.join(labels)}.",
+        )
+
+
+def _trade_figures(content: Content, scenario: str) -> Iterator[NamedFigure]:
+    """Set accuracy against what it costs."""
+    run = content.run
+    marks = {
+        cost.estimator: TradeMark(
+            {POSITION: cost.position_m, ATTITUDE: cost.attitude_deg}, cost.seconds.value, cost.size_bytes
+        )
+        for cost in costs(run)
+        if cost.scenario == scenario
+    }
+    if marks:
+        title = f"Accuracy and its cost, {scenario}"
+        yield NamedFigure(
+            file_stem("trade_off", scenario),
+            draw_trade_off(marks, prior_medians(run, scenario), title, run.manifest.credits),
+            f"{title}: median errors with their 95 % intervals against time and size of the data base; dashed: the"
+            " prior. What reads no data base stands in the panels of time alone.",
+            f"Median errors of {', '.join(marks)} against time an image and size of the data base.",
+        )
+
+
+def centroid_offsets(run: RunData, estimator: str) -> dict[str, FloatArray]:
+    """Collect the offsets (n, 2) of the brightness centroid that an estimator reports, px, scenario by scenario."""
+    numbers = run.diagnostics[run.diagnostics["estimator"] == estimator]
+    axes = numbers[numbers["name"].isin(["centroid_du_px", "centroid_dv_px"])]
+    wide = axes.pivot_table(index=["scenario", "trial"], columns="name", values="value")
+    return {
+        str(name): table[["centroid_du_px", "centroid_dv_px"]].dropna().to_numpy(dtype=np.float64)
+        for name, table in wide.groupby("scenario", sort=False)
+    }
+
+
+def _centroid_figures(content: Content) -> Iterator[NamedFigure]:
+    run = content.run
+    for estimator in dict.fromkeys(run.diagnostics.loc[run.diagnostics["name"] == "centroid_du_px", "estimator"]):
+        title = f"Offset of the brightness centroid, observed minus rendered, {estimator}"
+        yield NamedFigure(
+            file_stem("centroid_offsets", str(estimator)),
+            draw_centroid_offsets(centroid_offsets(run, str(estimator)), title),
+            f"{title}: one point a trial; ellipses: one standard deviation of the sample.",
+            "Scatter of the offsets of the brightness centroid along the columns and rows of the image.",
+        )
+
+
+def _cumulative_figure(content: Content, scenario: str) -> NamedFigure:
+    run = content.run
+    found = {}
+    for estimator in (name for where, name in run.posed_pairs() if where == scenario):
+        rows = select(run.rows, scenario, estimator)
+        found[estimator] = (rows[rows["status"] == "ok"], len(rows))
+    title = f"Cumulative error, {scenario}"
+    return NamedFigure(
+        file_stem("cumulative_errors", scenario),
+        draw_cumulative_errors(found, title, run.manifest.credits),
+        f"{title}: share of all trials with an error below the abscissa; a curve ends at the share of trials with an"
+        " estimate.",
+        f"Cumulative shares of attitude and position error for {', '.join(found)}.",
+    )
+
+
+def _finite(values: pd.Series) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    return np.asarray(values.dropna(), dtype=np.float64)

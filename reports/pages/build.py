@@ -1,0 +1,142 @@
+"""Write a run's report: page, Markdown, CSV and figures, each file whole or not at all."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from reports.figures.provenance import counted, stamp
+from reports.figures.style import save_figure
+from reports.kinds.kind import Content
+from reports.kinds.report import draw_figures, report_grids
+from reports.pages.content import read_content
+from reports.pages.html import html_page, reproduce_command
+from reports.run.row_files import write_row_files
+from reports.schema.named_figure import NamedFigure
+from scenarios.errors import BoresightError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReportFiles:
+    """Where a report lies, and what it says.
+
+    Parameters
+    ----------
+    folder
+        Holds all files.
+    html, markdown
+        ``report.html`` and ``report.md``.
+    tables
+        ``table.csv`` (every measured number beside the published one), ``timings.csv``, ``failures.csv``.
+    rows
+        Files that the tables of the page link to.
+    figures
+        PNG and PDF of each figure.
+    content
+        For `reports.pages.console.console_table`.
+    """
+
+    folder: Path
+    html: Path
+    markdown: Path
+    tables: tuple[Path, ...]
+    rows: tuple[Path, ...]
+    figures: tuple[Path, ...]
+    content: Content
+
+
+def write_report(run: Path, out: Path | None = None, extra: Iterable[NamedFigure] = ()) -> ReportFiles:
+    """Write the report of a run folder.
+
+    Parameters
+    ----------
+    run
+        Folder with ``manifest.json`` and ``rows``; an unfinished run is reported as such.
+    out
+        Folder of the report, ``run/report`` by default. Other files in it are left alone.
+    extra
+        Further figures, shown after those of the tables (such as `reports.figures.draw_fit_panels`); drawn when it is
+        known that the run can be read.
+
+    Raises
+    ------
+    BoresightError
+        If the run cannot be read or the report cannot be written; files of an earlier report then stay as they were.
+    """
+    content, further = read_content(run), list(extra)
+    folder = out or run / "report"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(prefix=".writing-", dir=folder))
+    except OSError as error:
+        raise BoresightError(
+            f"{folder}: the report cannot be written: {error.strerror}; choose another --out"
+        ) from error
+    try:
+        names = _write_all(content, work, further)
+        for name in names:
+            (folder / name).parent.mkdir(exist_ok=True)
+            (work / name).replace(folder / name)
+    except OSError as error:
+        raise BoresightError(
+            f"{folder}: the report cannot be written: {error.strerror}; choose another --out"
+        ) from error
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    paths = [folder / name for name in names]
+    return ReportFiles(
+        folder,
+        folder / "report.html",
+        folder / "report.md",
+        tuple(path for path in paths if path.suffix == ".csv" and path.parent == folder),
+        tuple(path for path in paths if path.parent != folder),
+        tuple(path for path in paths if path.suffix in (".png", ".pdf")),
+        content,
+    )
+
+
+def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure]) -> list[str]:
+    """Write all files into ``folder`` and list their names, the page last so that it never shows what is not there."""
+    names = _write_tables(content, folder)
+    figures = [*(counted(figure, [content.run]) for figure in draw_figures(content)), *extra]
+    twice = [stem for stem, count in Counter(figure.stem for figure in figures).items() if count > 1]
+    if twice:
+        raise ValueError(f"two figures are called {twice[0]}: one would take the place of the other")
+    for figure in figures:
+        stamp(figure.figure, [content.run])
+        names += [path.name for path in save_figure(figure.figure, folder / figure.stem)]
+    (folder / "report.md").write_text(markdown(content, figures), encoding="utf-8")
+    with_png = [(figure, (folder / f"{figure.stem}.png").read_bytes()) for figure in figures]
+    (folder / "report.html").write_text(html_page(content, with_png), encoding="utf-8")
+    return [*names, "report.md", "report.html"]
+
+
+def _write_tables(content: Content, folder: Path) -> list[str]:
+    table = content.table()
+    timed = table["measure"] == "seconds"
+    failed = content.run.rows[content.run.rows["status"] != "ok"]
+    failures = failed[["trial", "scenario", "estimator", "status", "reason"]]
+    frames: dict[str, pd.DataFrame] = {
+        "table.csv": table[~timed],
+        "timings.csv": table[timed],
+        "failures.csv": failures,
+    }
+    for name, frame in frames.items():
+        frame.to_csv(folder / name, index=False, lineterminator="\n")
+    return [*frames, *write_row_files(content.run, folder)]
+
+
+def markdown(content: Content, figures: Sequence[NamedFigure]) -> str:
+    """Write the report as Markdown, with its figures beside it."""
+    manifest = content.run.manifest
+    parts = [f"# {manifest.title or manifest.name}", "\n".join(f"- {note}" for note in content.notes)]
+    parts += [grid.markdown() for grid in report_grids(content)]
+    parts += [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in figures]
+    parts += [f"To make this again: `{reproduce_command(content)}`", *manifest.credits]
+    return "\n\n".join(parts) + "\n"

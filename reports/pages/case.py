@@ -1,0 +1,61 @@
+"""The page of one inspected case: self-contained, with its figures as PNG and PDF beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from reports.figures.style import save_figure
+from reports.pages.templates import embedded, filled
+from reports.schema.grid import Grid
+from reports.schema.named_figure import NamedFigure
+from scenarios.atomic import write_text
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CasePage:
+    """What is said of a case.
+
+    Parameters
+    ----------
+    title
+        Its heading.
+    facts
+        Names and values above everything else.
+    notes
+        Sentences above the figures.
+    grids
+        Tables below them.
+    command
+        What makes the page again.
+    traceback
+        Of an estimator that raised; '' of others.
+    said
+        What the method wrote, by stream.
+    credits
+        Of real images.
+    """
+
+    title: str
+    facts: Sequence[tuple[str, str]]
+    notes: Sequence[str]
+    grids: Sequence[Grid]
+    command: str
+    traceback: str = ""
+    said: Mapping[str, str] = field(default_factory=dict)
+    credits: Sequence[str] = ()
+
+
+def write_case(page: CasePage, figures: Sequence[NamedFigure], folder: Path) -> Path:
+    """Write the figures of a case and its page into ``folder``; return the page's path.
+
+    Raises
+    ------
+    BoresightError
+        If the page cannot be written.
+    """
+    pngs = [save_figure(figure.figure, folder / figure.stem)[0].read_bytes() for figure in figures]
+    path = folder / "index.html"
+    write_text(path, filled("case.html", case=page, figures=embedded(zip(figures, pngs, strict=True))))
+    return path

@@ -1,0 +1,49 @@
+"""What the terminal shows at the end of a run; it fits 80 columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from rich import box
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from reports.kinds.kind import Content
+from reports.kinds.report import brief_grids
+from reports.pages.content import read_content
+from reports.schema.grid import Grid, says_of_ended
+from scenarios.errors import printable
+
+
+def console_table(run: Path | Content) -> Group:
+    """Build the tables of what a run is about, and the verdicts where values are published.
+
+    Parameters
+    ----------
+    run
+        A run folder, or the content of a report that was just written.
+    """
+    content = read_content(run) if isinstance(run, Path) else run
+    return Group(*(part for grid in brief_grids(content) for part in rich_parts(grid)))
+
+
+def rich_parts(grid: Grid) -> Iterator[Table | Text]:
+    """Yield a grid as a table, and below it what was known on board, where it says so."""
+    yield rich_table(grid)
+    if grid.known:
+        yield Text(f"{printable(grid.known)}\n", style="dim")
+
+
+def rich_table(grid: Grid) -> Table:
+    """Lay a grid out: numbers keep to one line, texts may wrap."""
+    table = Table(title=grid.title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    table.show_edge, table.padding = False, 0
+    for i, column in enumerate(grid.columns):
+        is_text = i in grid.text
+        wraps = is_text or any(says_of_ended(row[i]) for row in grid.rows)
+        table.add_column(column, justify="left" if is_text else "right", no_wrap=not wraps, overflow="fold")
+    for row in grid.rows:
+        table.add_row(*(Text(printable(cell)) for cell in row))
+    return table

@@ -1,0 +1,278 @@
+"""One page for a whole paper: every published number beside ours, and every figure."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from reports.figures import save_figure
+from reports.kinds.kind import Content
+from reports.pages.content import beside_published
+from reports.pages.templates import embedded, filled
+from reports.published import Comparison
+from reports.schema.grid import NO_VALUE, Grid, counts, value_of
+from reports.schema.labels import measure_label, stage_label
+from reports.schema.named_figure import NamedFigure
+from reports.schema.records import Record
+from reports.verdicts.comparison import VERDICT_RULE, ComparedClaim, ComparedValue, Verdict
+from reports.verdicts.tables import ordered_values, verdict_of, verdict_of_claim
+
+
+@dataclass(frozen=True, slots=True)
+class PaperLine:
+    """One published number or statement beside ours.
+
+    Parameters
+    ----------
+    campaign, scenario, estimator
+        What it was held against; scenario and estimator are '' where nothing was run.
+    place
+        Where it is printed.
+    quantity, statistic
+        What it is.
+    printed
+        The paper's number or words.
+    ours
+        Our numbers: one, or those of an order.
+    tolerance
+        Half-width of the band that counts as reproduced; None where there is none.
+    verdict
+        By the rule.
+    names
+        Of an order: what tells its values apart.
+    said
+        The verdict as it is printed, with what it leaves out.
+    remark
+        Why no verdict is due, though our numbers are known.
+    """
+
+    campaign: str
+    scenario: str
+    estimator: str
+    place: str
+    quantity: str
+    statistic: str
+    printed: str
+    ours: tuple[Record | None, ...]
+    tolerance: float | None
+    verdict: Verdict
+    names: tuple[str, ...] = ()
+    said: str = ""
+    remark: str = ""
+
+
+def paper_lines(
+    campaign: str, comparison: Comparison, content: Content | None, labels: Sequence[str]
+) -> Iterator[PaperLine]:
+    """Set every number and statement of a comparison beside those of a run, or beside nothing where there is none.
+
+    Parameters
+    ----------
+    campaign
+        Name of the campaign.
+    comparison
+        What the paper says.
+    content
+        The run; None where there is none.
+    labels
+        Estimators of the run that are the paper's own method.
+    """
+    if content is None:
+        numbers = comparison.values  # noqa: PD011  a tuple of published values, not a table
+        nothing = (ComparedValue(number.scenario, "", number, None, "not measured") for number in numbers)
+        yield from (_value_line(campaign, item) for item in nothing)
+        claims = (ComparedClaim("", claim, (), "not measured") for claim in comparison.claims)
+        yield from (_claim_line(campaign, item) for item in claims)
+        return
+    # A run that was made before its campaign named published values is held against them all the same.
+    made = content.compared, content.claims
+    compared, stated = made if content.comparison else beside_published(content.run, content.records, comparison)
+    told = [item for item in compared if item.estimator in labels]
+    several = len({item.estimator for item in told}) > 1
+    yield from (_value_line(campaign, item, name=several) for item in told)
+    yield from (_claim_line(campaign, item) for item in stated)
+
+
+def _value_line(campaign: str, item: ComparedValue, *, name: bool = False) -> PaperLine:
+    published = item.published
+    stage = stage_label(published.stage, timed=published.measure == "seconds")
+    whose = f", {item.estimator}" if published.estimator or name else ""
+    return PaperLine(
+        campaign,
+        item.scenario,
+        item.estimator,
+        published.place,
+        f"{measure_label(published.measure)}, {stage}{whose}",
+        published.statistic,
+        published.quoted,
+        (item.ours,),
+        published.tolerance if item.verdict != "context" else None,
+        item.verdict,
+        said=verdict_of(item.verdict, (item.ours,)),
+    )
+
+
+def _claim_line(campaign: str, item: ComparedClaim) -> PaperLine:
+    claim = item.claim
+    how = claim.unmeasured or ("trials solved" if claim.solves else f"order of the {claim.statistic}s")
+    quantity = "in words" if claim.unmeasured else measure_label(claim.measure)
+    names = tuple(term.label for term in claim.order)
+    return PaperLine(
+        campaign, item.scenario, "", claim.place, quantity, how, claim.text, item.ours, None, item.verdict, names,
+        verdict_of_claim(item), claim.unjudged,
+    )  # fmt: skip
+
+
+def paper_grid(lines: Sequence[PaperLine]) -> Grid:
+    """Lay the lines out as the one table of the paper."""
+    heads = (
+        "place in the paper",
+        "quantity",
+        "statistic",
+        "paper",
+        "ours [95 %]",
+        "ok",
+        "tolerance",
+        "verdict",
+        "campaign",
+        "scenario",
+    )
+    rows = tuple(
+        (
+            line.place,
+            line.quantity,
+            line.statistic,
+            line.printed,
+            _ours(line),
+            counts(line.ours[0]) if len(line.ours) == 1 else NO_VALUE,
+            f"± {line.tolerance:g}" if line.tolerance is not None else NO_VALUE,
+            line.said or line.verdict,
+            line.campaign,
+            line.scenario or NO_VALUE,
+        )
+        for line in lines
+    )
+    return Grid("Every published number beside ours", heads, rows, frozenset({0, 1, 2, 3, 4, 7, 8, 9}), VERDICT_RULE)
+
+
+def _ours(line: PaperLine) -> str:
+    if len(line.ours) == 1:
+        return value_of(line.ours[0], interval=True)
+    values = ordered_values(line.ours, line.names)
+    return f"{values}; {line.remark}" if line.remark else values
+
+
+def verdict_tally(lines: Sequence[PaperLine]) -> str:
+    """Count the verdicts in words."""
+    tally = Counter(line.verdict for line in lines)
+    return ", ".join(f"{count} {verdict}" for verdict, count in tally.most_common())
+
+
+def paper_table(lines: Sequence[PaperLine]) -> pd.DataFrame:
+    """Tabulate the lines as numbers, a row for each of ours."""
+    rows = []
+    for line in lines:
+        for ours in line.ours or (None,):
+            rows.append(
+                {
+                    "campaign": line.campaign,
+                    "scenario": line.scenario,
+                    "estimator": ours.estimator if ours and ours.estimator else line.estimator,
+                    "place": line.place,
+                    "quantity": line.quantity,
+                    "statistic": line.statistic,
+                    "published": line.printed,
+                    "ours": ours.value if ours else None,
+                    "low": ours.low if ours else None,
+                    "high": ours.high if ours else None,
+                    "unit": ours.unit if ours else "",
+                    "n_ok": ours.n_ok if ours else 0,
+                    "n": ours.n if ours else 0,
+                    "tolerance": line.tolerance,
+                    "verdict": line.verdict,
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PaperPage:
+    """All that the page of a paper shows.
+
+    Parameters
+    ----------
+    title, source
+        Heading, and the paper's reference.
+    lines
+        The one table.
+    grids
+        Further tables.
+    figures
+        The paper's figures and tables, named by its numbers.
+    runs
+        What each number comes from: campaign, and how its run was made.
+    conditions
+        How the bounds of the verdicts came about, and under which conditions each campaign is compared.
+    missing
+        What is not there, and how to make it.
+    refused
+        Stored runs that cannot be read, and why.
+    credits
+        Credit lines of real images.
+    """
+
+    title: str
+    source: str
+    lines: tuple[PaperLine, ...]
+    grids: tuple[Grid, ...]
+    figures: tuple[NamedFigure, ...]
+    runs: tuple[tuple[str, str], ...]
+    conditions: tuple[str, ...]
+    missing: tuple[str, ...]
+    refused: tuple[str, ...]
+    credits: tuple[str, ...]
+
+
+def write_paper(page: PaperPage, folder: Path) -> Path:
+    """Write the drawings (PNG and PDF), ``table.csv``, ``table.md`` and ``index.html`` into a folder; return the page.
+
+    Drawings of the paper that an earlier call left there and that this one cannot draw are removed.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    stems = {figure.stem for figure in page.figures}
+    patterns = [f"{kind}_[0-9]*.{end}" for kind in ("figure", "table") for end in ("png", "pdf")]
+    for old in [path for pattern in patterns for path in folder.glob(pattern)]:
+        if old.stem not in stems:
+            old.unlink()
+    for figure in page.figures:
+        save_figure(figure.figure, folder / figure.stem)
+    paper_table(page.lines).to_csv(folder / "table.csv", index=False, lineterminator="\n")
+    (folder / "table.md").write_text(_markdown(page), encoding="utf-8")
+    (folder / "index.html").write_text(_html(page, folder), encoding="utf-8")
+    return folder / "index.html"
+
+
+def _markdown(page: PaperPage) -> str:
+    parts = [f"# {page.title}", page.source, "\n".join(f"- {name}: {how}" for name, how in page.runs)]
+    parts += [
+        "\n".join(f"- {line}" for line in (*page.refused, *page.missing)),
+        "\n".join(f"- {line}" for line in page.conditions),
+        f"Verdicts: {verdict_tally(page.lines)}.",
+    ]
+    parts += [grid.markdown() for grid in (paper_grid(page.lines), *page.grids)]
+    parts += [f"![{figure.alt}]({figure.stem}.png)\n\n{figure.caption}" for figure in page.figures]
+    return "\n\n".join(part for part in (*parts, *page.credits) if part) + "\n"
+
+
+def _html(page: PaperPage, folder: Path) -> str:
+    return filled(
+        "paper.html",
+        page=page,
+        tally=verdict_tally(page.lines),
+        grids=[paper_grid(page.lines), *page.grids],
+        figures=embedded((figure, (folder / f"{figure.stem}.png").read_bytes()) for figure in page.figures),
+    )

@@ -1,0 +1,133 @@
+"""What is independent in a run: trials, real images, whole sets of rendered images, or data bases.
+
+The noise realisations of a real image share its difficulty, the starts of sequences on one set of images share the
+errors of its features, and trials with one data base those of its landmarks. Such trials count, but a statistic over
+them is as uncertain as one over images, sets, or data bases. Where there is a single data base, statistics hold for it
+alone, and trials are what is independent.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from reports.run.data import TRIAL_KEY, RunData
+
+
+@dataclass(frozen=True, slots=True)
+class Pool:
+    """Scenarios that differ in the body alone, whose sequences see its images.
+
+    Parameters
+    ----------
+    name
+        What the pool is called in place of a scenario.
+    scenarios
+        Its members.
+    sets
+        Number of sets of images, one for each body (its texture included).
+    """
+
+    name: str
+    scenarios: tuple[str, ...]
+    sets: int
+
+
+def image_set(spec: Mapping[str, Any]) -> str:
+    """Name the set of images that the sequences of a scenario see; '' where there is none.
+
+    All images of one body are one set, whatever sees them: they share its texture.
+    """
+    sequence = spec.get("sequence") or {}
+    return json.dumps(spec.get("body"), sort_keys=True) if sequence.get("images") else ""
+
+
+def all_but_body(spec: Mapping[str, Any]) -> str:
+    """Name the conditions of a scenario apart from its body: those that have it in common are pooled."""
+    rest = {key: value for key, value in spec.items() if key not in {"name", "description", "body"}}
+    return json.dumps(rest, sort_keys=True)
+
+
+def clusters_of(run: RunData, table: pd.DataFrame) -> NDArray[np.generic]:
+    """Label each row of a table (``scenario``, ``trial``) by what is independent of all others.
+
+    That is the data base of its trial where there are several, its set of images where sequences see one, its image
+    where that is real, else its trial. A table without ``estimator`` is of all of them together, of which some may have
+    data bases.
+    """
+    trials = table["trial"].to_numpy().astype(str)
+    if run.databases > 1:
+        return _by_database(run, table, trials)
+    sets = {name: image_set(spec) for name, spec in run.manifest.scenarios.items()}
+    if any(sets.values()):
+        seen = table["scenario"].map(sets).fillna("").to_numpy(dtype=str)
+        return np.where(seen == "", _by_image(run, table, trials), seen)
+    return _by_image(run, table, trials)
+
+
+def _by_image(run: RunData, table: pd.DataFrame, trials: NDArray[np.str_]) -> NDArray[np.generic]:
+    """Name the real image of each row, or its trial."""
+    images = run.image_of_trial
+    if (images == "").all():
+        return trials
+    image = images.reindex(pd.MultiIndex.from_frame(table[["scenario", "trial"]])).fillna("").to_numpy(dtype=str)
+    return np.where(image == "", trials, image)
+
+
+def _by_database(run: RunData, table: pd.DataFrame, trials: NDArray[np.str_]) -> NDArray[np.generic]:
+    """Name the data base of each row, or its trial."""
+    keys = [name for name in TRIAL_KEY if name in table]
+    numbers = run.database_of_trial.groupby(level=keys).max()
+    number = numbers.reindex(pd.MultiIndex.from_frame(table[keys])).to_numpy(dtype=np.float64)
+    named = np.char.add("data base ", np.nan_to_num(number, nan=-1.0).astype(int).astype(str))
+    return np.where(np.isnan(number), trials, named)
+
+
+def pools(run: RunData) -> tuple[Pool, ...]:
+    """Gather the scenarios that show several sets of images under otherwise the same conditions."""
+    alike: dict[str, list[str]] = {}
+    done = set(run.rows["scenario"])
+    for name, spec in run.manifest.scenarios.items():
+        if name in done and image_set(spec):
+            alike.setdefault(all_but_body(spec), []).append(name)
+    found = []
+    for names in alike.values():
+        sets = len({image_set(run.manifest.scenarios[name]) for name in names})
+        if sets > 1:
+            found.append(Pool(f"{_base(run, names)}, {sets} sets of images", tuple(names), sets))
+    return tuple(found)
+
+
+def _base(run: RunData, names: list[str]) -> str:
+    """Name what the scenarios of a pool vary, with the levels of a grid that they have in common."""
+    design = run.manifest.grid
+    own = [one for one in design.scenarios if one.name in names] if design is not None else []
+    if len({one.base for one in own}) != 1:
+        return ", ".join(names)
+    common = [level for axis, level in own[0].levels.items() if all(one.levels[axis] == level for one in own)]
+    return "-".join((own[0].base, *common))
+
+
+def pooled_scenarios(run: RunData) -> set[str]:
+    """Return the scenarios that a pool stands for."""
+    return {name for pool in pools(run) for name in pool.scenarios}
+
+
+def groups(run: RunData) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield what statistics are taken over: each scenario by itself, then each pool."""
+    yield from ((name, (name,)) for name in dict.fromkeys(run.rows["scenario"]))
+    yield from ((pool.name, pool.scenarios) for pool in pools(run))
+
+
+def rows_by_group(run: RunData) -> Iterator[tuple[str, str, pd.DataFrame]]:
+    """Yield the rows of every group and estimator: the name of the group, the estimator, and its rows."""
+    for name, members in groups(run):
+        own = run.rows[run.rows["scenario"].isin(members)]
+        for estimator in dict.fromkeys(own["estimator"]):
+            yield name, str(estimator), own[own["estimator"] == estimator]

@@ -1,0 +1,49 @@
+"""What the intervals of a run are conditional on: a single data base, or a single world of craters."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from reports.run.data import RunData
+from reports.schema.grid import Grid
+
+_INTERVAL = re.compile(r"\[\S+, \S+\]")
+
+
+def drawn_once(run: RunData) -> str:
+    """Say what was drawn only once in a run, so that its intervals do not tell of others; '' where nothing was."""
+    if run.databases > 1:
+        return ""
+    worlds = {str(spec["craters"]) for spec in run.manifest.scenarios.values() if spec.get("craters")}
+    world = "one world of craters" if len(worlds) == 1 else "one world of craters each" if worlds else ""
+    return " and ".join(filter(None, (world, "one data base" if run.manifest.products else "")))
+
+
+def of_what_was_drawn(grids: Iterable[Grid], run: RunData) -> Iterator[Grid]:
+    """Add to the title of every table that has intervals what they are conditional on."""
+    once = drawn_once(run)
+    for grid in grids:
+        told = once and any(_INTERVAL.search(cell) for row in grid.rows for cell in row)
+        yield replace(grid, title=f"{grid.title}, of {once}") if told else grid
+
+
+def database_line(run: RunData) -> str:
+    """Say what the data bases of a run mean for its intervals; '' where it has none."""
+    if run.databases > 1 and run.manifest.experiment == "crater-detection":
+        return (
+            f"The world of craters was drawn {run.databases} times; trials have them in turn. Intervals take the world"
+            " for what is independent (Student's t over them), so that they tell of other worlds too."
+        )
+    if run.databases > 1:
+        return (
+            f"Each estimator's data base was drawn {run.databases} times, with the errors of the shape on board where"
+            " it has some, and with another world of craters where there is one; trials have them in turn. Intervals"
+            " and tests take the data base for what is independent (Student's t over them), so that they tell of"
+            " other data bases too."
+        )
+    once = drawn_once(run)
+    return (
+        f"Intervals are of {once}: another one would give other errors, and they do not tell of that." if once else ""
+    )

@@ -1,0 +1,146 @@
+"""A table of printed cells: the same for the page, for Markdown and for the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from reports.schema.records import Record
+
+NO_VALUE = "-"
+_OF = " of the "
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """A table of printed cells.
+
+    Parameters
+    ----------
+    title, note
+        Heading, and what a reader must know to read it.
+    columns
+        Headings of the columns.
+    rows
+        Cells, as many as columns.
+    text
+        Numbers of the columns that hold text; the others hold numbers and align right.
+    known
+        Of a headline: what on board is identical with the truth; it goes wherever the table goes.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    text: frozenset[int] = frozenset({0})
+    note: str = ""
+    known: str = ""
+
+    def keep(self, *columns: str) -> Grid:
+        """Keep only the named columns."""
+        chosen = [self.columns.index(name) for name in columns]
+        rows = tuple(tuple(row[i] for i in chosen) for row in self.rows)
+        text = frozenset(new for new, old in enumerate(chosen) if old in self.text)
+        return Grid(self.title, columns, rows, text, self.note, self.known)
+
+    def markdown(self) -> str:
+        """Write as a Markdown table under its heading."""
+        rule = [":--" if i in self.text else "--:" for i in range(len(self.columns))]
+        cells = [self.columns, rule, *([_escape(cell) for cell in row] for row in self.rows)]
+        table = "\n".join(f"| {' | '.join(row)} |" for row in cells)
+        return "\n\n".join(part for part in (f"### {self.title}", self.note, table, self.known) if part) + "\n"
+
+    def latex(self) -> str:
+        """Write as a LaTeX table in the style of the package booktabs, no wider than the line, its note below it."""
+        columns = "".join("l" if i in self.text else "r" for i in range(len(self.columns)))
+        rows = [_latex_row(row) for row in (self.columns, *self.rows)]
+        below = [text for text in (self.note, self.known) if text]
+        note = [rf"\par\smallskip\raggedright\footnotesize {_latex(text)}" for text in below]
+        return "\n".join(
+            [
+                r"% needs \usepackage{booktabs,graphicx}",
+                r"\begin{table}",
+                rf"\caption{{{_latex(self.title)}}}",
+                r"\centering",
+                r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
+                rf"\begin{{tabular}}{{{columns}}}",
+                r"\toprule",
+                rows[0],
+                r"\midrule",
+                *rows[1:],
+                r"\bottomrule",
+                r"\end{tabular}}",
+                *note,
+                r"\end{table}",
+                "",
+            ]
+        )
+
+
+_SPECIAL = {
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}", "\n": " ",
+    "≥": r"$\geq$", "≤": r"$\leq$", "±": r"$\pm$", "°": r"$^\circ$", "∞": r"$\infty$", "–": "--", "−": "$-$",
+}  # fmt: skip
+
+
+def _latex_row(cells: Sequence[str]) -> str:
+    """Write a row; an end of a row takes a star or a bracket that follows for its own."""
+    row = " & ".join(_latex(cell) for cell in cells)
+    return ("{}" if row.startswith(("[", "*")) else "") + row + r" \\"
+
+
+def _latex(cell: str) -> str:
+    """Keep the characters that LaTeX takes for commands from being so."""
+    return "".join(_SPECIAL.get(character, character) for character in cell)
+
+
+def _escape(cell: str) -> str:
+    """Keep a text from ending its Markdown cell."""
+    return cell.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")
+
+
+def number(value: float | None) -> str:
+    """Print three significant digits (whole numbers from 100 on); ``-`` for no value."""
+    if value is None:
+        return NO_VALUE
+    if value == 0 or abs(value) >= 100:
+        return f"{value:.0f}"
+    return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
+
+
+def value_of(record: Record | None, interval: bool = False) -> str:
+    """Print a record's value, on request with its interval; times with s or ms."""
+    if record is None or record.value is None:
+        return NO_VALUE
+    if record.statistic == "count":
+        return str(int(record.value))
+    if record.statistic == "value":
+        interval = False
+    scale, unit = (1.0, "") if record.unit != "s" else (1.0, " s") if record.value >= 1 else (1e3, " ms")
+    value = f"{number(scale * record.value)}{unit}"
+    if not interval or record.low is None or record.high is None:
+        return value
+    return f"{value} [{number(scale * record.low)}, {number(scale * record.high)}]"
+
+
+def of_ended(cell: str, n_ok: int, n: int) -> str:
+    """Add to a cell over trials of which some have no value that it is of those that ended with one."""
+    return cell if n_ok == n or cell == NO_VALUE else f"{cell}{_OF}{n_ok} that ended"
+
+
+def value_of_ended(record: Record | None, interval: bool = False) -> str:
+    """Print a record's value as `value_of`, and of how many trials where others have none."""
+    cell = value_of(record, interval)
+    return cell if record is None else of_ended(cell, record.n_ok, record.n)
+
+
+def says_of_ended(cell: str) -> bool:
+    """Tell a cell of `of_ended`, which is so long that it may wrap."""
+    return _OF in cell
+
+
+def counts(record: Record | None) -> str:
+    """Print n_ok/n."""
+    return NO_VALUE if record is None else f"{record.n_ok}/{record.n}"

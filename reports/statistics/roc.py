@@ -1,0 +1,227 @@
+"""How well the numbers that an estimator reports tell its bad solutions: receiver operating characteristics.
+
+A solution is bad where its position error is above that of its prior, or above three times the median of all solutions.
+Every number of the table ``diagnostics`` is a score. The area under its curve is the chance that a bad solution scores
+higher than a good one (ties count half), by the statistic of Mann and Whitney; its interval is the percentile bootstrap
+over whole trials or images, or, for very many independent trials, follows from the variance of ranks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.special import ndtri
+from scipy.stats import rankdata
+
+from reports.run.clusters import clusters_of
+from reports.run.data import RunData, select
+from reports.schema.grid import Grid, value_of
+from reports.schema.records import CONTROL, Record, find
+from reports.statistics.intervals import FEW, LARGE, LEVEL
+from reports.statistics.measured import Measured
+from reports.statistics.resampling import RESAMPLES, content_rng, draw_counts
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+ABOVE_PRIOR, ABOVE_MEDIANS = "above-prior", "above-3-medians"
+DEFINITIONS = {
+    ABOVE_PRIOR: "position error above the prior's",
+    ABOVE_MEDIANS: "position error above 3 medians",
+}
+MEASURE = "outlier_score:"
+AUC, TRUE_POSITIVES, THRESHOLD, BAD = "AUC", "TPR at 5 % FPR", "threshold at 5 % FPR", "bad solutions"
+_FALSE_POSITIVES = 0.05
+_MIN_CLASS = 5
+_CHUNK = 4_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detection:
+    """A score with the class of each solution.
+
+    Parameters
+    ----------
+    scenario, estimator, name, definition
+        Whose score it is, and what counts as bad.
+    score
+        (n,) values of the solutions that have one.
+    bad
+        (n,) which of them are bad.
+    clusters
+        (n,) what is resampled as a whole.
+    """
+
+    scenario: str
+    estimator: str
+    name: str
+    definition: str
+    score: FloatArray
+    bad: BoolArray
+    clusters: NDArray[np.generic]
+
+    @property
+    def low_is_bad(self) -> bool:
+        """Whether small values tell the bad solutions rather than large ones."""
+        return area(self.score, self.bad) < 0.5
+
+
+def detections(run: RunData) -> Iterator[Detection]:
+    """Yield every score of every estimator, for each definition with at least five solutions of either kind."""
+    for scenario, estimator in run.posed_pairs():
+        rows = select(run.rows, scenario, estimator)
+        rows = rows[rows["status"] == "ok"]
+        if estimator == CONTROL or rows.empty:
+            continue
+        error = rows["position_error_m"].to_numpy()
+        classes = {
+            ABOVE_PRIOR: error > rows["prior_position_error_m"].to_numpy(),
+            ABOVE_MEDIANS: error > 3.0 * np.median(error),
+        }
+        numbers = select(run.diagnostics, scenario, estimator)
+        for name in numbers["name"].unique():
+            values = numbers[numbers["name"] == name].set_index("trial")["value"]
+            yield from _of_score(run, rows, str(name), values.reindex(rows["trial"]).to_numpy(), classes)
+
+
+def _of_score(
+    run: RunData, rows: pd.DataFrame, name: str, values: FloatArray, classes: dict[str, BoolArray]
+) -> Iterator[Detection]:
+    known = np.isfinite(values)
+    if len(np.unique(values[known])) < 2:
+        return
+    clusters = clusters_of(run, rows)[known]
+    scenario, estimator = rows["scenario"].iloc[0], rows["estimator"].iloc[0]
+    for definition, bad in classes.items():
+        if min(bad[known].sum(), (~bad[known]).sum()) >= _MIN_CLASS:
+            yield Detection(scenario, estimator, name, definition, values[known], bad[known], clusters)
+
+
+def roc_curve(score: FloatArray, bad: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Trace the rates (m + 1,) of flagging what scores at least each of m thresholds, from (0, 0) on.
+
+    Returns
+    -------
+    false_positives, true_positives, thresholds
+        Thresholds descend; the first is infinite.
+    """
+    order = np.argsort(-score, kind="stable")
+    last_of_value = np.append(np.diff(score[order]) != 0.0, True)
+    true = np.cumsum(bad[order])[last_of_value] / bad.sum()
+    false = np.cumsum(~bad[order])[last_of_value] / (~bad).sum()
+    return np.append(0.0, false), np.append(0.0, true), np.append(np.inf, score[order][last_of_value])
+
+
+def area(score: FloatArray, bad: BoolArray) -> float:
+    """Measure the area under the curve."""
+    return float(_areas(score, bad, np.ones((1, len(score)), dtype=np.int32))[0])
+
+
+def _areas(score: FloatArray, bad: BoolArray, counts: NDArray[np.int32]) -> FloatArray:
+    """Measure areas (b,) of samples in which solution i occurs ``counts[b, i]`` times; NaN where a class is empty."""
+    order = np.argsort(score, kind="stable")
+    ends = np.flatnonzero(np.append(np.diff(score[order]) != 0.0, True))
+    weights = np.take(counts, order, axis=1).astype(np.int64)
+    good_below = np.cumsum(weights * ~bad[order], axis=1)[:, ends]
+    bad_below = np.cumsum(weights * bad[order], axis=1)[:, ends]
+    good, wrong = (np.diff(below, axis=1, prepend=0) for below in (good_below, bad_below))
+    wins = (wrong * (good_below - 0.5 * good)).sum(axis=1)
+    pairs = good_below[:, -1] * bad_below[:, -1]
+    areas: FloatArray = np.divide(wins, pairs, out=np.full(len(counts), np.nan), where=pairs > 0)
+    return areas
+
+
+def measured_area(detection: Detection) -> Measured:
+    """Measure the area under the curve with its 95 % interval; without one where few are independent."""
+    codes = np.unique(detection.clusters, return_inverse=True)[1]
+    if codes.max() + 1 < FEW:
+        return Measured(area(detection.score, detection.bad))
+    if codes.max() + 1 == len(codes) >= LARGE:
+        return Measured(area(detection.score, detection.bad), *large_sample_area(detection.score, detection.bad))
+    rng = content_rng(detection.score, detection.bad, codes)
+    block = max(1, _CHUNK // len(codes))
+    draws = [
+        _areas(detection.score, detection.bad, np.take(draw_counts(int(codes.max()) + 1, n, rng), codes, axis=1))
+        for n in (min(block, RESAMPLES - start) for start in range(0, RESAMPLES, block))
+    ]
+    tail = 50.0 * (1.0 - LEVEL)
+    low, high = np.nanpercentile(np.concatenate(draws), [tail, 100.0 - tail])
+    return Measured(area(detection.score, detection.bad), float(low), float(high))
+
+
+def large_sample_area(score: FloatArray, bad: BoolArray) -> tuple[float, float]:
+    """Bound the area of many independent solutions at the 95 % level, without resampling.
+
+    After E. DeLong, D. DeLong and D. Clarke-Pearson, Biometrics 44, 1988: the area is a mean over either class of the
+    share of the other class that each member beats, and its variance is the sum of those two means' variances.
+    """
+    ranks, m, n = rankdata(score), int(bad.sum()), int((~bad).sum())
+    of_bad = (ranks[bad] - rankdata(score[bad])) / n
+    of_good = 1.0 - (ranks[~bad] - rankdata(score[~bad])) / m
+    half = float(ndtri(0.5 * (1.0 + LEVEL)) * np.sqrt(of_bad.var(ddof=1) / m + of_good.var(ddof=1) / n))
+    middle = float(of_bad.mean())
+    return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+def operating_point(detection: Detection) -> tuple[float, float]:
+    """Find the true positive rate and the threshold of the most that can be flagged at 5 % of false positives."""
+    sign = -1.0 if detection.low_is_bad else 1.0
+    false, true, thresholds = roc_curve(sign * detection.score, detection.bad)
+    best = int(np.flatnonzero(false <= _FALSE_POSITIVES)[-1])
+    return float(true[best]), float(sign * thresholds[best])
+
+
+def outlier_records(run: RunData) -> list[Record]:
+    """Measure every score: area under the curve, and the point of 5 % false positives."""
+    records = []
+    for found in detections(run):
+        true, threshold = operating_point(found)
+        for statistic, measured in (
+            (AUC, measured_area(found)),
+            (TRUE_POSITIVES, Measured(true)),
+            (THRESHOLD, Measured(threshold if np.isfinite(threshold) else None)),
+            (BAD, Measured(float(found.bad.sum()))),
+        ):
+            records.append(_record(found, statistic, measured))
+    return records
+
+
+def _record(found: Detection, statistic: str, measured: Measured) -> Record:
+    n = len(found.bad)
+    return Record(
+        found.scenario, found.estimator, found.definition, "", MEASURE + found.name, "", statistic,
+        measured.value, measured.low, measured.high, n, n,
+    )  # fmt: skip
+
+
+def outlier_grid(records: Sequence[Record]) -> Grid | None:
+    """Tabulate how well the numbers that estimators report tell their bad solutions; None where there are none."""
+    lines = [r for r in records if r.measure.startswith(MEASURE) and r.statistic == AUC]
+    heads = ("scenario", "estimator", "bad", "number", "of", "AUC [95 %]", TRUE_POSITIVES, "threshold", "flagged")
+
+    def cells(line: Record) -> tuple[str, ...]:
+        key = {"scenario": line.scenario, "estimator": line.estimator, "stage": line.stage, "measure": line.measure}
+        true, threshold, bad = (find(records, **key, statistic=name) for name in (TRUE_POSITIVES, THRESHOLD, BAD))
+        return (
+            line.scenario,
+            line.estimator,
+            DEFINITIONS[line.stage],
+            line.measure.removeprefix(MEASURE),
+            f"{0 if bad is None else round(bad.value or 0)}/{line.n}",
+            value_of(line, interval=True),
+            value_of(true),
+            value_of(threshold),
+            "below" if (line.value or 0.0) < 0.5 else "above",
+        )
+
+    note = (
+        "How well a number that the estimator reports tells its bad solutions: area under the receiver operating"
+        " characteristic (0.5 is chance; below it, small values tell), and the share of bad solutions beyond the"
+        " threshold that flags 5 % of the good ones."
+    )
+    rows = tuple(cells(line) for line in lines)
+    return Grid("Bad solutions, and what tells them", heads, rows, frozenset({0, 1, 2, 3, 8}), note) if rows else None

@@ -1,0 +1,180 @@
+"""Our numbers beside published ones, with a verdict by one rule.
+
+The rule is the same for all values; what was known of ours when each paper's bounds were chosen, its file says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal
+
+from reports.published import Claim, Comparison, PublishedValue, Term
+from reports.schema.records import CONTROL, DERIVED, Record, find
+from reports.statistics.intervals import wilson
+
+Verdict = Literal[
+    "reproduced", "better", "differs", "differs (lower)", "differs (higher)", "undecided", "context", "not measured"
+]
+
+VERDICT_RULE = (
+    "reproduced: the whole 95 % interval lies within the tolerance; differs (lower, higher): the whole interval lies "
+    "outside it, below or above, however good that is, for a method of the paper that comes out otherwise is another "
+    "method; better: the same on the better side, of a method that the paper does not have; undecided: the interval "
+    "reaches across an edge of the tolerance, or there is none, so that more trials, or sets of images, are needed; "
+    "context: no verdict is due, because conditions differ or no tolerance was set. Where the paper says 'more than', "
+    "or names an order, the intervals must keep it, and stay below an upper bound where the words set one "
+    "('somewhat broader')."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedValue:
+    """A published value, ours (None if the run does not measure it) and the verdict."""
+
+    scenario: str
+    estimator: str
+    published: PublishedValue
+    ours: Record | None
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedClaim:
+    """What is stated in words, our values in the stated order, and the verdict."""
+
+    scenario: str
+    claim: Claim
+    ours: tuple[Record | None, ...]
+    verdict: Verdict
+
+
+def compare(records: Sequence[Record], comparison: Comparison) -> tuple[ComparedValue, ...]:
+    """Set each published value beside ours, for every scenario that it is for and every estimator but the control.
+
+    What belongs to a scenario and to none of its estimators stands beside each of them.
+    """
+    pairs = dict.fromkeys((r.scenario, r.estimator) for r in records if r.estimator not in ("", CONTROL))
+    compared = []
+    for scenario, estimator in pairs:
+        for published in comparison.values:
+            if published.scenario not in ("", scenario) or published.estimator not in ("", estimator):
+                continue
+            ours = _ours(records, scenario, estimator, published) or _ours(records, scenario, "", published)
+            if ours is None and published.stage == DERIVED:
+                continue
+            own = bool(published.estimator) or estimator in comparison.methods
+            due = judge(ours, published, own) if comparison.verdicts else "context"
+            compared.append(ComparedValue(scenario, estimator, published, ours, due))
+    return tuple(compared)
+
+
+def _ours(records: Sequence[Record], scenario: str, estimator: str, published: PublishedValue) -> Record | None:
+    return find(
+        records,
+        scenario=scenario,
+        estimator=estimator,
+        stage=published.stage,
+        measure=published.measure,
+        statistic=published.statistic,
+        reference=published.against,
+    )
+
+
+def compare_claims(records: Sequence[Record], comparison: Comparison) -> tuple[ComparedClaim, ...]:
+    """Hold each statement of the paper against our values, scenario by scenario."""
+    scenarios = tuple(dict.fromkeys(r.scenario for r in records))
+    return tuple(
+        _due(_compared_claim(records, scenario, claim), comparison)
+        for claim in comparison.claims
+        for scenario in (("",) if claim.unmeasured or any(term.scenario for term in claim.order) else scenarios)
+        if claim.scenario in ("", scenario)
+    )
+
+
+def _due(item: ComparedClaim, comparison: Comparison) -> ComparedClaim:
+    """Take the verdict away where none is due."""
+    due = comparison.verdicts and not item.claim.unjudged
+    return item if due or item.verdict == "not measured" else replace(item, verdict="context")
+
+
+def _compared_claim(records: Sequence[Record], scenario: str, claim: Claim) -> ComparedClaim:
+    if claim.solves:
+        ours = _of_claim(records, scenario, claim, Term(estimator=claim.solves))
+        return ComparedClaim(scenario, claim, (ours,), judge_solved(ours, claim.share))
+    values = tuple(_of_claim(records, scenario, claim, term) for term in claim.order)
+    return ComparedClaim(scenario, claim, values, judge_order(values) if values else "not measured")
+
+
+def _of_claim(records: Sequence[Record], scenario: str, claim: Claim, term: Term) -> Record | None:
+    return find(
+        records,
+        scenario=term.scenario or scenario,
+        estimator=term.estimator or claim.estimator,
+        stage=term.stage or claim.stage,
+        measure=term.measure or claim.measure,
+        statistic=term.statistic or claim.statistic,
+        reference=term.against or claim.against,
+    )
+
+
+def judge_solved(ours: Record | None, share: float = 0.9) -> Verdict:
+    """Tell whether so many trials are solved, by the 95 % interval of Wilson of their share; of "all" none may fail."""
+    if ours is None or not ours.n:
+        return "not measured"
+    if share == 1:
+        return "reproduced" if ours.n_ok == ours.n else "differs (lower)"
+    low, high = wilson(ours.n_ok, ours.n)
+    if low > share:
+        return "reproduced"
+    return "differs (lower)" if high < share else "undecided"
+
+
+def judge_order(ascending: Sequence[Record | None]) -> Verdict:
+    """Tell whether values with intervals ascend: apart they must be, in the stated order or in another."""
+    bounds: list[tuple[float, float]] = []
+    for record in ascending:
+        if record is None or record.value is None:
+            return "not measured"
+        if record.low is None or record.high is None:
+            return "undecided"
+        bounds.append((record.low, record.high))
+    if all(first[1] < second[0] for first, second in pairwise(bounds)):
+        return "reproduced"
+    return "differs" if any(first[0] > second[1] for first, second in pairwise(bounds)) else "undecided"
+
+
+def judge(ours: Record | None, published: PublishedValue, own: bool = True) -> Verdict:
+    """Apply `VERDICT_RULE` to one value; ``own`` says whether the paper has the method itself."""
+    if ours is None or ours.value is None:
+        return "not measured"
+    if published.relation != "about":
+        verdict = _judge_side(ours, published)
+        beyond = published.better == {"above": "higher", "below": "lower"}[published.relation]
+        return "better" if verdict == "reproduced" and beyond and not own else verdict
+    if published.tolerance is None:
+        return "context"
+    if ours.low is None or ours.high is None:
+        return "undecided"
+    lowest, highest = published.value - published.tolerance, published.value + published.tolerance
+    if ours.high < lowest or ours.low > highest:
+        side = "lower" if ours.high < lowest else "higher"
+        if side == published.better and not own:
+            return "better"
+        return "differs (lower)" if side == "lower" else "differs (higher)"
+    return "reproduced" if lowest <= ours.low and ours.high <= highest else "undecided"
+
+
+def _judge_side(ours: Record, published: PublishedValue) -> Verdict:
+    """Tell whether the whole interval lies on the side of the printed number that the words name."""
+    if ours.low is None or ours.high is None:
+        return "undecided"
+    least, most = published.value, published.at_most
+    if published.relation == "below":
+        least, most = -float("inf"), published.value
+    if ours.high < least:
+        return "differs (lower)"
+    if most is not None and ours.low > most:
+        return "differs (higher)"
+    return "reproduced" if ours.low > least and (most is None or ours.high <= most) else "undecided"
