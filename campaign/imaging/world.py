@@ -9,11 +9,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.imaging.image_store import ImageStore
+from campaign.imaging.imager import Imager, open_renderer
 from campaign.imaging.real_images import images_digest, open_images
-from renderers.detector import Detector
 from renderers.images import ImageSet, reach
-from renderers.mitsuba3 import BodyRenderer, MitsubaRenderer, TiledRenderer, choose_variant
+from renderers.mitsuba3 import BodyRenderer
 from scenarios.aim import draw_aimed_view
 from scenarios.beliefs import believed_spec
 from scenarios.bodies import Body, load_body
@@ -78,21 +77,17 @@ class RenderedSource:
     scenario: LoadedScenario
     camera: Camera
     shape: TriangleMesh
-    renderer: BodyRenderer
-    detector: Detector | None
-    store: ImageStore
+    imager: Imager
 
     def sight(self, seed: int, trial: int) -> Sight:
         """Draw a view, render it and expose the detector."""
         view = self.view(seed, trial)
-        image, from_store = self.store.image(seed, trial, view, self.renderer.render)
-        if self.detector is not None:
-            image = self.detector.expose(image, generator(seed, Stream.DETECTOR, trial))
+        image, from_store = self.imager.image(view, seed, trial, generator(seed, Stream.DETECTOR, trial))
         return Sight(image, view, {}, from_store=from_store)
 
     def flush(self) -> None:
         """Keep what was rendered."""
-        self.store.flush()
+        self.imager.flush()
 
     def view(self, seed: int, trial: int) -> View:
         """Draw views until one has the body clear of the parts of the detector that are to stay clear."""
@@ -103,7 +98,7 @@ class RenderedSource:
                 view = draw_aimed_view(viewpoint, self.scenario.spec.lighting, self.camera, self.shape, rng)
             else:
                 view = draw_view(self.scenario.spec, self.camera, rng)
-            if not clear or not reach(view, self.renderer.outline_m, clear):
+            if not clear or not reach(view, self.imager.renderer.outline_m, clear):
                 return view
         raise BoresightError(
             f"{self.scenario.path}: viewpoint.keep_clear_px: the body reached into it in {_MOST_DRAWS} views of trial"
@@ -220,7 +215,7 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     camera = spec.camera.camera()
     body = load_body(spec.body, scenario.search_dirs)
     ground = None if spec.craters is None else cratered_surface(spec.body, spec.craters, scenario.search_dirs)
-    renderer = _renderer(scenario, body.mesh, ground, variant)
+    renderer = open_renderer(scenario, variant)
     if spec.images is not None:
         images = open_images(scenario)
         source: Source = RealSource(images, spec.images.truth, spec.images.also_score, spec.images.noise_realisations)
@@ -228,20 +223,9 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     if spec.viewpoint is None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
     _check_range(scenario, body.mesh, spec.viewpoint)
-    detector = Detector(spec.detector) if spec.detector is not None else None
-    store = ImageStore.open(scenario, variant, Stream.TRUTH, spec.viewpoint, spec.lighting)
-    source = RenderedSource(scenario, camera, body.mesh, renderer, detector, store)
+    imager = Imager.open(scenario, variant, renderer, Stream.TRUTH, spec.viewpoint, spec.lighting)
+    source = RenderedSource(scenario, camera, body.mesh, imager)
     return World(scenario, camera, body, renderer, source, ground)
-
-
-def _renderer(
-    scenario: LoadedScenario, mesh: TriangleMesh, ground: CrateredSurface | None, variant: str
-) -> BodyRenderer:
-    spec = scenario.spec
-    samples, chosen = spec.rendering.samples_per_pixel, choose_variant(variant)
-    if ground is not None:
-        return TiledRenderer(ground, spec.brdf, samples, chosen)
-    return MitsubaRenderer(mesh, spec.brdf, samples, spec.body.shading, chosen)
 
 
 def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: ViewpointSpec) -> None:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from campaign.inspection.recompute import Recomputed
 from campaign.inspection.show import Drawn
-from campaign.kinds.crater_matching.trial import MatchedPair
+from campaign.kinds.crater_matching.trial import MatchedPair, right_matches
 from reports.figures.crater_pairs import MatchedRims, draw_matched_pair
 from reports.schema.named_figure import NamedFigure
 from scenarios.craters.simulated import NO_CRATER
@@ -21,8 +21,7 @@ def draw_pair_case(again: Recomputed) -> Drawn | None:
     looks = (shown.pair.first, shown.pair.second)
     pairs = np.zeros((0, 2), dtype=np.int64) if shown.matches is None else shown.matches.pairs
     one, other = (look.detections.crater for look in looks)
-    here, there = one[pairs[:, 0]], other[pairs[:, 1]]
-    right = (here == there) & (here != NO_CRATER)
+    right = np.zeros(0, dtype=np.bool_) if shown.matches is None else right_matches(shown.matches, shown.pair)
     rims = MatchedRims(
         (looks[0].detections.ellipses, looks[1].detections.ellipses), pairs, right, _missed(one, other, pairs[right])
     )

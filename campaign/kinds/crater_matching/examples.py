@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pandas as pd
 
 from campaign.inspection.case import Case
 from campaign.inspection.recompute import recompute
-from campaign.kinds.crater_matching.trial import MatchedPair, right_matches
+from campaign.kinds.crater_matching.draw import draw_pair_case
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
-from reports.figures.matched_pair import draw_matched_pair
 from reports.run.data import RunData, read_run, select
 from reports.schema.named_figure import NamedFigure, file_stem
 
@@ -32,28 +32,15 @@ def matching_example(
 ) -> NamedFigure | None:
     """Draw the pair in which a matcher finds its median number of craters; None where it never finds one."""
     trial = _typical(select(run.crater_matches, scenario, label))
-    shown = None if trial is None else recompute(campaign, folder, Case(scenario, label, trial)).shown
-    if not isinstance(shown, MatchedPair) or shown.matches is None:
+    drawn = None if trial is None else draw_pair_case(recompute(campaign, folder, Case(scenario, label, trial)))
+    if drawn is None:
         return None
-    pair, matches = shown.pair, shown.matches
-    right = right_matches(matches, pair)
-    angles = f"views {pair.view_deg:.0f} deg and Suns {pair.sun_deg:.0f} deg apart"
-    title = f"{label}, {scenario}, trial {trial}: {angles}"
-    return NamedFigure(
-        file_stem("matching_example", scenario, label),
-        draw_matched_pair(
-            (pair.first.frame.image, pair.second.frame.image),
-            (pair.first.detections.ellipses, pair.second.detections.ellipses),
-            matches.pairs,
-            right,
-            title,
-        ),
-        f"Craters that are the same by {title}. {len(matches.pairs)} matches, {int(right.sum())} of them right; one"
-        " number and colour is one crater, wrong matches are red and dashed, detections without a match are grey. Of"
-        " the pairs with views within 20 deg and Suns within 10 deg, where there are any, that with the median number"
-        " of right matches.",
-        "Two images of one area with detected craters, the identical ones numbered alike.",
+    figure = drawn.figures[0]
+    chosen = (
+        " Of the pairs with views within 20 deg and Suns within 10 deg, where there are any, that with the median"
+        " number of right matches."
     )
+    return replace(figure, stem=file_stem("matching_example", scenario, label), caption=f"{figure.caption}{chosen}")
 
 
 def _typical(table: pd.DataFrame) -> int | None:

@@ -9,12 +9,11 @@ from typing import Protocol
 
 import numpy as np
 
-from campaign.imaging.image_store import ImageStore
+from campaign.imaging.imager import Imager
 from campaign.trial.crater_score import check_detections, match_detections
 from campaign.trial.methods import Unbuilt, able, built
 from estimators.craters.contract import CraterDetector
 from estimators.craters.registry import crater_detector_class
-from renderers.detector import Detector
 from renderers.mitsuba3 import TiledRenderer, choose_variant
 from scenarios.bodies import load_body
 from scenarios.craters import CraterTruth, Rims, crater_truth, cratered_surface
@@ -92,9 +91,8 @@ class RenderedPairs:
     ground: MeshGround
     renderer: TiledRenderer
     rims: Rims
-    detector: Detector | None
+    imager: Imager
     finders: Mapping[str, CraterDetector | Unbuilt]
-    store: ImageStore
 
     def looks(self, seed: int, trial: int) -> Looks:
         """Draw the views of a trial and render them once."""
@@ -102,9 +100,7 @@ class RenderedPairs:
         priors, noise = generator(seed, Stream.POSE_ERROR, trial), generator(seed, Stream.DETECTOR, trial)
         seen = []
         for number, view in enumerate(views):
-            image, _ = self.store.image(seed, 2 * trial + number, view, self.renderer.render)
-            if self.detector is not None:
-                image = self.detector.expose(image, noise)
+            image, _ = self.imager.image(view, seed, 2 * trial + number, noise)
             frame = known_frame(view, image, self.pose_error, priors, float(number))
             seen.append((view, frame, crater_truth(self.rims, view, self.renderer)))
 
@@ -124,7 +120,7 @@ class RenderedPairs:
 
     def flush(self) -> None:
         """Keep what was rendered."""
-        self.store.flush()
+        self.imager.flush()
 
 
 def _found(finder: CraterDetector, frame: Frame, camera: Camera) -> Ellipses:
@@ -176,10 +172,9 @@ def open_pairs(
     surface = cratered_surface(spec.body, spec.craters, scenario.search_dirs)
     renderer = TiledRenderer(surface, spec.brdf, spec.rendering.samples_per_pixel, choose_variant(variant))
     finders = {name: _finder(name, spec.name) for name in detectors}
-    exposed = None if spec.detector is None else Detector(spec.detector)
-    store = ImageStore.open(scenario, variant, Stream.TRUTH, section)
+    imager = Imager.open(scenario, variant, renderer, Stream.TRUTH, section)
     return RenderedPairs(
-        section, section.images, spec.pose_error, camera, ground, renderer, surface.rims, exposed, finders, store
+        section, section.images, spec.pose_error, camera, ground, renderer, surface.rims, imager, finders
     )
 
 

@@ -115,10 +115,6 @@ class CraterMatching:
         self.source.flush()
         return records
 
-    def pair(self, trial: int, label: str) -> CraterPair:
-        """Return the pair of a trial as a matcher sees it."""
-        return self.source.looks(self.seed, trial).seen_by(self.detectors[label])
-
     def _judged(self, call: Call, matcher: CraterMatcher | Unbuilt, looks: Looks) -> Records:
         """Let a detector and a matcher work and score the matches: records without their key, whatever goes wrong."""
         circumstances = _circumstances(looks.first)

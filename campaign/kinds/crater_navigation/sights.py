@@ -8,10 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.imaging.image_store import ImageStore
+from campaign.imaging.imager import Imager
 from campaign.trial.crater_score import match_detections
 from estimators.craters.contract import CraterDetections
-from renderers.detector import Detector
 from renderers.mitsuba3 import TiledRenderer, choose_variant
 from scenarios.bodies import load_body
 from scenarios.craters import Rims, crater_truth, cratered_surface
@@ -96,16 +95,13 @@ class RenderedSights:
     spec: ImagingSpec
     renderer: TiledRenderer
     rims: Rims
-    detector: Detector | None
-    store: ImageStore
+    imager: Imager
 
     def image(self, view: View, address: Address) -> Image:
         """Render an image, or take it from the store, and expose it."""
         number = address.trial * self.spec.epochs + address.image
-        radiance, _ = self.store.image(address.seed, number, view, self.renderer.render)
-        if self.detector is None:
-            return radiance
-        return self.detector.expose(radiance, address.stream(Stream.DETECTOR, self.spec.epochs))
+        noise = address.stream(Stream.DETECTOR, self.spec.epochs)
+        return self.imager.image(view, address.seed, number, noise)[0]
 
     def drawn(self, view: View, address: Address) -> tuple[CraterDetections, IndexArray] | None:
         """Leave it to a detector."""
@@ -120,7 +116,7 @@ class RenderedSights:
 
     def flush(self) -> None:
         """Keep what was rendered."""
-        self.store.flush()
+        self.imager.flush()
 
 
 def open_sights(scenario: LoadedScenario, spec: ImagingSpec, variant: str) -> CraterSights:
@@ -142,6 +138,5 @@ def open_sights(scenario: LoadedScenario, spec: ImagingSpec, variant: str) -> Cr
         )
     surface = cratered_surface(whole.body, whole.craters, scenario.search_dirs)
     renderer = TiledRenderer(surface, whole.brdf, whole.rendering.samples_per_pixel, choose_variant(variant))
-    exposed = None if whole.detector is None else Detector(whole.detector)
-    store = ImageStore.open(scenario, variant, Stream.ORBIT_IMAGES, whole.orbit.arc, spec)
-    return RenderedSights(spec, renderer, surface.rims, exposed, store)
+    imager = Imager.open(scenario, variant, renderer, Stream.ORBIT_IMAGES, whole.orbit.arc, spec)
+    return RenderedSights(spec, renderer, surface.rims, imager)

@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from campaign.imaging.image_store import ImageStore
+from campaign.imaging.imager import Imager, open_renderer
 from estimators.slam.vision.features import Features, find_features
 from estimators.slam.vision.matching import matched
-from renderers.detector import Detector
-from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from renderers.rectify import rectify
 from scenarios.bodies import load_body
 from scenarios.draw import Stream, generator
@@ -72,9 +70,7 @@ class OrbitImages:
     spec: ImageVisionSpec
     views: tuple[View, ...]
     camera: Camera
-    renderer: MitsubaRenderer
-    detector: Detector | None
-    store: ImageStore
+    imager: Imager
     seed: int
     _realisation: int = -1
     _images: dict[int, Image] = field(default_factory=dict)
@@ -89,26 +85,20 @@ class OrbitImages:
         if section is None or section.images is None:
             raise BoresightError(f"{scenario.path}: sequence.images: missing, so there is no image to render")
         mesh = load_body(spec.body, scenario.search_dirs).mesh
-        renderer = MitsubaRenderer(
-            mesh, spec.brdf, spec.rendering.samples_per_pixel, spec.body.shading, choose_variant(variant)
-        )
         camera = spec.camera.camera()
         circle = section.orbit.model_copy(update={"revolutions": 1.0})
         path = travel(section.model_copy(update={"orbit": circle}), MeshGround(mesh), np.zeros((circle.frames - 1, 3)))
-        detector = None if spec.detector is None else Detector(spec.detector)
-        store = ImageStore.open(scenario, variant, Stream.TRUTH, circle)
-        return cls(section.images, path.views(camera)[:-1], camera.pinhole, renderer, detector, store, seed)
+        imager = Imager.open(scenario, variant, open_renderer(scenario, variant), Stream.TRUTH, circle)
+        return cls(section.images, path.views(camera)[:-1], camera.pinhole, imager, seed)
 
     def image(self, realisation: int, slot: int) -> Image:
         """(H, W) exposure of a slot, resampled to the pinhole."""
         self._turn_to(realisation)
         if slot not in self._images:
             view = self.views[slot]
-            radiance, _ = self.store.image(0, slot, view, self.renderer.render)
-            if self.detector is not None:
-                rng = generator(self.seed, Stream.DETECTOR, realisation * len(self.views) + slot)
-                radiance = self.detector.expose(radiance, rng)
-            self._images[slot] = rectify(radiance, view.camera)
+            noise = generator(self.seed, Stream.DETECTOR, realisation * len(self.views) + slot)
+            exposed, _ = self.imager.image(view, 0, slot, noise)
+            self._images[slot] = rectify(exposed, view.camera)
         return self._images[slot]
 
     def found(self, realisation: int, slot: int) -> Found:
@@ -137,7 +127,7 @@ class OrbitImages:
     def points_m(self, slot: int, uv_px: FloatArray) -> FloatArray:
         """(n, 3) true surface points at pixels of the pinhole; NaN beside the body."""
         view = self.views[slot]
-        return self.renderer.surface(view, view.camera.distorted(uv_px)).points_body_m
+        return self.imager.renderer.surface(view, view.camera.distorted(uv_px)).points_body_m
 
     def places_px(self, slot: int, points_m: FloatArray) -> FloatArray:
         """(n, 2) where the pinhole of a slot has points."""
@@ -160,7 +150,7 @@ class OrbitImages:
 
     def flush(self) -> None:
         """Keep what was rendered."""
-        self.store.flush()
+        self.imager.flush()
 
     def _in_sight(self, slot: int, points_m: FloatArray, places_px: FloatArray) -> BoolArray:
         seen = self.camera.contains(places_px) & np.isfinite(points_m).all(axis=1)
