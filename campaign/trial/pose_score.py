@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from campaign.trial.nees import nees
 from estimators.landmark.pose.stack import PoseStack
 from scenarios.geometry import Pose
 
@@ -98,7 +99,7 @@ def consistency(
     position_sigma_m, attitude_sigma_deg = _foretold(covariance, estimated)
     position_bound_m, attitude_bound_deg = _foretold(bound, estimated)
     return {
-        "nees": _weighted_square(error, covariance),
+        "nees": nees(error, covariance),
         "position_sigma_m": position_sigma_m,
         "attitude_sigma_deg": attitude_sigma_deg,
         "position_bound_m": position_bound_m,
@@ -109,20 +110,6 @@ def consistency(
 def no_consistency() -> dict[str, float | None]:
     """Return the same keys without a value."""
     return dict.fromkeys(("nees", "position_sigma_m", "attitude_sigma_deg", "position_bound_m", "attitude_bound_deg"))
-
-
-def _weighted_square(error: FloatArray, covariance: FloatArray | None) -> float | None:
-    """Weigh an error by a covariance; None where that is missing or not positive definite."""
-    if covariance is None:
-        return None
-    # Scaled first: square radians and square metres are ten orders of magnitude apart.
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
-    try:
-        factor = np.linalg.cholesky(covariance * np.outer(scale, scale))
-    except np.linalg.LinAlgError:
-        return None
-    white = np.linalg.solve(factor, scale * error)
-    return float(white @ white)
 
 
 def _foretold(covariance: FloatArray | None, pose: Pose) -> tuple[float | None, float | None]:

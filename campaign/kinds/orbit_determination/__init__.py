@@ -5,7 +5,7 @@ from campaign.trial.kind import Kind
 
 KIND = Kind(
     name="orbit-determination",
-    version=1,
+    version=2,
     block_trials=2,
     method_version=OrbitTrials.method_version,
     prepare=OrbitTrials.prepare,

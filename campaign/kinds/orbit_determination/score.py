@@ -21,6 +21,7 @@ from campaign.trial.checks import (
     check_status,
     check_type,
 )
+from campaign.trial.nees import nees
 from estimators.orbit.contract import Orbit, OrbitEstimate
 from scenarios.orbits.data import OrbitData
 from scenarios.orbits.draw import OrbitTruth
@@ -90,10 +91,8 @@ def _check_invertible(orbit: Orbit) -> None:
     for covariance in (orbit.covariance, *orbit.position_covariances_m2):
         if np.diag(covariance).min() < 0.0:
             raise ValueError("a covariance has a negative variance")
-        try:
-            _weighted_square(np.ones(len(covariance)), covariance)
-        except np.linalg.LinAlgError:
-            raise ValueError("a covariance is singular") from None
+        if nees(np.ones(len(covariance)), covariance) is None:
+            raise ValueError("a covariance is not positive definite")
 
 
 def orbit_errors(orbit: Orbit, truth: OrbitTruth, data: OrbitData) -> list[Record]:
@@ -125,7 +124,7 @@ def orbit_summary(estimate: OrbitEstimate, orbit: Orbit, truth: OrbitTruth, data
     errors = np.linalg.norm(offset, axis=1)
     arc = data.wanted_s <= _end_of_arc(data)
     state = orbit.state - truth.states[0]
-    weighted = [_weighted_square(off, P) for off, P in zip(offset, orbit.position_covariances_m2, strict=True)]
+    weighted = [nees(off, P) for off, P in zip(offset[arc], orbit.position_covariances_m2[arc], strict=True)]
     sigma = np.sqrt(np.maximum(np.trace(orbit.position_covariances_m2[-1]), 0.0))
     placed = orbit.residuals_px[orbit.used]
     wrong = wrong_sightings(orbit, truth, data)
@@ -135,11 +134,11 @@ def orbit_summary(estimate: OrbitEstimate, orbit: Orbit, truth: OrbitTruth, data
     return {
         "epoch_error_m": float(errors[0]),
         "epoch_velocity_error_m_s": _length(state[3:]),
-        "epoch_nees": _weighted_square(state, orbit.covariance) / _STATE,
+        "epoch_nees": _over(nees(state, orbit.covariance), _STATE),
         "arc_median_m": float(np.median(errors[arc])),
         "arc_rms_m": float(np.sqrt(np.mean(errors[arc] ** 2))),
         "arc_p90_m": float(np.quantile(errors[arc], 0.9)),
-        "arc_nees": float(np.mean(np.array(weighted)[arc])) / _AXES,
+        "arc_nees": _over(None if None in weighted else float(np.mean(np.array(weighted, dtype=np.float64))), _AXES),
         "predicted_error_m": float(errors[-1]) if not arc[-1] else None,
         "predicted_sigma_m": float(sigma) if not arc[-1] else None,
         "residual_rms_px": float(np.sqrt(np.mean(placed**2))),
@@ -182,9 +181,8 @@ def _end_of_arc(data: OrbitData) -> float:
     return float(np.concatenate([data.pictures.times_s[-1:], *radio]).max()) + 1.0
 
 
-def _weighted_square(error: FloatArray, covariance: FloatArray) -> float:
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
-    return float(scale * error @ np.linalg.solve(covariance * np.outer(scale, scale), scale * error))
+def _over(value: float | None, freedoms: int) -> float | None:
+    return None if value is None else value / freedoms
 
 
 def _length(vector: FloatArray) -> float:

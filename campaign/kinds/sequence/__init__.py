@@ -5,7 +5,7 @@ from campaign.trial.kind import Kind
 
 KIND = Kind(
     name="sequence",
-    version=3,
+    version=4,
     block_trials=5,
     method_version=SequenceTrials.method_version,
     prepare=SequenceTrials.prepare,

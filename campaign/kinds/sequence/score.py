@@ -18,6 +18,7 @@ from campaign.trial.checks import (
     check_status,
     check_type,
 )
+from campaign.trial.nees import nees
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from scenarios.sequences import SequenceTruth
 from scenarios.sequences.frames import inertial_from_body
@@ -117,7 +118,7 @@ def _position(frame: FrameEstimate, index: int, truth: SequenceTruth, turn: Floa
         "radial_m": float(radial),
         "along_m": float(along),
         "cross_m": float(cross),
-        "nees": _weighted_square(error, covariance),
+        "nees": nees(error, covariance),
         "position_sigma_m": None if covariance is None else float(np.sqrt(max(np.trace(covariance), 0.0))),
     }
 
@@ -134,17 +135,6 @@ def orbit_frame(truth: SequenceTruth, index: int) -> FloatArray:
     cross = np.cross(radial, moved)
     cross /= np.linalg.norm(cross)
     return np.stack([radial, np.cross(cross, radial), cross])
-
-
-def _weighted_square(error: FloatArray, covariance: FloatArray | None) -> float | None:
-    """e^T P^-1 e; None where P is missing or not positive definite, as where the position is known perfectly."""
-    if covariance is None:
-        return None
-    try:
-        white = np.linalg.solve(np.linalg.cholesky(covariance), error)
-    except np.linalg.LinAlgError:
-        return None
-    return float(white @ white)
 
 
 def _squares(frame: FrameEstimate, truth: SequenceTruth, turn: FloatArray) -> FloatArray:
