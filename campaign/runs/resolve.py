@@ -63,11 +63,11 @@ def resolve(
         kind = kind_named(spec.experiment)
     except BoresightError as error:
         raise BoresightError(f"{loaded.path}: {error}") from error
-    versions = _versions(spec)
     if spec.databases > 1 and not kind.databases:
         raise BoresightError(
             f"{loaded.path}: databases: 1 is all that a campaign of {kind.name} has: leave the key out"
         )
+    versions = _versions(spec)
     for entry in spec.estimators:
         _check_sensors(entry, scenarios)
     return ResolvedCampaign(

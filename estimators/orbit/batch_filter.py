@@ -17,8 +17,8 @@ from estimators.orbit.model import Model, Unknowns, fly, measurements, motion_by
 from estimators.orbit.options import OrbitOptions
 from estimators.orbit.parameters import Layout
 from estimators.orbit.solve import Adjusted, Limits, Robust
+from scenarios.dynamics.propagation import OrbitLostError
 from scenarios.orbits.data import OrbitData
-from scenarios.orbits.motion import OrbitLostError
 
 FloatArray = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from estimators.orbit.parameters import Layout
+from scenarios.dynamics.flight import Flight, flight
 from scenarios.orbits.data import OrbitData, Radiometry
-from scenarios.orbits.motion import Flight, flight
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
 from estimators.orbit.options import OrbitOptions
+from scenarios.dynamics.field import HarmonicField
+from scenarios.dynamics.flight import Flight
+from scenarios.dynamics.propagation import Pushes
 from scenarios.orbits.data import Knowledge, OrbitData
-from scenarios.orbits.field import Field
-from scenarios.orbits.motion import Flight, Pushes
 
 FloatArray = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ class Layout:
     """
 
     knowledge: Knowledge
-    field: Field
+    field: HarmonicField
     edges_s: FloatArray
     force_sigma: FloatArray
     bias_sigma_m: float
@@ -52,7 +53,9 @@ class Layout:
     def of(cls, data: OrbitData, options: OrbitOptions) -> Layout:
         """Choose the unknowns by what is uncertain."""
         known = data.knowledge
-        field = Field(known.field.harmonics, known.field.rotation, known.field.light_m_s2, options.gravity_degree)
+        field = HarmonicField(
+            known.field.harmonics, known.field.rotation, known.field.light_m_s2, options.gravity_degree
+        )
         light = known.light_sigma if options.solar_pressure == "estimated" and np.any(field.light_m_s2) else 0.0
         sigma = np.r_[known.gm_sigma, light, np.full(field.parameters - 2, known.coefficient_sigma)]
         edges: FloatArray = np.zeros(0, dtype=np.float64)
@@ -122,7 +125,7 @@ class Layout:
         """(6,) at the epoch."""
         return np.asarray(self.knowledge.state + self.state_sigma * x[self.part("state")])
 
-    def field_at(self, x: FloatArray) -> Field:
+    def field_at(self, x: FloatArray) -> HarmonicField:
         """Return the forces with their estimated parameters."""
         added = self._added(x)
         return self.field.changed(1.0 + added[0], 1.0 + added[1], added[2:])

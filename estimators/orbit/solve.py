@@ -10,7 +10,8 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from estimators.orbit.elimination import shared_links, subtract_landmarks, whitened
 from estimators.orbit.model import Model, Passes, Sightings, Unknowns
-from scenarios.orbits.motion import Flight, OrbitLostError
+from scenarios.dynamics.flight import Flight
+from scenarios.dynamics.propagation import OrbitLostError
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scenarios.dynamics.field import HarmonicField
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera
-from scenarios.orbits.field import Field
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -168,7 +168,7 @@ class Knowledge:
     """
 
     camera: Camera
-    field: Field
+    field: HarmonicField
     state: FloatArray
     position_sigma_m: float
     velocity_sigma_m_s: float

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.draw import Stream, generator
+from scenarios.dynamics.flight import travelled
+from scenarios.dynamics.propagation import OrbitLostError, Pushes
 from scenarios.geometry import Camera
 from scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures
 from scenarios.orbits.flown import DAY_S, Flown, fly
 from scenarios.orbits.known import draw_knowledge, draw_radiometry
-from scenarios.orbits.motion import OrbitLostError, Pushes, travelled
 from scenarios.orbits.pointing import PointingErrors
 from scenarios.orbits.sightings import found_craters, lit_and_seen, merged_numbers, mistaken
 from scenarios.orbits.world import OrbitWorld

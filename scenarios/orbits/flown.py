@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.draw import Stream, generator
+from scenarios.dynamics.field import HarmonicField
+from scenarios.dynamics.harmonics import Harmonics
+from scenarios.dynamics.propagation import Pushes, propagate
 from scenarios.orbits.elements import state_at_epoch
-from scenarios.orbits.field import Field
-from scenarios.orbits.harmonics import Harmonics
-from scenarios.orbits.motion import Pushes, travelled
 from scenarios.orbits.world import OrbitWorld
 
 FloatArray = NDArray[np.float64]
@@ -58,12 +58,14 @@ def fly(world: OrbitWorld, times_s: FloatArray, seed: int, trial: int) -> Flown:
         radio = np.arange(0.0, end, 3600.0 * world.spec.radiometry.interval_h)
     every, place = np.unique(np.concatenate([times_s, wanted, radio]), return_inverse=True)
     field, pushes = _true_forces(world, seed, trial)
-    states = travelled(field, state_at_epoch(arc, world.spec.asteroid.gm_m3_s2), every, pushes)[place]
+    states = propagate(
+        field.acceleration, field.harmonics.radius_m, state_at_epoch(arc, world.spec.asteroid.gm_m3_s2), every, pushes
+    )[place]
     parts = np.split(states, [len(times_s), len(times_s) + len(wanted)])
     return Flown(times_s, wanted, radio, parts[0], parts[1], parts[2])
 
 
-def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[Field, Pushes]:
+def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[HarmonicField, Pushes]:
     """Gravity with its anomalies, and what nothing models: a Gauss-Markov process, held over quarters of its time."""
     rng = generator(seed, Stream.ORBIT_FORCES, trial)
     harmonics, arc, light = world.asteroid.harmonics, world.spec.arc, world.spec.light

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from scenarios.draw import Stream, generator
+from scenarios.dynamics.harmonics import Harmonics
 from scenarios.orbits.data import Knowledge, Radiometry
 from scenarios.orbits.flown import DAY_S, Flown
-from scenarios.orbits.harmonics import Harmonics
 from scenarios.orbits.rotation import UniformRotation
 from scenarios.orbits.world import OrbitWorld
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from scenarios.dynamics.harmonics import normalisation
+from scenarios.dynamics.solid import solid_harmonics
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
-from scenarios.orbits.harmonics import normalisation
-from scenarios.orbits.solid import solid_harmonics
 
 FloatArray = NDArray[np.float64]
 

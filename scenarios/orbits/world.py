@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.draw import Stream, generator
+from scenarios.dynamics.field import HarmonicField
+from scenarios.dynamics.harmonics import Harmonics, homogeneous
+from scenarios.dynamics.propagation import SUNLIGHT_N_M2
 from scenarios.geometry import Camera, TriangleMesh
-from scenarios.orbits.field import Field
-from scenarios.orbits.harmonics import Harmonics, homogeneous
 from scenarios.orbits.horizon import Horizons
 from scenarios.orbits.rotation import UniformRotation
 from scenarios.orbits.shape import StarShape, fitted
 from scenarios.sequences.ground import MeshGround
-from scenarios.sequences.propagation import SUNLIGHT_N_M2
 from scenarios.spec.orbit import OrbitSpec, SunEarthSpec
 
 FloatArray = NDArray[np.float64]
@@ -105,9 +105,11 @@ class OrbitWorld:
         of_shape = 0.5 * self.believed.shape.rms_m / self.believed.harmonics.radius_m
         return float(np.hypot(self.spec.asteroid.anomaly_sigma, of_shape))
 
-    def field(self, harmonics: Harmonics, light_factor: float = 1.0, rotation: UniformRotation | None = None) -> Field:
+    def field(
+        self, harmonics: Harmonics, light_factor: float = 1.0, rotation: UniformRotation | None = None
+    ) -> HarmonicField:
         """Return the forces with these harmonics, of a body that turns as in truth or as it is believed to."""
-        return Field(harmonics, rotation or self.rotation, self.light_m_s2 * light_factor)
+        return HarmonicField(harmonics, rotation or self.rotation, self.light_m_s2 * light_factor)
 
 
 def centre_of_mass(mesh: TriangleMesh) -> FloatArray:

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.draw import Stream, generator
+from scenarios.dynamics.gravity import Gravity, PointMass, Polyhedron
+from scenarios.dynamics.propagation import Acceleration, Pushes, propagate, radiation_pressure
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, View
-from scenarios.sequences.gravity import Gravity, PointMass, Polyhedron
 from scenarios.sequences.ground import Ground, MeshGround
 from scenarios.sequences.orbit import orbit_axes, pointed, poses, times_s, velocities_m_s
-from scenarios.sequences.propagation import Field, propagate, radiation_pressure
-from scenarios.sequences.rotation import angular_velocity, attitude_law
+from scenarios.sequences.rotation import Attitude, angular_velocity, attitude_law
 from scenarios.spec.sequence import OrbitSpec, SequenceSpec
 
 FloatArray = NDArray[np.float64]
@@ -61,7 +61,7 @@ def travel(spec: SequenceSpec, ground: Ground, unmodelled_m_s2: FloatArray) -> P
 
     Raises
     ------
-    OrbitEndsError
+    OrbitLostError
         If a propagated orbit comes down to the body.
     """
     orbit, times = spec.orbit, times_s(spec.orbit)
@@ -71,9 +71,10 @@ def travel(spec: SequenceSpec, ground: Ground, unmodelled_m_s2: FloatArray) -> P
     looks, velocities = poses(orbit), velocities_m_s(orbit)
     positions = np.array([look.camera_position_m for look in looks])
     if orbit.model == "propagated":
-        field = Field(_gravity(orbit, ground), attitude, radiation)
-        start = positions[0], velocities[0]
-        positions, velocities = propagate(field, start, times, unmodelled_m_s2, ground.reach_m)
+        pulled = _acceleration(_gravity(orbit, ground), attitude, radiation)
+        start = np.concatenate([positions[0], velocities[0]])
+        states = propagate(pulled, ground.reach_m, start, times, Pushes(times, unmodelled_m_s2))
+        positions, velocities = states[:, :3], states[:, 3:]
         looks = tuple(pointed(*state) for state in zip(positions, velocities, strict=True))
     turns = attitude(times)
     over = tuple(_over_the_body(look, turn) for look, turn in zip(looks, turns, strict=True))
@@ -97,6 +98,18 @@ def _gravity(orbit: OrbitSpec, ground: Ground) -> Gravity:
     if not isinstance(ground, MeshGround):
         raise BoresightError("sequence.orbit.forces.gravity: polyhedral needs a body with a mesh: use point-mass")
     return Polyhedron(ground.mesh, orbit.gm_m3_s2)
+
+
+def _acceleration(gravity: Gravity, attitude: Attitude, radiation_m_s2: FloatArray) -> Acceleration:
+    """Equation (6) of Delpech et al. (2015) without its noise."""
+
+    def acceleration(time_s: float, position_m: FloatArray) -> FloatArray:
+        if isinstance(gravity, PointMass):
+            return gravity.acceleration(position_m) + radiation_m_s2
+        turn = attitude(np.array([time_s]))[0]
+        return np.asarray(turn.T @ gravity.acceleration(turn @ position_m) + radiation_m_s2)
+
+    return acceleration
 
 
 def _over_the_body(T_cam_inertial: Pose, R_body_inertial: FloatArray) -> Pose:

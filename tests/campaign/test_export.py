@@ -15,9 +15,9 @@ from tiny_campaign import compute
 from campaign.cli import main
 from campaign.inspection.case import Case
 from campaign.inspection.recompute import recompute, reopened
-from campaign.runs.worker import trials_of
+from campaign.kinds.single_image.trial import SingleImage
+from campaign.runs.worker import opened
 from campaign.store import TABLES, RunFolder
-from campaign.trial.kind import Bench
 from scenarios.geometry import Pose, View
 
 SEQUENCE = """\
@@ -114,7 +114,7 @@ def test_colmap_reads_a_model_and_projects_it_as_we_do(tiny_run, sequences, tmp_
     solved = rows[rows["status"] == "ok"]
     assert len(model.images) == len(solved) > 1
     marks = pd.read_parquet(tiny_run.folder / "landmarks").query("estimator == 'landmark-harris'")
-    experiment = trials_of(reopened(RunFolder(tiny_run.folder)), "scene", Bench(tiny_run.folder, 1, False))
+    experiment = opened(reopened(RunFolder(tiny_run.folder)), "scene", tiny_run.folder, SingleImage)
     for image in model.images.values():
         trial = int(image.name.removesuffix(".tiff"))
         own = marks[marks["trial"] == trial]

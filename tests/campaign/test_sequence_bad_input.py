@@ -89,7 +89,7 @@ def test_a_failed_trial_keeps_its_frames_up_to_the_last_good_one(faults):
 
 def test_an_orbit_that_chance_leads_into_the_body_costs_its_own_trial_alone(faults):
     rows = faults["falls"]
-    lost = rows[rows["reason"].str.contains("it comes down to the body")]
+    lost = rows[rows["reason"].str.contains("the orbit leads into the body")]
     assert 0 < lost["trial"].nunique() < rows["trial"].nunique()
     assert (lost["status"] == "failed").all()
     assert (lost.groupby("trial").size() == 4).all()

@@ -22,11 +22,12 @@ from estimators.craters.navigation.matched import believed
 from estimators.craters.navigation.stages import Stages
 from estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
 from estimators.craters.navigation.trajectory import Trajectory
+from scenarios.dynamics.flight import travelled
+from scenarios.dynamics.propagation import Pushes
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, Pose
 from scenarios.orbits.elements import state_at_epoch
 from scenarios.orbits.known import draw_knowledge
-from scenarios.orbits.motion import Pushes, travelled
 from scenarios.orbits.rotation import UniformRotation
 from scenarios.sequences.ground import MeshGround
 

@@ -6,13 +6,13 @@ import trimesh
 from scipy.spatial.transform import Rotation
 from scipy.special import sph_harm_y
 
+from scenarios.dynamics.field import HarmonicField, differentiate
+from scenarios.dynamics.gravity import Polyhedron
+from scenarios.dynamics.harmonics import Harmonics, homogeneous
+from scenarios.dynamics.solid import index, outer_harmonics, terms
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
-from scenarios.orbits.field import Field, differentiate
-from scenarios.orbits.harmonics import Harmonics, homogeneous
 from scenarios.orbits.rotation import UniformRotation
-from scenarios.orbits.solid import index, outer_harmonics, terms
-from scenarios.sequences.gravity import Polyhedron
 
 GM = 4.463e5
 SEMI_AXES = np.array([17_000.0, 8_500.0, 6_000.0])
@@ -60,14 +60,14 @@ def test_an_ellipsoid_has_the_coefficients_of_the_closed_form():
 
 
 def test_harmonics_pull_as_the_polyhedron_at_200_km(lump):
-    exact, field = Polyhedron(lump, GM), Field(homogeneous(lump, GM, 10, 16_000.0), REST, np.zeros(3))
+    exact, field = Polyhedron(lump, GM), HarmonicField(homogeneous(lump, GM, 10, 16_000.0), REST, np.zeros(3))
     for place in 200_000.0 * _directions():
         pull = exact.acceleration(place)
         assert np.linalg.norm(field.acceleration(0.0, place) - pull) < 1e-10 * np.linalg.norm(pull)
 
 
 def test_a_truncated_expansion_falls_off_with_the_distance_as_its_degree_says(lump):
-    exact, field = Polyhedron(lump, GM), Field(homogeneous(lump, GM, 4, 16_000.0), REST, np.zeros(3))
+    exact, field = Polyhedron(lump, GM), HarmonicField(homogeneous(lump, GM, 4, 16_000.0), REST, np.zeros(3))
     errors = []
     for distance in (150_000.0, 300_000.0):
         off = [field.acceleration(0.0, p) - exact.acceleration(p) for p in distance * _directions()]
@@ -88,7 +88,7 @@ def test_harmonics_pull_as_the_package_polyhedral_gravity(lump):
         integrity_check=package.PolyhedronIntegrity.DISABLE,
     )
     gm = 6.67430e-11 * lump.volume_m3
-    field = Field(homogeneous(lump, gm, 10, 16_000.0), REST, np.zeros(3))
+    field = HarmonicField(homogeneous(lump, gm, 10, 16_000.0), REST, np.zeros(3))
     for place in 200_000.0 * _directions(5):
         _, pull, _ = package.evaluate(body, place, parallel=False)
         found = field.acceleration(0.0, place)
@@ -99,7 +99,7 @@ def test_harmonics_pull_as_the_package_polyhedral_gravity(lump):
 
 def test_derivatives_are_central_differences(lump):
     spin = UniformRotation(Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix(), 3e-4)
-    field = Field(homogeneous(lump, GM, 4, 16_000.0), spin, np.array([1e-8, 2e-8, -3e-8]), by_degree=3)
+    field = HarmonicField(homogeneous(lump, GM, 4, 16_000.0), spin, np.array([1e-8, 2e-8, -3e-8]), by_degree=3)
     place, time = np.array([50_000.0, -20_000.0, 10_000.0]), 5_000.0
     tide, by = np.empty((3, 3)), np.empty((3, field.parameters))
     differentiate(field.flat, time, place, field.work(), tide, by)
@@ -119,7 +119,7 @@ def test_a_turning_body_pulls_as_one_that_is_turned(lump):
     place = np.array([60_000.0, 10_000.0, -5_000.0])
     turn = spin.at(np.array([4_000.0]))[0]
     expected = turn.T @ Polyhedron(lump, GM).acceleration(turn @ place)
-    found = Field(harmonics, spin, np.zeros(3)).acceleration(4_000.0, place)
+    found = HarmonicField(harmonics, spin, np.zeros(3)).acceleration(4_000.0, place)
     assert np.linalg.norm(found - expected) < 1e-4 * np.linalg.norm(expected)
 
 

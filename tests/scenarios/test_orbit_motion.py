@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from scenarios.orbits.field import Field
-from scenarios.orbits.harmonics import Harmonics
-from scenarios.orbits.motion import OrbitLostError, Pushes, flight, travelled
+from scenarios.dynamics.field import HarmonicField
+from scenarios.dynamics.flight import flight, travelled
+from scenarios.dynamics.harmonics import Harmonics
+from scenarios.dynamics.propagation import OrbitLostError, Pushes
 from scenarios.orbits.rotation import UniformRotation
 
 GM, DAY = 4.463e5, 86_400.0
@@ -27,7 +28,7 @@ def _kepler(a, e, times):
 def _lumpy(light=(0.0, 0.0, 0.0), by_degree=0):
     c, s = np.zeros((2, 5, 5))
     c[0, 0], c[2, 0], c[2, 2], c[3, 1], s[2, 2], c[4, 2] = 1.0, -0.05, 0.08, 0.004, -0.03, -0.02
-    return Field(Harmonics(GM, 16_000.0, c, s), SPIN, np.array(light), by_degree)
+    return HarmonicField(Harmonics(GM, 16_000.0, c, s), SPIN, np.array(light), by_degree)
 
 
 START = np.array([200_000.0, 0.0, 0.0, 0.0, 1.22, 0.857])
@@ -37,7 +38,7 @@ START = np.array([200_000.0, 0.0, 0.0, 0.0, 1.22, 0.857])
 def test_two_bodies_move_as_kepler_says(way):
     times = np.linspace(0.0, 24 * DAY, 50)
     exact = _kepler(200_000.0, 0.1, times)
-    field, pushes = Field(Harmonics.point(GM, 16_000.0), REST, np.zeros(3)), Pushes.none(times[-1])
+    field, pushes = HarmonicField(Harmonics.point(GM, 16_000.0), REST, np.zeros(3)), Pushes.none(times[-1])
     found = (
         travelled(field, exact[0], times, pushes)
         if way == "adaptive"
@@ -49,7 +50,7 @@ def test_two_bodies_move_as_kepler_says(way):
 def test_sunlight_alone_moves_as_a_constant_force():
     far = np.array([1e9, 0.0, 0.0, 0.0, 0.5, 0.0])  # where gravity is 4e-13 m/s2
     light = np.array([0.0, 2e-8, -5e-8])
-    field = Field(Harmonics.point(GM, 16_000.0), REST, light)
+    field = HarmonicField(Harmonics.point(GM, 16_000.0), REST, light)
     times = np.array([0.0, 5 * DAY, 10 * DAY])
     moved = flight(field, far, times, Pushes.none(times[-1])).states[:, :3] - far[:3] - np.outer(times, far[3:])
     np.testing.assert_allclose(moved, 0.5 * np.outer(times**2, light), atol=1.0)

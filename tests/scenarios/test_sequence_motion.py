@@ -11,11 +11,11 @@ import trimesh
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
+from scenarios.dynamics.gravity import PointMass, Polyhedron
+from scenarios.dynamics.propagation import radiation_pressure
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.sequences import MeshGround, SphereGround, draw_sequence, travel, unmodelled
-from scenarios.sequences.gravity import PointMass, Polyhedron
-from scenarios.sequences.propagation import radiation_pressure
 from scenarios.sequences.rotation import angular_velocity, attitude_law
 from scenarios.spec.motion import BodyMotionSpec, ForcesSpec
 from scenarios.spec.sequence import SequenceSpec
@@ -182,7 +182,7 @@ def _potential(gravity, at):
 
 def test_an_orbit_that_comes_down_is_refused():
     section = spec({"model": "propagated"})
-    with pytest.raises(BoresightError, match="h after the first frame it comes down to the body"):
+    with pytest.raises(BoresightError, match=r"the orbit leads into the body, which reaches .* after .* h"):
         travel(section, SphereGround(780.0), calm(section) + np.array([1e-6, 0.0, 0.0]))
 
 

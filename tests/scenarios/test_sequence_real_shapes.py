@@ -8,10 +8,10 @@ from mission_data import data_file, needs_data
 from scipy.spatial import cKDTree
 
 from scenarios.bodies import load_body
+from scenarios.dynamics.gravity import PointMass, Polyhedron
 from scenarios.geometry import Camera
 from scenarios.load import load_scenario
 from scenarios.sequences import MeshGround, draw_sequence
-from scenarios.sequences.gravity import PointMass, Polyhedron
 from scenarios.spec.body import BodySpec
 from scenarios.spec.sequence import SequenceSpec
 

@@ -46,10 +46,10 @@ from estimators.craters.registry import (
 )
 from estimators.orbit.batch_filter import BatchFilter
 from estimators.orbit.contract import OrbitData, OrbitEstimate
+from scenarios.dynamics.propagation import OrbitLostError
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
 from scenarios.orbits.imaging import epochs_s, imaging_of
-from scenarios.orbits.motion import OrbitLostError
 from scenarios.orbits.world import OrbitWorld
 
 _FOLDER = "chain"

@@ -27,11 +27,11 @@ from campaign.trial.work import Work
 from estimators.orbit.contract import OrbitEstimate, OrbitEstimator
 from estimators.orbit.registry import orbit_estimator_class
 from scenarios.bodies import body_digest, load_body
+from scenarios.dynamics.propagation import OrbitLostError
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
 from scenarios.orbits.data import OrbitData
 from scenarios.orbits.draw import OrbitTruth, draw_orbit
-from scenarios.orbits.motion import OrbitLostError
 from scenarios.orbits.world import Asteroid, BelievedShape, OrbitWorld
 from scenarios.spec.orbit import OrbitSpec
 

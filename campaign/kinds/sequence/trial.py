@@ -35,7 +35,7 @@ from scenarios.load import LoadedScenario
 from scenarios.sequences import (
     Ground,
     MeshGround,
-    OrbitEndsError,
+    OrbitLostError,
     Path,
     SequenceTruth,
     SphereGround,
@@ -101,7 +101,7 @@ class SequenceTrials:
         if section.orbit.model == "propagated":
             try:
                 undisturbed(section, ground)
-            except OrbitEndsError as error:
+            except OrbitLostError as error:
                 raise BoresightError(f"{scenario.path}: {error}") from error
         return missing(scenario, estimators)
 
@@ -135,7 +135,7 @@ class SequenceTrials:
         """Run a trial: the records of each estimator; where chance leads the orbit into the body, none has frames."""
         try:
             seen = self._see(trial)
-        except OrbitEndsError as error:
+        except OrbitLostError as error:
             failed: Record = {"status": "failed", "reason": f"there is no such trial: {error}", "n_landmarks": 0}
             row = {**_circumstances(None), **no_summary(), **failed}
             return {label: {"rows": [row]} for label in self.estimators}
@@ -173,7 +173,7 @@ class SequenceTrials:
 
         Raises
         ------
-        OrbitEndsError
+        OrbitLostError
             If chance leads the orbit into the body.
         """
         if self.images is not None:

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.orbit.contract import Orbit
+from scenarios.dynamics.flight import flight
+from scenarios.dynamics.propagation import Pushes
 from scenarios.orbits.data import Knowledge
-from scenarios.orbits.motion import Pushes, flight
 
 FloatArray = NDArray[np.float64]
 

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.craters.planning.plan import Ephemeris, PlannedImage, plan_images
+from scenarios.dynamics.flight import flight
+from scenarios.dynamics.propagation import Pushes
 from scenarios.orbits.data import Knowledge
-from scenarios.orbits.motion import Pushes, flight
 from scenarios.sequences.ground import MeshGround
 
 FloatArray = NDArray[np.float64]

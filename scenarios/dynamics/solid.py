@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.orbits.jit import kernel
+from scenarios.dynamics import kernel
 
 FloatArray = NDArray[np.float64]
 Table = tuple[FloatArray, FloatArray]

@@ -9,9 +9,9 @@ from math import factorial
 import numpy as np
 from numpy.typing import NDArray
 
+from scenarios.dynamics.solid import index, solid_harmonics, terms
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
-from scenarios.orbits.solid import index, solid_harmonics, terms
 
 FloatArray = NDArray[np.float64]
 

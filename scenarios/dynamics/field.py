@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.orbits.harmonics import Harmonics, normalisation
-from scenarios.orbits.jit import kernel
+from scenarios.dynamics import kernel
+from scenarios.dynamics.harmonics import Harmonics, normalisation
+from scenarios.dynamics.solid import Table, derivative, index, outer_harmonics, terms
 from scenarios.orbits.rotation import UniformRotation
-from scenarios.orbits.solid import Table, derivative, index, outer_harmonics, terms
 
 FloatArray = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class FlatField(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Field:
+class HarmonicField:
     """Acceleration about the body's centre of mass, inertial axes.
 
     Parameters
@@ -77,7 +77,7 @@ class Field:
         """Count the parameters: ratio of GM, factor on sunlight, coefficients."""
         return 2 + len(self.coefficients)
 
-    def changed(self, gm_ratio: float, light_factor: float, coefficients: FloatArray) -> Field:
+    def changed(self, gm_ratio: float, light_factor: float, coefficients: FloatArray) -> HarmonicField:
         """Return the field with another GM, another size of sunlight, and normalised coefficients with additions."""
         size = max(self.by_degree, self.harmonics.degree) + 1
         c, s = np.zeros((2, size, size))

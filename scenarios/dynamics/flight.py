@@ -1,7 +1,7 @@
-"""Motion under a field: adaptive steps of scipy for the truth, fixed ones with variational equations for a filter.
+"""Motion under harmonics in fixed steps with its variational equations, for filters.
 
-Both are Dormand and Prince's method of eighth order (DOP853) with the coefficients of scipy. Fixed steps end at each
-time that is asked for.
+Dormand and Prince's method of eighth order (DOP853) with the coefficients of scipy, as `propagation` has it in adaptive
+steps for the truth. Steps end at each time that is asked for.
 """
 
 from __future__ import annotations
@@ -10,88 +10,27 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import DOP853, solve_ivp
+from scipy.integrate import DOP853
 
-from scenarios.errors import BoresightError
-from scenarios.orbits.field import Field, FlatField, differentiate
-from scenarios.orbits.jit import kernel
+from scenarios.dynamics import kernel
+from scenarios.dynamics.field import FlatField, HarmonicField, differentiate
+from scenarios.dynamics.propagation import OrbitLostError, Pushes, propagate
 
 FloatArray = NDArray[np.float64]
 
 LONGEST_STEP_S = 1800.0
 """Of the fixed steps: a tenth of Eros's rotation, whose harmonics are what changes fastest at 200 km."""
 
-_TOLERANCE = 1e-12
 
-
-class OrbitLostError(BoresightError):
-    """An orbit leads into the body."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pushes:
-    """Acceleration that is constant over pieces of time, inertial axes.
-
-    Parameters
-    ----------
-    edges_s
-        (P + 1,) ascending, from 0 to the end of the motion or later.
-    push_m_s2
-        (P, 3).
-    """
-
-    edges_s: FloatArray
-    push_m_s2: FloatArray
-
-    @classmethod
-    def none(cls, end_s: float) -> Pushes:
-        """One piece without any."""
-        return cls(np.array([0.0, max(end_s, 1.0)]), np.zeros((1, 3)))
-
-    def piece(self, times_s: FloatArray) -> NDArray[np.int64]:
-        """(n,) piece that each time is in; an edge belongs to the piece that it ends."""
-        found = np.searchsorted(self.edges_s, times_s, side="left") - 1
-        return np.clip(found, 0, len(self.push_m_s2) - 1)
-
-
-def travelled(field: Field, state: FloatArray, times_s: FloatArray, pushes: Pushes) -> FloatArray:
-    """(T, 6) states at (T,) ascending times from the state (6,) at time 0, m and m/s, by scipy's adaptive steps.
+def travelled(field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes: Pushes) -> FloatArray:
+    """(T, 6) states at (T,) ascending times from the state (6,) at time 0, by `propagate` down to the reference radius.
 
     Raises
     ------
     OrbitLostError
         If the orbit comes nearer the origin than the field's reference radius.
     """
-    length, speed = float(np.linalg.norm(state[:3])), float(np.linalg.norm(state[3:]))
-    unit = np.repeat([length, speed], 3)
-    found, now = np.empty((len(times_s), 6)), state / unit
-    time = length / speed
-    piece = pushes.piece(times_s)
-
-    def height(_: float, y: FloatArray) -> float:
-        return float(np.linalg.norm(y[:3]) - field.harmonics.radius_m / length)
-
-    height.terminal = True  # type: ignore[attr-defined]  # how solve_ivp is told to stop there
-    for p, push in enumerate(pushes.push_m_s2):
-        begin, end = pushes.edges_s[p : p + 2]
-        rows = np.flatnonzero(piece == p)
-
-        def change(t: float, y: FloatArray, push: FloatArray = push) -> FloatArray:
-            pull = field.acceleration(time * t, length * y[:3]) + push
-            return np.concatenate([y[3:], pull * time / speed])
-
-        at, place = np.unique(np.append(times_s[rows], end) / time, return_inverse=True)
-        between = (float(begin) / time, float(end) / time)
-        solved = solve_ivp(change, between, now, "DOP853", t_eval=at, events=height, rtol=_TOLERANCE, atol=_TOLERANCE)
-        if solved.status != 0:
-            raise OrbitLostError(
-                f"it leads into the body within {end / 86400.0:.3g} days: raise orbit.radius_m or lower the forces"
-            )
-        found[rows] = solved.y[:, place[:-1]].T * unit
-        now = solved.y[:, -1]
-        if not (piece > p).any():
-            break
-    return found
+    return propagate(field.acceleration, field.harmonics.radius_m, state, times_s, pushes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +55,7 @@ class Flight:
     by_pushes: FloatArray
 
 
-def flight(field: Field, state: FloatArray, times_s: FloatArray, pushes: Pushes) -> Flight:
+def flight(field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes: Pushes) -> Flight:
     """Follow an orbit with its derivatives in fixed steps.
 
     Derivatives by a push are integrated while it acts. From its end on they are those by the state at the epoch that

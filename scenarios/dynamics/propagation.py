@@ -1,0 +1,120 @@
+"""Motion under forces in adaptive steps, for the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from scenarios.errors import BoresightError
+from scenarios.spec.motion import ForcesSpec
+
+FloatArray = NDArray[np.float64]
+Acceleration = Callable[[float, FloatArray], FloatArray]
+"""(3,) m/s2 at a time, s, and a position (3,) m, inertial axes."""
+
+SUNLIGHT_N_M2 = 1361.0 / 299_792_458.0
+"""Pressure of absorbed sunlight at 1 au: total solar irradiance over the speed of light."""
+
+_TOLERANCE = 1e-12
+
+
+class OrbitLostError(BoresightError):
+    """An orbit leads into the body, or beyond all bounds."""
+
+
+def radiation_pressure(forces: ForcesSpec, sun_dir: FloatArray) -> FloatArray:
+    """(3,) acceleration of a ball by sunlight (cannonball model), m/s2, away from the Sun; nothing casts a shadow."""
+    size = SUNLIGHT_N_M2 * forces.reflectivity * forces.area_to_mass_m2_kg / forces.sun_distance_au**2
+    return np.asarray(-size * sun_dir, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pushes:
+    """Acceleration that is constant over pieces of time, inertial axes.
+
+    Parameters
+    ----------
+    edges_s
+        (P + 1,) ascending, from 0 to the end of the motion or later.
+    push_m_s2
+        (P, 3).
+    """
+
+    edges_s: FloatArray
+    push_m_s2: FloatArray
+
+    @classmethod
+    def none(cls, end_s: float) -> Pushes:
+        """One piece without any."""
+        return cls(np.array([0.0, max(end_s, 1.0)]), np.zeros((1, 3)))
+
+    def piece(self, times_s: FloatArray) -> NDArray[np.int64]:
+        """(n,) piece that each time is in; an edge belongs to the piece that it ends."""
+        found = np.searchsorted(self.edges_s, times_s, side="left") - 1
+        return np.clip(found, 0, len(self.push_m_s2) - 1)
+
+
+def propagate(
+    acceleration: Acceleration, lowest_m: float, state: FloatArray, times_s: FloatArray, pushes: Pushes
+) -> FloatArray:
+    """Follow an orbit by Dormand and Prince's method of eighth order, to 1e-12 of its size and speed a step.
+
+    Parameters
+    ----------
+    acceleration
+        The modelled forces.
+    lowest_m
+        Distance from the origin at which the orbit has come down to the body.
+    state
+        (6,) position, m, and velocity, m/s, at time 0, inertial axes.
+    times_s
+        (T,) ascending.
+    pushes
+        What acts beside the modelled forces.
+
+    Returns
+    -------
+    (T, 6) states.
+
+    Raises
+    ------
+    OrbitLostError
+        If the orbit comes as near the origin as ``lowest_m``.
+    """
+    length, speed = float(np.linalg.norm(state[:3])), float(np.linalg.norm(state[3:]))
+    unit = np.repeat([length, speed], 3)
+    found, now = np.empty((len(times_s), 6)), state / unit
+    time = length / speed
+    piece = pushes.piece(times_s)
+
+    def height(_: float, y: FloatArray) -> float:
+        return float(np.linalg.norm(y[:3]) - lowest_m / length)
+
+    height.terminal = True  # type: ignore[attr-defined]  # how solve_ivp is told to stop there
+    for p, push in enumerate(pushes.push_m_s2):
+        begin, end = pushes.edges_s[p : p + 2]
+        rows = np.flatnonzero(piece == p)
+
+        def change(t: float, y: FloatArray, push: FloatArray = push) -> FloatArray:
+            pull = acceleration(time * t, length * y[:3]) + push
+            return np.concatenate([y[3:], pull * time / speed])
+
+        at, place = np.unique(np.append(times_s[rows], end) / time, return_inverse=True)
+        between = (float(begin) / time, float(end) / time)
+        solved = solve_ivp(change, between, now, "DOP853", t_eval=at, events=height, rtol=_TOLERANCE, atol=_TOLERANCE)
+        if solved.status != 0:
+            ends = solved.t_events[0] if solved.t_events is not None and len(solved.t_events[0]) else [between[1]]
+            hours = float(ends[0]) * time / 3600.0
+            raise OrbitLostError(
+                f"the orbit leads into the body, which reaches {lowest_m:.4g} m from its centre, after {hours:.3g} h:"
+                " begin farther away or lower the forces"
+            )
+        found[rows] = solved.y[:, place[:-1]].T * unit
+        now = solved.y[:, -1]
+        if not (piece > p).any():
+            break
+    return found
