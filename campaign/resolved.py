@@ -34,10 +34,9 @@ class Versions:
 class ResolvedCampaign:
     """A campaign with its scenarios read: what the rows depend on, and nothing else.
 
-    ``versions`` are those of the code that works the rows out. ``kernels`` are those of adjustments, '' where rows do
-    not depend on them. ``variations`` tells, by the name of a scenario, where in the campaign's grid it stands.
-    ``overrides`` are those of the command line, which the scenarios hold already. ``draft`` is the share of what is
-    repeated, see `campaign.draft`; 1 for a run that is meant.
+    ``versions`` are those of the code that works the rows out. ``variations`` tells, by the name of a scenario, where
+    in the campaign's grid it stands. ``overrides`` are those of the command line, which the scenarios hold already.
+    ``draft`` is the share of what is repeated, see `campaign.draft`; 1 for a run that is meant.
 
     Equality and hash are those of the digest, so a worker can keep what it built for a campaign.
     """
@@ -47,7 +46,6 @@ class ResolvedCampaign:
     seed: int
     versions: Versions
     variant: str = ""
-    kernels: str = ""
     variations: Mapping[str, Variation] = field(default_factory=dict)
     overrides: tuple[str, ...] = ()
     draft: float = 1.0
@@ -75,7 +73,6 @@ class ResolvedCampaign:
             ],
             "renderer": [MitsubaRenderer.name, MitsubaRenderer.version, self.variant],
             "detector": Detector.version,
-            **({"kernels": self.kernels} if self.kernels else {}),
             **({"databases": self.spec.databases} if self.spec.databases > 1 else {}),
             **({"draft": [self.draft, DRAFT_VERSION]} if self.draft < 1.0 else {}),
         }

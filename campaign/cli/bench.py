@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
-from dataclasses import asdict
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
-from threadpoolctl import threadpool_limits
 
-from campaign.benchmark import WHOLE_TRIAL, Benchmark, StageTime, benchmark, one_core
 from campaign.cli.catalog import add_overrides
-from campaign.cli.speed import bench_speed
 from campaign.cli.terminal import console
+from campaign.runs.benchmark import WHOLE_TRIAL, Benchmark, StageTime, benchmark
 from campaign.runs.resolve import resolve
-from campaign.slam_benchmark import COST_TOLERANCE, cycle_ratios, window_ratios
-from campaign.speed.blender import VARIABLE
-from campaign.speed.history import HISTORY, REGRESSION
-from campaign.speed.works import GROUPS, WORKS, names_of
 from renderers.mitsuba3 import choose_variant
 from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
@@ -29,8 +24,19 @@ from scenarios.reading import read_json
 if TYPE_CHECKING:
     from argparse import _SubParsersAction
 
-_SLAM = "slam"
-_CYCLE_FRAMES = 45
+PEERS = (
+    "all",
+    "quick",
+    "plain",
+    "kernels",
+    "images",
+    "rays",
+    "adjustment",
+    "smoother",
+    "recognition",
+    "scaling",
+)
+"""Works that are timed beside those of other software, by tests/benchmarks, and groups of them."""
 _Ratios = dict[tuple[str, str, str], float]
 
 
@@ -39,8 +45,8 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     bench = commands.add_parser("bench", help="set our speed beside that of others, or time a campaign's stages")
     bench.add_argument(
         "name", nargs="?", default="all",
-        help=f"{', '.join((*GROUPS, *WORKS))}: ratios to peers, in one run (default: all); {_SLAM}: adjustments and"
-        " smoothers in detail; or a campaign from the list, or a YAML file, of which every stage is timed",
+        help=f"{', '.join(PEERS)}: ratios to peers, in one run (default: all); or a campaign from the list, or a YAML"
+        " file, of which every stage is timed",
     )  # fmt: skip
     bench.add_argument(
         "--blocks", type=int, default=4,
@@ -48,7 +54,7 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
     )  # fmt: skip
     bench.add_argument(
         "--check", action="store_true",
-        help=f"fail where a ratio to a peer fell by more than {100 * REGRESSION:g} %% since it was last recorded",
+        help="fail where a ratio to a peer fell by more than 30 %% since it was last recorded",
     )  # fmt: skip
     bench.add_argument(
         "--record", action="store_true", help="add ratios that are new, or changed by 10 %%, to the history"
@@ -57,14 +63,13 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
         "--history",
         type=Path,
         metavar="FILE",
-        default=HISTORY,
         help="ratios of earlier commits (default: boresight's own)",
     )
     bench.add_argument(
         "--blender",
         type=Path,
         metavar="PYTHON",
-        help=f"the interpreter that has bpy (default: ${VARIABLE}, or this one)",
+        help="the interpreter that has bpy (default: $BORESIGHT_BLENDER_PYTHON, or this one)",
     )
     bench.add_argument("--variant", help="Mitsuba variant (default: the fastest that works)")
     bench.add_argument("--json", type=Path, metavar="FILE", help="write the times as JSON")
@@ -74,10 +79,8 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _bench(arguments: argparse.Namespace) -> int:
-    if arguments.name == _SLAM:
-        return _bench_slam(arguments)
-    if names_of(arguments.name):
-        return bench_speed(arguments)
+    if arguments.name in PEERS:
+        return _beside_peers(arguments)
     if arguments.check or arguments.record:
         raise BoresightError(f"--check and --record are for ratios to peers, of which {arguments.name!r} has none")
     out = console()
@@ -95,31 +98,15 @@ def _bench(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _bench_slam(arguments: argparse.Namespace) -> int:
-    out = console()
-    with one_core(), threadpool_limits(limits=1):
-        windows = list(window_ratios(arguments.blocks, out.print))
-        cycles = list(cycle_ratios(_CYCLE_FRAMES, out.print))
-    table = Table("adjustment beside", "landmarks", "views", "ours ms", "x whole", "x its solver", "cost gap", box=None)
-    for row in windows:
-        cells = f"{1e3 * row.ours_s:.3f}", f"{row.whole:.1f}", f"{row.solve_alone:.1f}", f"{row.cost_gap:.1e}"
-        table.add_row(row.peer, str(row.landmarks), str(row.views), *cells)
-    out.print(table)
-    table = Table("cycle of fixed-lag beside gtsam's", "frames", "ours ms", "x", "apart, sigma", box=None)
-    for cycle in cycles:
-        times = f"{1e3 * cycle.ours_s:.2f}", f"{cycle.ratio:.1f}", f"{cycle.apart_sigma:.3f}"
-        table.add_row(f"{cycle.landmarks} landmarks", str(cycle.frames), *times)
-    out.print(table)
-    out.print(
-        f"one core; medians of {arguments.blocks} windows, each the best of three; x is the peer's time over ours"
-    )
-    if arguments.json is not None:
-        plain = {"windows": [asdict(row) for row in windows], "cycles": [asdict(row) for row in cycles]}
-        write_text(arguments.json, json.dumps(plain, indent=1) + "\n")
-    unequal = [row for row in windows if row.cost_gap > COST_TOLERANCE]
-    for row in unequal:
-        out.print(f"{row.peer}, {row.landmarks} landmarks, {row.views} views: the costs differ by {row.cost_gap:.1e}")
-    return 1 if unequal else 0
+def _beside_peers(arguments: argparse.Namespace) -> int:
+    """Hand over to the benchmarks against other software, which come with the source alone."""
+    tests = Path(__file__).parents[2] / "tests"
+    if not (tests / "benchmarks").is_dir():
+        raise BoresightError(
+            f"bench {arguments.name}: what we are compared with comes with the source: run it in a checkout"
+        )
+    sys.path[:0] = [str(tests), str(tests / "helpers")]
+    return int(import_module("benchmarks.door").bench_speed(arguments))
 
 
 def _table(found: Benchmark, earlier: _Ratios) -> Table:

@@ -53,7 +53,7 @@ def make_manifest(
         "trial_limit_s": request.limit_s,
         "commit": commit_here(),
         "versions": package_versions(),
-        "machine": {**describe(), "variant": campaign.variant, "kernels": campaign.kernels},
+        "machine": {**describe(), "variant": campaign.variant},
         "left_out": {s.spec.name: dict(open_images(s).left_out) for s in campaign.scenarios if s.spec.images},
         "notes": [
             *(note for s in campaign.scenarios for note in left_out_notes(s)),

@@ -11,7 +11,6 @@ from typing import Any
 from campaign.resolved import ResolvedCampaign, Versions
 from campaign.trial.kind import kind_named
 from estimators.registry import base_of, needed_sensors
-from estimators.slam.kernels import kernel_variant
 from scenarios.designs import Cell, Variation, cells
 from scenarios.errors import BoresightError
 from scenarios.load import (
@@ -76,7 +75,6 @@ def resolve(
         spec.seed if seed is None else seed,
         versions,
         variant,
-        kernel_variant() if kind.compiled else "",
         variations,
         tuple(overrides),
     )
@@ -192,6 +190,5 @@ def _read_again(manifest: Mapping[str, Any]) -> ResolvedCampaign | None:
         seed,
         _versions(spec),
         variant,
-        machine.get("kernels", ""),
         draft=float(manifest.get("draft", 1.0)),
     )

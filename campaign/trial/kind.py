@@ -97,8 +97,6 @@ class Kind:
         Makes the trials of a scenario ready in a worker.
     databases
         Whether trials may have several data bases, or worlds of craters, in turn.
-    compiled
-        Whether rows are worked out by the kernels of `estimators.slam.kernels`, of which there are two sorts.
     """
 
     name: str
@@ -108,7 +106,6 @@ class Kind:
     prepare: Callable[[ResolvedCampaign, LoadedScenario, Shelf], Sequence[BuiltProduct | MissingProduct]]
     open: Callable[[ResolvedCampaign, LoadedScenario, Bench], Trials]
     databases: bool = False
-    compiled: bool = False
 
 
 def kind_names() -> list[str]:

@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
-from estimators.slam.kernels import compiled_kernels, kernel_variant
+from estimators.slam.compiled import descent
 from estimators.slam.levenberg import reduced_system
 from estimators.slam.state import Adjustment, Distances, Motions, Prior, Sightings, State
 
@@ -73,14 +72,9 @@ def schur(
     """
     if not out.any():
         return information, gradient
-    if kernel_variant() == "numpy":
-        cross = information[np.ix_(out, ~out)]
-        solved = cho_solve(cho_factor(information[np.ix_(out, out)]), np.column_stack([cross, gradient[out]]))
-        left = information[np.ix_(~out, ~out)] - cross.T @ solved[:, :-1]
-        return 0.5 * (left + left.T), gradient[~out] - cross.T @ solved[:, -1]
     order, count = np.argsort(~out, kind="stable"), int(np.count_nonzero(out))
     matrix, right = information[order][:, order], gradient[order]
-    if not compiled_kernels().eliminate(matrix, right, count):
+    if not descent.eliminate(matrix, right, count):
         raise np.linalg.LinAlgError("what goes is not determined")
     return matrix[count:, count:].copy(), right[count:].copy()
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from tiny_campaign import boresight, write_campaign
 
-from campaign.benchmark import WHOLE_TRIAL
 from campaign.cli import main
+from campaign.runs.benchmark import WHOLE_TRIAL
 from scenarios.cache import default_cache
 
 

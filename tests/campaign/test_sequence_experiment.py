@@ -12,7 +12,6 @@ from scipy.spatial.distance import mahalanobis
 from campaign.cli.main import main
 from campaign.kinds.sequence.score import check_sequence, final_landmark_rmse, parameter_errors, score_epochs, summary
 from campaign.kinds.sequence.trial import SequenceTrials
-from campaign.runs.resolve import resolve
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.dead_reckoning import DeadReckoning
 from estimators.slam.registry import sequence_estimator_class
@@ -25,15 +24,6 @@ CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
 SPEC = SequenceSpec.model_validate({"sphere_radius_m": 190, "orbit": {"revolutions": 1.0, "step_deg": 6}})
 GROUND = SphereGround(190.0)
 SHIFT_M = np.array([1.0, -2.0, 2.0])
-
-
-def test_kernels_decide_rows_of_sequences_alone(monkeypatch: pytest.MonkeyPatch):
-    keys = {}
-    for kernels in ("numba", "numpy"):
-        monkeypatch.setenv("BORESIGHT_KERNELS", kernels)
-        keys[kernels] = {name: resolve(name).digest for name in ("delpech2015-smoke", "quickstart")}
-    assert keys["numba"]["delpech2015-smoke"] != keys["numpy"]["delpech2015-smoke"]
-    assert keys["numba"]["quickstart"] == keys["numpy"]["quickstart"]
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from benchmarks import windows as slam_benchmark
+from benchmarks.windows import make_window
 
-from campaign import slam_benchmark
 from campaign.cli.main import main
-from campaign.slam_benchmark import make_window
 from estimators.slam.levenberg import StoppingRule, minimise
 
 

@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks import blender as blender_module
+from benchmarks import images, works
+from benchmarks.blender import cycles
+from benchmarks.history import HISTORY, read_history, record, regressions, unrecorded
+from benchmarks.ratio import Absent, Ratio, SpeedTable
+from benchmarks.scene import SIZE_PX, SUN_DIR_BODY, SpeedScene
+from benchmarks.settings import Settings
+from benchmarks.timing import Seconds, in_turn, timed
 
 from campaign.cli.main import main
-from campaign.speed import blender as blender_module
-from campaign.speed import images, works
-from campaign.speed.blender import cycles
-from campaign.speed.history import HISTORY, read_history, record, regressions, unrecorded
-from campaign.speed.ratio import Absent, Ratio, SpeedTable
-from campaign.speed.scene import SIZE_PX, SUN_DIR_BODY, SpeedScene
-from campaign.speed.settings import Settings
-from campaign.speed.timing import Seconds, in_turn, timed
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View, look_at

@@ -6,30 +6,37 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
+import numpy_adjustment
 import pytest
 from scipy.spatial.distance import mahalanobis
 from slam_sequences import Recipe, make_sequence
 
-from estimators.slam import deviations
+from estimators.slam import deviations, levenberg, marginal
 from estimators.slam.bundle import BundleSlam
 from estimators.slam.compiled import envelope as packed
 from estimators.slam.compiled import equations, reduction, sight
 from estimators.slam.compiled import layout as layouts
 from estimators.slam.compiled.flat import flat
 from estimators.slam.journal import Journal
-from estimators.slam.kernels import VARIABLE, kernel_variant
 from estimators.slam.levenberg import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
 from estimators.slam.normal import Layout, normal_equations
 from estimators.slam.residuals import cost
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
 from estimators.slam.state import Adjustment, Distances, Motions, Prior, State
-from scenarios.errors import BoresightError
 
 RULE = StoppingRule(1e-6)
+REFERENCED = (
+    "minimise",
+    "reduced_rank_deficiency",
+    "view_covariance",
+    "schur",
+    "sighting_squares",
+    "landmark_information",
+    "pixel_squares",
+)
 
 
 def window(seed: int) -> tuple[Adjustment, State]:
@@ -75,12 +82,16 @@ def window(seed: int) -> tuple[Adjustment, State]:
 
 
 @pytest.fixture
-def reference(monkeypatch: pytest.MonkeyPatch):
-    """Call a function with the arithmetic in numpy."""
+def in_numpy(monkeypatch: pytest.MonkeyPatch):
+    """Call a function with the arithmetic in numpy, wherever it is called from."""
 
     def call(function, *arguments):
         with monkeypatch.context() as patch:
-            patch.setenv(VARIABLE, "numpy")
+            for name in REFERENCED:
+                compiled = getattr(deviations, name, None) or getattr(levenberg, name, None) or getattr(marginal, name)
+                for module in [m for key, m in sys.modules.items() if key.startswith("estimators.slam")]:
+                    if getattr(module, name, None) is compiled:
+                        patch.setattr(module, name, getattr(numpy_adjustment, name))
             return function(*arguments)
 
     return call
@@ -106,14 +117,14 @@ def test_equations_are_those_of_numpy(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_deviations_are_those_of_numpy_and_scipy(seed: int, reference) -> None:
+def test_deviations_are_those_of_numpy_and_scipy(seed: int) -> None:
     """Also of a landmark behind its camera; those of one pixel with derivatives by differences."""
     problem, state = window(seed)
     squares = deviations.sighting_squares(problem, state)
-    np.testing.assert_allclose(squares, reference(deviations.sighting_squares, problem, state), rtol=1e-11)
+    np.testing.assert_allclose(squares, numpy_adjustment.sighting_squares(problem, state), rtol=1e-11)
     told = deviations.landmark_information(problem, state)
     np.testing.assert_allclose(
-        told, reference(deviations.landmark_information, problem, state), rtol=0, atol=1e-12 * told.max()
+        told, numpy_adjustment.landmark_information(problem, state), rtol=0, atol=1e-12 * told.max()
     )
     sequence, _ = make_sequence(np.random.default_rng([31, seed]), Recipe(frames=2, landmarks=12))
     camera, frame, rows = sequence.camera, sequence.frames[0], np.arange(4)
@@ -122,7 +133,7 @@ def test_deviations_are_those_of_numpy_and_scipy(seed: int, reference) -> None:
     root = rng.normal(size=(4, 3, 5))
     arguments = camera, frame, rows, lines, root @ np.swapaxes(root, 1, 2)
     found = deviations.pixel_squares(*arguments)
-    np.testing.assert_allclose(found, reference(deviations.pixel_squares, *arguments), rtol=1e-11)
+    np.testing.assert_allclose(found, numpy_adjustment.pixel_squares(*arguments), rtol=1e-11)
     shifts = 1e-3 * np.vstack([np.eye(3), -np.eye(3)])
     ends = camera.project((lines[0] + shifts) @ frame.R_cam_body.T)
     rise = (ends[:3] - ends[3:]).T / 2e-3
@@ -130,14 +141,14 @@ def test_deviations_are_those_of_numpy_and_scipy(seed: int, reference) -> None:
     expected = mahalanobis(frame.uv_px[0], camera.project(frame.R_cam_body @ lines[0]), inverse)
     assert found[0] == pytest.approx(expected**2, rel=1e-6)
     lines[1] *= -1.0
-    for judge in (deviations.pixel_squares, partial(reference, deviations.pixel_squares)):
+    for judge in (deviations.pixel_squares, numpy_adjustment.pixel_squares):
         np.testing.assert_array_equal(np.isnan(judge(*arguments)), [False, True, False, False])
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_minimum_is_that_of_numpy(seed: int, reference) -> None:
+def test_minimum_is_that_of_numpy(seed: int) -> None:
     problem, state = window(seed)
-    solution, expected = minimise(problem, state, RULE), reference(minimise, problem, state, RULE)
+    solution, expected = minimise(problem, state, RULE), numpy_adjustment.minimise(problem, state, RULE)
     assert (solution.iterations, solution.converged) == (expected.iterations, expected.converged)
     assert solution.converged
     assert solution.cost == pytest.approx(expected.cost, rel=1e-12)
@@ -145,29 +156,29 @@ def test_minimum_is_that_of_numpy(seed: int, reference) -> None:
     # Equal costs leave points that are seen at small angles free by more than the rounding of their places.
     np.testing.assert_allclose(solution.state.points_m, expected.state.points_m, rtol=1e-12, atol=1e-8)
     at = expected.state
-    assert reduced_rank_deficiency(problem, at) == reference(reduced_rank_deficiency, problem, at) == 0
+    assert reduced_rank_deficiency(problem, at) == numpy_adjustment.reduced_rank_deficiency(problem, at) == 0
     if problem.free_views[4]:
-        covariance = reference(view_covariance, problem, at, 4)
+        covariance = numpy_adjustment.view_covariance(problem, at, 4)
         np.testing.assert_allclose(view_covariance(problem, at, 4), covariance, rtol=1e-9, atol=1e-12)
 
 
-def test_landmark_behind_its_camera_costs_infinity_as_with_numpy(reference) -> None:
+def test_landmark_behind_its_camera_costs_infinity_as_with_numpy() -> None:
     problem, state = window(0)
     points = state.points_m.copy()
     points[0] += 2.0 * (state.positions_m[0] - points[0])
     behind = replace(state, points_m=points)
-    found, expected = minimise(problem, behind, RULE), reference(minimise, problem, behind, RULE)
+    found, expected = minimise(problem, behind, RULE), numpy_adjustment.minimise(problem, behind, RULE)
     assert (found.cost, found.iterations, found.converged) == (np.inf, 0, False)
     assert (expected.cost, expected.iterations, expected.converged) == (np.inf, 0, False)
 
 
 @pytest.mark.parametrize("fixed", [0, 1])
-def test_missing_rank_is_that_of_numpy(fixed: int, reference) -> None:
+def test_missing_rank_is_that_of_numpy(fixed: int) -> None:
     problem, state = window(0)
     views = np.arange(5) >= fixed
     adrift = replace(problem, free_views=views, distances=Distances(), motions=Motions())
     at = minimise(adrift, state, RULE).state
-    assert reduced_rank_deficiency(adrift, at) == reference(reduced_rank_deficiency, adrift, at) == 4 - 3 * fixed
+    assert reduced_rank_deficiency(adrift, at) == numpy_adjustment.reduced_rank_deficiency(adrift, at) == 4 - 3 * fixed
 
 
 def test_envelope_solves_what_lapack_solves() -> None:
@@ -196,20 +207,14 @@ def test_envelope_solves_what_lapack_solves() -> None:
 
 
 @pytest.mark.parametrize("estimator", [BundleSlam, FixedLagSmoother, BatchAdjustment])
-def test_sequence_is_followed_as_with_numpy(estimator: type[BundleSlam], reference) -> None:
+def test_sequence_is_followed_as_with_numpy(estimator: type[BundleSlam], in_numpy) -> None:
     sequence, _ = make_sequence(np.random.default_rng(12), Recipe(frames=25, landmarks=12))
     found = estimator.from_options({}).follow(sequence)
-    expected = reference(estimator.from_options({}).follow, sequence)
+    expected = in_numpy(estimator.from_options({}).follow, sequence)
     assert found.diagnostics == expected.diagnostics
     for one, other in zip(found.frames, expected.frames, strict=True):
         np.testing.assert_allclose(one.position_m, other.position_m, atol=1e-7)
         np.testing.assert_array_equal(one.tracks, other.tracks)
-
-
-def test_unknown_kernels_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(VARIABLE, "fortran")
-    with pytest.raises(BoresightError, match="BORESIGHT_KERNELS: 'fortran' is unknown"):
-        kernel_variant()
 
 
 def test_machine_code_is_kept_where_the_user_wants_it(tmp_path: Path) -> None:

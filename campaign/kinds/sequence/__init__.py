@@ -10,5 +10,4 @@ KIND = Kind(
     method_version=SequenceTrials.method_version,
     prepare=SequenceTrials.prepare,
     open=SequenceTrials.open,
-    compiled=True,
 )

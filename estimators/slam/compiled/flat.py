@@ -52,7 +52,15 @@ class FlatProblem(NamedTuple):
 
 
 def flat(problem: Adjustment) -> FlatProblem:
-    """Lay ``problem`` out for the kernels; its camera must be an ideal pinhole."""
+    """Lay ``problem`` out for the kernels.
+
+    Raises
+    ------
+    ValueError
+        If its camera is no ideal pinhole: tracks come after the correction of a lens.
+    """
+    if problem.camera.distortion is not None:
+        raise ValueError("adjustments know no distortion: correct the pixels for the lens first")
     camera, seen, ranged, moved = problem.camera, problem.sightings, problem.distances, problem.motions
     prior = _NO_PRIOR if problem.prior is None else problem.prior
     frozen = _NO_STATE if problem.frozen is None else problem.frozen

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.speed.ratio import Absent, Ratio
-from campaign.speed.scene import ALBEDO, FOV_RAD, SAMPLES, SIZE_PX, SUN_DIR_BODY, SpeedScene, agreement, speed_scene
-from campaign.speed.settings import Settings
-from campaign.speed.timing import in_turn, timed
+from benchmarks.ratio import Absent, Ratio
+from benchmarks.scene import ALBEDO, FOV_RAD, SAMPLES, SIZE_PX, SUN_DIR_BODY, SpeedScene, agreement, speed_scene
+from benchmarks.settings import Settings
+from benchmarks.timing import in_turn, timed
 from renderers.mitsuba3 import Variant, choose_variant, limit_threads
 from renderers.mitsuba3.scene import build_shape
 from renderers.mitsuba3.variant import load_mitsuba

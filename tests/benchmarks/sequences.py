@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 
+import numpy_adjustment
 from threadpoolctl import threadpool_limits
 
-from campaign.benchmark import one_core
-from campaign.slam_benchmark import COST_TOLERANCE, cycle_ratios, make_window, window_ratios
-from campaign.speed.ratio import Absent, Ratio
-from campaign.speed.settings import Settings
-from campaign.speed.timing import in_turn, timed
-from estimators.slam.kernels import VARIABLE
+from benchmarks.ratio import Absent, Ratio
+from benchmarks.settings import Settings
+from benchmarks.timing import in_turn, timed
+from benchmarks.windows import COST_TOLERANCE, cycle_ratios, make_window, window_ratios
+from campaign.runs.benchmark import one_core
 from estimators.slam.levenberg import Solution, StoppingRule, minimise
 from scenarios.errors import BoresightError
 
@@ -64,10 +62,12 @@ def kernel_ratios(settings: Settings) -> Iterator[Ratio | Absent]:
     """
     problem, start = make_window(*_KERNEL_WINDOW, 0)
 
-    def solve() -> Solution:
+    def compiled() -> Solution:
         return minimise(problem, start, StoppingRule(1e-4))
 
-    compiled, reference = _by("numba", solve), _by("numpy", solve)
+    def reference() -> Solution:
+        return numpy_adjustment.minimise(problem, start, StoppingRule(1e-4))
+
     costs = compiled().cost, reference().cost
     gap = abs(costs[0] - costs[1]) / costs[1]
     if gap > COST_TOLERANCE:
@@ -83,24 +83,3 @@ def _times(count: int, work: Callable[[], object]) -> Callable[[], None]:
             work()
 
     return repeated
-
-
-def _by(kernels: str, work: Callable[[], Solution]) -> Callable[[], Solution]:
-    def solve() -> Solution:
-        with _chosen(kernels):
-            return work()
-
-    return solve
-
-
-@contextmanager
-def _chosen(kernels: str) -> Iterator[None]:
-    before = os.environ.get(VARIABLE)
-    os.environ[VARIABLE] = kernels
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[VARIABLE]
-        else:
-            os.environ[VARIABLE] = before

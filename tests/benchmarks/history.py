@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from campaign.speed.ratio import Ratio, SpeedTable
+from benchmarks.ratio import Ratio, SpeedTable
 from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
 

@@ -6,10 +6,10 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from campaign.benchmark import StageTime, benchmark
+from benchmarks.ratio import Absent, Ratio
+from benchmarks.settings import Settings
+from campaign.runs.benchmark import StageTime, benchmark
 from campaign.runs.resolve import resolve
-from campaign.speed.ratio import Absent, Ratio
-from campaign.speed.settings import Settings
 from renderers.mitsuba3 import choose_variant
 from reports.published import load_published
 

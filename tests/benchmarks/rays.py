@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.speed.ratio import Absent, Ratio
-from campaign.speed.scene import SAMPLES, SpeedScene, speed_scene
-from campaign.speed.settings import Settings
-from campaign.speed.timing import in_turn, timed
+from benchmarks.ratio import Absent, Ratio
+from benchmarks.scene import SAMPLES, SpeedScene, speed_scene
+from benchmarks.settings import Settings
+from benchmarks.timing import in_turn, timed
 from renderers.mitsuba3 import choose_variant, limit_threads
 from renderers.mitsuba3.rays import body_window, grid_positions, ray_bundle
 from renderers.mitsuba3.scene import build_shape

@@ -16,8 +16,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.speed.scene import ALBEDO, FOV_RAD, SIZE_PX, SUN_DIR_BODY, SpeedScene
-from campaign.speed.timing import Seconds
+from benchmarks.scene import ALBEDO, FOV_RAD, SIZE_PX, SUN_DIR_BODY, SpeedScene
+from benchmarks.timing import Seconds
 from scenarios.errors import BoresightError
 from scenarios.geometry import View
 
@@ -82,7 +82,7 @@ def cycles(python: Path | None, scene: SpeedScene, threads: int) -> Iterator[Cyc
         _write(folder / "scene.npz", scene, threads)
         try:
             with (folder / _WORDS).open("w", encoding="utf-8") as words:
-                blender = subprocess.Popen(  # noqa: S603  the interpreter is the user's own
+                blender = subprocess.Popen(
                     # -P: nothing beside the script shadows what Blender imports.
                     [interpreter, "-P", str(_SCRIPT), name],
                     stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=words, text=True,

@@ -6,16 +6,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from types import MappingProxyType
 
+from benchmarks.images import image_ratios
+from benchmarks.paper import recognition_ratios
+from benchmarks.plain import plain_ratios
+from benchmarks.ratio import Absent, Ratio, SpeedTable
+from benchmarks.rays import ray_ratios
+from benchmarks.scaling import scaling_ratios
+from benchmarks.sequences import adjustment_ratios, kernel_ratios, smoother_ratios
+from benchmarks.settings import Settings
 from campaign.machine import describe, load, package_versions
 from campaign.runs.manifest import commit_here, now
-from campaign.speed.images import image_ratios
-from campaign.speed.paper import recognition_ratios
-from campaign.speed.plain import plain_ratios
-from campaign.speed.ratio import Absent, Ratio, SpeedTable
-from campaign.speed.rays import ray_ratios
-from campaign.speed.scaling import scaling_ratios
-from campaign.speed.sequences import adjustment_ratios, kernel_ratios, smoother_ratios
-from campaign.speed.settings import Settings
 
 Work = Callable[[Settings], Iterator[Ratio | Absent]]
 

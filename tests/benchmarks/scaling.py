@@ -8,10 +8,10 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import lru_cache
 from multiprocessing import get_context
 
+from benchmarks.ratio import Absent, Ratio
+from benchmarks.scene import SpeedScene, speed_scene
+from benchmarks.settings import Settings
 from campaign.machine import cores
-from campaign.speed.ratio import Absent, Ratio
-from campaign.speed.scene import SpeedScene, speed_scene
-from campaign.speed.settings import Settings
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant, limit_threads
 
 WORK = "images, one render thread a worker, two workers"

@@ -8,12 +8,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.blender import Cycles, cycles
+from benchmarks.ratio import Absent, Ratio
+from benchmarks.scene import SAMPLES, SpeedScene, agreement, speed_scene
+from benchmarks.settings import Settings
+from benchmarks.timing import NOTHING, Seconds, in_turn, timed
 from campaign.machine import cores
-from campaign.speed.blender import Cycles, cycles
-from campaign.speed.ratio import Absent, Ratio
-from campaign.speed.scene import SAMPLES, SpeedScene, agreement, speed_scene
-from campaign.speed.settings import Settings
-from campaign.speed.timing import NOTHING, Seconds, in_turn, timed
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant, limit_threads
 from scenarios.errors import BoresightError
 

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 
 from rich.table import Table
 
+from benchmarks.history import HISTORY, Kept, read_history, record, regressions, unrecorded
+from benchmarks.ratio import Ratio, SpeedTable
+from benchmarks.settings import Settings
+from benchmarks.works import names_of, speed_table
 from campaign.cli.terminal import console
-from campaign.speed.history import Kept, read_history, record, regressions, unrecorded
-from campaign.speed.ratio import Ratio, SpeedTable
-from campaign.speed.settings import Settings
-from campaign.speed.works import names_of, speed_table
 from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
 
@@ -23,7 +23,8 @@ def bench_speed(arguments: argparse.Namespace) -> int:
     """Print the table, keep it, and hold it against the history; 1 where a ratio fell too far."""
     if arguments.blocks < 1:
         raise BoresightError(f"--blocks: works are done in turn at least 1 time, not {arguments.blocks}")
-    out, history = console(), read_history(arguments.history)
+    kept = arguments.history or HISTORY
+    out, history = console(), read_history(kept)
     settings = Settings(rounds=arguments.blocks, blender=arguments.blender)
     found = speed_table(names_of(arguments.name), settings, lambda name: out.print(f"timing: {name}"))
     out.print(_table(found, history))
@@ -37,7 +38,7 @@ def bench_speed(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         write_text(arguments.json, json.dumps(found.plain(), indent=1) + "\n")
     if arguments.record:
-        out.print(f"{record(found, arguments.history)} ratio(s) recorded in {arguments.history}")
+        out.print(f"{record(found, kept)} ratio(s) recorded in {kept}")
     return _checked(found, history) if arguments.check else 0
 
 

@@ -1,0 +1,121 @@
+"""The adjustment of sequences in plain numpy: what its compiled kernels are held against."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.linalg import LinAlgError as NumpyLinAlgError
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from estimators.slam.gating import mahalanobis_squares
+from estimators.slam.levenberg import RANK_TOLERANCE, Solution
+from estimators.slam.normal import Layout, normal_equations
+from estimators.slam.residuals import bearing_jacobians, bearing_residuals, cost, distance_jacobians
+
+
+def minimise(problem, state, rule):
+    """`estimators.slam.levenberg.minimise`."""
+    layout = Layout.of(problem)
+    value = cost(problem, state)
+    if not np.isfinite(value):
+        return Solution(state, value, 0, converged=False)
+    damping = -1.0
+    for iteration in range(1, rule.iterations + 1):
+        system = normal_equations(problem, state, layout)
+        damping = _first_damping(system) if damping < 0.0 else damping
+        trial, step, damping = _descend(problem, system, state, value, damping)
+        if trial is None:
+            return Solution(state, value, iteration, converged=step <= 1e3 * rule.step_m)
+        state, value = trial, cost(problem, trial)
+        if step <= rule.step_m:
+            return Solution(state, value, iteration, converged=True)
+    return Solution(state, value, rule.iterations, converged=False)
+
+
+def reduced_rank_deficiency(problem, state):
+    """`estimators.slam.levenberg.reduced_rank_deficiency`."""
+    layout = Layout.of(problem)
+    try:
+        matrix = normal_equations(problem, state, layout).reduced()[0]
+    except NumpyLinAlgError:
+        return 3 * layout.kept
+    values = np.linalg.eigvalsh(matrix) if len(matrix) else np.zeros(1)
+    return int(np.count_nonzero(values < RANK_TOLERANCE * values[-1]))
+
+
+def view_covariance(problem, state, view):
+    """`estimators.slam.levenberg.view_covariance`."""
+    layout = Layout.of(problem)
+    matrix, _, _ = normal_equations(problem, state, layout).reduced()
+    slot = 3 * int(layout.view[view])
+    columns = np.eye(len(matrix))[:, slot : slot + 3]
+    covariance = cho_solve(cho_factor(matrix), columns)[slot : slot + 3]
+    return 0.5 * (covariance + covariance.T)
+
+
+def schur(information, gradient, out):
+    """`estimators.slam.marginal.schur`."""
+    cross = information[np.ix_(out, ~out)]
+    solved = cho_solve(cho_factor(information[np.ix_(out, out)]), np.column_stack([cross, gradient[out]]))
+    left = information[np.ix_(~out, ~out)] - cross.T @ solved[:, :-1]
+    return 0.5 * (left + left.T), gradient[~out] - cross.T @ solved[:, -1]
+
+
+def sighting_squares(problem, state):
+    """`estimators.slam.deviations.sighting_squares`."""
+    return np.sum(bearing_residuals(problem, state) ** 2, axis=1)
+
+
+def landmark_information(problem, state):
+    """`estimators.slam.deviations.landmark_information`."""
+    problem = replace(problem, frozen=None, prior=None)
+    told = np.zeros((len(state.points_m), 3, 3))
+    for point, rows in (
+        (problem.sightings.point, bearing_jacobians(problem, state)),
+        (problem.distances.point, distance_jacobians(problem, state)),
+    ):
+        np.add.at(told, point, np.swapaxes(rows, 1, 2) @ rows)
+    return told
+
+
+def pixel_squares(camera, frame, rows, lines_m, own_m2):
+    """`estimators.slam.deviations.pixel_squares`."""
+    in_camera = lines_m @ frame.R_cam_body.T
+    by_line = camera.jacobian(in_camera) @ frame.R_cam_body
+    spread = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2) + frame.sigma_px**2 * np.eye(2)
+    return mahalanobis_squares(frame.uv_px[rows] - camera.project(in_camera), spread)
+
+
+def _first_damping(system):
+    """Return a millionth of the mean diagonal."""
+    diagonal = np.concatenate([np.diag(system.kept), np.diagonal(system.gone, axis1=1, axis2=2).ravel()])
+    return 1e-6 * float(diagonal.mean()) if len(diagonal) else 1.0
+
+
+def _descend(problem, system, state, value, damping):
+    """Raise the damping until the cost does not grow; nothing if it grows however small the step.
+
+    Returns the new state, the longest step of a variable (m), and the damping to begin with next time. Rounding may
+    raise the cost by some parts in 1e12 at the minimum.
+    """
+    step = 0.0
+    for _ in range(25):
+        try:
+            kept_step, gone_step = _solve(system, damping)
+        except (LinAlgError, NumpyLinAlgError):
+            damping *= 10.0
+            continue
+        step = float(max(np.abs(kept_step).max(initial=0.0), np.abs(gone_step).max(initial=0.0)))
+        trial = system.stepped(state, kept_step, gone_step)
+        if cost(problem, trial) <= value + 1e-12 * abs(value) + 1e-18:
+            return trial, step, 0.1 * damping
+        damping *= 10.0
+    return None, step, damping
+
+
+def _solve(system, damping):
+    """Solve equation (4) for the steps (n, 3) of the kept and (e, 3) of the eliminated variables."""
+    matrix, right, inverse = system.reduced(damping)
+    kept = cho_solve(cho_factor(matrix), right).reshape(-1, 3) if len(right) else np.zeros((0, 3))
+    return kept, system.back_substituted(kept, inverse)
