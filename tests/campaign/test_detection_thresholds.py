@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from training.thresholds import lowest_threshold
 
-from campaign.training.thresholds import lowest_threshold
 from scenarios.errors import BoresightError
 
 

@@ -7,10 +7,10 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
+from training.crater_network import digest
+from training.ground import STEP_PX, Bowl, Ground, make_ground
+from training.sight import CAMERA, HEIGHT_PX, WIDTH_PX, Geometry, draw_geometry, draw_lesson, look, shade
 
-from campaign.training.crater_network import digest
-from campaign.training.ground import STEP_PX, Bowl, Ground, make_ground
-from campaign.training.sight import CAMERA, HEIGHT_PX, WIDTH_PX, Geometry, draw_geometry, draw_lesson, look, shade
 from estimators.craters.learned.detector import own_network
 
 

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from crater_scenes import CAMERA, SHAPE, Bowl, crests, frame_of, image_of, scattered
 from scipy.signal import correlate2d
+from training.lessons import displaced, lessons_of
+from training.network_training import Lessons, Schedule, fresh_network, loss, train
 
 from estimators.craters.detection.merit import Field, side_merits
 from estimators.craters.detection.options import ClassicOptions
 from estimators.craters.detection.picture import noise_level, prepare
 from estimators.craters.learned.blending import blended
-from estimators.craters.learned.lessons import displaced, lessons_of
 from estimators.craters.learned.network import Network, windows
 from estimators.craters.learned.patches import SIDE, Source, cut
 from estimators.craters.learned.placing import ellipses_of, placed, shape_of, targets
 from estimators.craters.learned.proposals import halved, propose, rings
-from estimators.craters.learned.training import Lessons, Schedule, fresh_network, loss, train
 from scenarios.geometry import Ellipses
 
 AZIMUTH, INCIDENCE = np.radians(200.0), np.radians(55.0)

@@ -44,5 +44,5 @@ class ClassicOptions(SpecModel):
         default=0.9317,
         ge=-1.0,
         lt=1.0,
-        description="Least confidence, equation (4): that with 4 % of false alarms in campaign.training.thresholds.",
+        description="Least confidence, equation (4): that with 4 % of false alarms in tests/training/thresholds.py.",
     )

@@ -54,7 +54,7 @@ class LearnedOptions(SpecModel):
         default=0.9848,
         ge=0.0,
         lt=1.0,
-        description="Least probability of a crater: that with 4 % of false alarms in campaign.training.thresholds.",
+        description="Least probability of a crater: that with 4 % of false alarms in tests/training/thresholds.py.",
     )
 
 

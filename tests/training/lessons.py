@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from estimators.craters.learned.patches import Source, cut
 from estimators.craters.learned.placing import ellipses_of, shape_of, targets
-from estimators.craters.learned.training import Lessons
 from scenarios.geometry import Ellipses
+from training.network_training import Lessons
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]

@@ -1,6 +1,6 @@
 """Choose the threshold on the confidence of each detector of craters, on images of a world that no campaign shows.
 
-Run as ``python -m campaign.training.thresholds``: it prints what stands as the default of ``confidence_min`` in the
+Run as ``python -m training.thresholds``: it prints what stands as the default of ``confidence_min`` in the
 detectors' options. The body is that of ``eros-like-msi``, but its craters, its roughness and all views are drawn from
 other seeds.
 """
@@ -87,7 +87,7 @@ def judge(detector: CraterDetector, world: World, images: int) -> Judged:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the threshold of each detector and what it does on these images."""
-    parser = argparse.ArgumentParser(prog="python -m campaign.training.thresholds", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m training.thresholds", description=__doc__)
     parser.add_argument("--images", type=int, default=30)
     parser.add_argument("--detectors", nargs="+", default=["crater-classic", "crater-learned"])
     told = parser.parse_args(arguments)

@@ -1,6 +1,6 @@
 """Train the network of the detector ``crater-learned``, and write it beside the detector.
 
-Run as ``python -m campaign.training.crater_network``: the same seed gives the same weights on the same machine and
+Run as ``python -m training.crater_network``: the same seed gives the same weights on the same machine and
 versions (sums of matrix products are rounded as the library's threads divide them).
 """
 
@@ -19,16 +19,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import estimators.craters.learned as learned
-from campaign.training.sight import CAMERA, Lesson, draw_lesson
 from estimators.craters.detection.picture import noise_level, prepare
 from estimators.craters.learned.detector import WEIGHTS, CraterLearned, LearnedOptions
-from estimators.craters.learned.lessons import displaced, joined, lessons_of
 from estimators.craters.learned.network import NAMES, Network
 from estimators.craters.learned.patches import Source
 from estimators.craters.learned.proposals import propose
-from estimators.craters.learned.training import Lessons, Schedule, fresh_network, train
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses
+from training.lessons import displaced, joined, lessons_of
+from training.network_training import Lessons, Schedule, fresh_network, train
+from training.sight import CAMERA, Lesson, draw_lesson
 
 NOTE = "weights.json"
 _PROPOSALS = 800  # of each picture: as dense as the detector takes them on images of its usual size
@@ -129,7 +129,7 @@ def write(network: Network, course: Course, seconds: float, folder: Path) -> Non
     """Write the weights, in half precision, and a note of how they were made."""
     np.savez_compressed(folder / WEIGHTS, **{name: network.weights[name].astype(np.float16) for name in NAMES})  # type: ignore[arg-type]
     note = {
-        "made by": "python -m campaign.training.crater_network",
+        "made by": "PYTHONPATH=tests python -m training.crater_network",
         "course": asdict(course),
         "numpy": np.__version__,
         "minutes of one core": round(seconds / 60.0, 1),
@@ -140,7 +140,7 @@ def write(network: Network, course: Course, seconds: float, folder: Path) -> Non
 
 def main(arguments: list[str] | None = None) -> int:
     """Train as the arguments say."""
-    parser = argparse.ArgumentParser(prog="python -m campaign.training.crater_network", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m training.crater_network", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path(learned.__file__).parent, help="folder of the weights")
     parser.add_argument("--pictures", type=int, default=Course().pictures)
     parser.add_argument("--epochs", type=int, default=Schedule().epochs)

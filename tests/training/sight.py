@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.training.ground import STEP_PX, Ground, make_ground
 from estimators.craters.detection.fitting import fit_reweighted
 from scenarios.geometry import Camera, Ellipses, Pose
 from scenarios.observation import Frame
+from training.ground import STEP_PX, Ground, make_ground
 
 FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
