@@ -77,7 +77,7 @@ class ProgressListener:
         self._done += trials
         self._fresh += trials
         for row in records["rows"]:
-            error = row["position_error_m"]
+            error = row.get("position_error_m")
             if isinstance(error, float):
                 self._errors.setdefault((str(row["scenario"]), str(row["estimator"])), []).append(error)
         rate = self._fresh / max(time.monotonic() - self._began, 1e-9)

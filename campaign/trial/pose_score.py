@@ -68,12 +68,6 @@ def pose_errors(estimated: PoseStack, true: PoseStack) -> dict[str, FloatArray]:
     }
 
 
-def no_pose_error() -> dict[str, float | None]:
-    """Return the same keys without a value, for an estimate that failed."""
-    keys = ("position_error_m", "attitude_error_deg", "position_error_x_m", "position_error_y_m", "position_error_z_m")
-    return dict.fromkeys(keys)
-
-
 def consistency(
     estimated: Pose, true: Pose, covariance: FloatArray | None, bound: FloatArray | None
 ) -> dict[str, float | None]:
@@ -105,11 +99,6 @@ def consistency(
         "position_bound_m": position_bound_m,
         "attitude_bound_deg": attitude_bound_deg,
     }
-
-
-def no_consistency() -> dict[str, float | None]:
-    """Return the same keys without a value."""
-    return dict.fromkeys(("nees", "position_sigma_m", "attitude_sigma_deg", "position_bound_m", "attitude_bound_deg"))
 
 
 def _foretold(covariance: FloatArray | None, pose: Pose) -> tuple[float | None, float | None]:

@@ -22,7 +22,6 @@ from campaign.trial.in_turn import InTurn
 from campaign.trial.kept_images import ImageSink, image_sink
 from campaign.trial.kind import Bench, Record, Records, Witness, add_records
 from campaign.trial.methods import Unbuilt, able, methods, missing
-from campaign.trial.pose_score import no_consistency, no_pose_error
 from campaign.trial.work import GaveUpError, Work
 from estimators.craters.contract import CraterDetections, CraterDetector
 from estimators.craters.registry import crater_detector_class
@@ -247,11 +246,7 @@ def _image_facts(sight: Sight, truth: CraterTruth) -> Record:
 
 def _circumstances(sight: Sight) -> Record:
     """Fill the columns of a row that no detector can change, or that detection has no number for."""
-    errors = no_pose_error()
     return {
-        **errors,
-        **{f"prior_{name}": None for name in errors},
-        **no_consistency(),
         "image": sight.image_name,
         "range_m": float(np.linalg.norm(sight.view.T_cam_body.translation_m)),
         "phase_deg": float(np.degrees(sight.view.phase_angle_rad)),

@@ -18,7 +18,6 @@ from campaign.resolved import ResolvedCampaign
 from campaign.trial.checks import check_array, check_indices, check_reason
 from campaign.trial.kind import Bench, Record, Records, Witness, add_records
 from campaign.trial.methods import Unbuilt, able, methods, missing
-from campaign.trial.pose_score import no_consistency, no_pose_error
 from campaign.trial.work import Work
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
 from estimators.craters.matching.epipolar import epipolar_offsets
@@ -236,11 +235,7 @@ def check_matches(matches: CraterMatches | None, first: CraterImage, second: Cra
 
 def _circumstances(view: View) -> Record:
     """Fill the columns of a row that no matcher can change, or that a pair of images has no number for."""
-    errors = no_pose_error()
     return {
-        **errors,
-        **{f"prior_{name}": None for name in errors},
-        **no_consistency(),
         "image": "",
         "range_m": float(np.linalg.norm(view.T_cam_body.translation_m)),
         "phase_deg": float(np.degrees(view.phase_angle_rad)),

@@ -15,7 +15,6 @@ from campaign.products.landmark_candidates import candidates_of
 from campaign.products.spread import IN_THIS_PROCESS
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness
-from campaign.trial.pose_score import no_pose_error
 from estimators.contract import NoProductError
 from estimators.landmark.build import METHOD_VERSION, BuiltDatabase, DatabaseOptions, build_database
 from estimators.options import parse_options
@@ -125,5 +124,4 @@ def _makers(campaign: ResolvedCampaign) -> dict[str, DatabaseOptions]:
 
 def _nothing() -> Record:
     """Return the columns of a row that a data base has no number for."""
-    errors = no_pose_error()
-    return {**errors, **{f"prior_{name}": None for name in errors}, "n_landmarks": 0, "image": ""}
+    return {"n_landmarks": 0, "image": ""}

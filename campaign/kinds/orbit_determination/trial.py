@@ -16,13 +16,11 @@ from campaign.kinds.orbit_determination.score import (
     orbit_summary,
     residual_records,
 )
-from campaign.kinds.sequence.score import no_summary
 from campaign.pool.guard import Call
 from campaign.products import MissingProduct, Shelf
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness, add_records
 from campaign.trial.methods import Unbuilt, able, methods, missing
-from campaign.trial.pose_score import no_consistency, no_pose_error
 from campaign.trial.work import Work
 from estimators.orbit.contract import OrbitEstimate, OrbitEstimator
 from estimators.orbit.registry import orbit_estimator_class
@@ -170,20 +168,8 @@ def scored_orbit(
 
 
 def empty_row() -> Record:
-    """Fill the columns of a row that an orbit has no number for."""
-    errors = no_pose_error()
-    return {
-        **errors,
-        **{f"prior_{name}": None for name in errors},
-        **no_consistency(),
-        **no_summary(),
-        "final_landmark_rmse_m": None,
-        "n_landmarks": 0,
-        "reason": "",
-        "image": "",
-        "range_m": None,
-        "phase_deg": None,
-    }
+    """Fill the columns of a row that no estimator can change."""
+    return {"n_landmarks": 0, "reason": "", "image": ""}
 
 
 class _Body:

@@ -19,7 +19,7 @@ from campaign.kinds.pose_convergence.draws import (
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness
-from campaign.trial.pose_score import FloatArray, no_pose_error, pose_errors
+from campaign.trial.pose_score import FloatArray, pose_errors
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.pose.batch import refine_poses
 from estimators.landmark.pose.levenberg_marquardt import MarquardtOptions
@@ -143,7 +143,7 @@ def _circumstances(draw: LandmarkDraw, priors: Mapping[str, FloatArray], i: int)
 
 def _unseen(draw: LandmarkDraw) -> Record:
     reason = f"{len(draw.chosen)} landmarks are visible, {LANDMARKS} needed"
-    return {**no_pose_error(), "status": "failed", "reason": reason}
+    return {"status": "failed", "reason": reason}
 
 
 def _solved(
@@ -154,4 +154,4 @@ def _solved(
             errors = {name: float(errors[i]) for name, errors in columns.items()}
             yield {**errors, "status": "ok", "reason": ""}, {name: float(found[i]) for name, found in numbers.items()}
         else:
-            yield {**no_pose_error(), "status": "failed", "reason": "no pose in front of the camera"}, {}
+            yield {"status": "failed", "reason": "no pose in front of the camera"}, {}

@@ -182,11 +182,6 @@ def summary(epochs: Sequence[Epoch]) -> dict[str, float | None]:
     }
 
 
-def no_summary() -> dict[str, float | None]:
-    """Return the same keys without a value."""
-    return {**summary(()), "final_landmark_rmse_m": None}
-
-
 def _after(epochs: Sequence[Epoch], revolutions: int) -> float | None:
     """Position error of the frame that ends a revolution; None where there is none or the estimate ended before."""
     wanted = revolutions * _FULL_TURN_DEG

@@ -13,7 +13,6 @@ from campaign.kinds.sequence.images import OrbitImages
 from campaign.kinds.sequence.score import (
     check_sequence,
     final_landmark_rmse,
-    no_summary,
     parameter_errors,
     score_epochs,
     summary,
@@ -24,7 +23,6 @@ from campaign.products import MissingProduct, Shelf
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness, add_records
 from campaign.trial.methods import Unbuilt, able, methods, missing
-from campaign.trial.pose_score import no_consistency, no_pose_error
 from campaign.trial.work import Work
 from estimators.slam.contract import SequenceEstimate, SequenceEstimator
 from estimators.slam.registry import sequence_estimator_class
@@ -137,7 +135,7 @@ class SequenceTrials:
             seen = self._see(trial)
         except OrbitLostError as error:
             failed: Record = {"status": "failed", "reason": f"there is no such trial: {error}", "n_landmarks": 0}
-            row = {**_circumstances(None), **no_summary(), **failed}
+            row = {**_circumstances(None), **failed}
             return {label: {"rows": [row]} for label in self.estimators}
         found = {}
         for label, estimator in self.estimators.items():
@@ -161,7 +159,7 @@ class SequenceTrials:
             if self.witness is not None:
                 self.witness(FollowedSequence(seen_by_then(), estimate))
 
-        return Work(call, "estimator", {**circumstances, **no_summary()}).judged(
+        return Work(call, "estimator", circumstances).judged(
             lambda: able(estimator).follow(view.sequence),
             lambda estimate: check_sequence(estimate, seen_by_then().sequence),
             score,
@@ -226,15 +224,9 @@ def _scored(
 
 def _circumstances(path: Path | None) -> Record:
     """Fill the columns of a row that no estimator can change, or that a sequence has no number for."""
-    errors = no_pose_error()
     return {
-        **errors,
-        **{f"prior_{name}": None for name in errors},
-        **no_consistency(),
         "image": "",
         "range_m": None if path is None else float(np.linalg.norm(path.poses[-1].translation_m)),
-        "phase_deg": None,
-        "latitude_deg": None,
     }
 
 

@@ -23,7 +23,7 @@ from campaign.trial.in_turn import InTurn
 from campaign.trial.kept_images import ImageSink, image_sink
 from campaign.trial.kind import Bench, Record, Records, Witness, add_records
 from campaign.trial.methods import Unbuilt, able, built, check_options, missing
-from campaign.trial.pose_score import consistency, no_consistency, no_pose_error, pose_columns, pose_error
+from campaign.trial.pose_score import consistency, pose_columns, pose_error
 from campaign.trial.work import Work
 from estimators.contract import Estimate, Estimator, Table
 from estimators.registry import estimator_class
@@ -146,7 +146,7 @@ class SingleImage:
     def _judged(self, call: Call, estimator: Method, observation: Observation, sight: Sight) -> Records:
         """Let an estimator work and score what it returns: records without their key, whatever goes wrong."""
         rng = estimator_generator(self.seed, call.trial)
-        row = {**_circumstances(observation, sight), **no_pose_error(), **no_consistency()}
+        row = _circumstances(observation, sight)
 
         def work() -> Estimate:
             return able(estimator).estimate(observation, rng=rng)
@@ -167,7 +167,7 @@ class SingleImage:
         final = estimate.poses[0] if estimate.status == "ok" else None
         row: Record = {
             **_circumstances(observation, sight),
-            **(no_pose_error() if final is None else {**pose_error(final, true), **pose_columns(final)}),
+            **({} if final is None else {**pose_error(final, true), **pose_columns(final)}),
             **_consistency(estimate, true),
             "status": estimate.status,
             "reason": estimate.reason,
@@ -233,7 +233,7 @@ def _circumstances(observation: Observation, sight: Sight) -> Record:
 
 def _consistency(estimate: Estimate, true: Pose) -> dict[str, float | None]:
     if estimate.status != "ok":
-        return no_consistency()
+        return {}
     covariance = estimate.covariances[0] if estimate.covariances else None
     bound = estimate.bounds[0] if estimate.bounds else None
     return consistency(estimate.poses[0], true, covariance, bound)
