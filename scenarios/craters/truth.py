@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.craters.ellipse_fit import fit_ellipses, rim_deviation
 from scenarios.craters.rims import Rims
 from scenarios.geometry import Ellipses, View
+from scenarios.geometry.conics import fit_conics, sampson_distances
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -125,12 +125,14 @@ def crater_truth(rims: Rims, view: View, sight: Sight) -> CraterTruth:
     lit &= (cosine_i > 0.0)[:, None]
     cut = rims.cut[rows]
     used = ~cut | (cut.mean(axis=1) > 0.5)[:, None]
-    ellipses, fitted = fit_ellipses(uv, used)
-    kept = fitted & (visible & in_frame).any(axis=1)
+    conics = fit_conics(uv, used.astype(np.float64))
+    kept = (visible & in_frame).any(axis=1)
+    kept[kept] = Ellipses.among(conics[kept])[1]
+    ellipses = Ellipses.from_conics(conics[kept])
     return CraterTruth(
         crater=rims.crater[rows][kept],
-        ellipses=ellipses[kept],
-        deviation=rim_deviation(ellipses[kept], uv[kept], used[kept]),
+        ellipses=ellipses,
+        deviation=_deviation(ellipses, uv[kept], used[kept]),
         centre_m=np.asarray(crest_m.mean(axis=1)[kept], dtype=np.float64),
         diameter_m=rims.diameter_m[rows][kept],
         depth_m=rims.depth_m[rows][kept],
@@ -159,3 +161,10 @@ def _cosines(normal: FloatArray, centre_m: FloatArray, view: View) -> tuple[Floa
     to_camera /= np.linalg.norm(to_camera, axis=1, keepdims=True)
     cosine_e = np.clip(np.einsum("ni,ni->n", normal, to_camera), -1.0, 1.0)
     return np.clip(normal @ view.sun_dir_body, -1.0, 1.0), cosine_e
+
+
+def _deviation(ellipses: Ellipses, uv_px: FloatArray, used: BoolArray) -> FloatArray:
+    """(n,) RMS distance of the used points of curves (n, K, 2) from their ellipses, in radii."""
+    apart = sampson_distances(uv_px, ellipses.conics())
+    mean_square = (apart**2 * used).sum(axis=1) / np.maximum(used.sum(axis=1), 1)
+    return np.asarray(np.sqrt(mean_square) / ellipses.radius_px, dtype=np.float64)

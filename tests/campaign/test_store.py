@@ -19,7 +19,7 @@ from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
 from scenarios.geometry import look_at
 
-ERROR_KEYS = tuple(f"position_error_{axis}m" for axis in ("", "x_", "y_", "z_")) + ("attitude_error_deg",)
+ERROR_KEYS = ("attitude_error_deg", *(f"position_error_{axis}m" for axis in ("", "x_", "y_", "z_")))
 
 
 def record(trial: int, estimator: str = "prior") -> dict[str, object]:

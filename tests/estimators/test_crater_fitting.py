@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 from scipy.optimize import minimize
 
-from estimators.craters.detection.fitting import distances, fit_conics, fit_reweighted
+from estimators.craters.detection.fitting import fit_reweighted
 from scenarios.geometry import Ellipses
+from scenarios.geometry.conics import fit_conics, sampson_distances
 
 
 def drawn(n, seed, ratio=(0.4, 0.95)):
@@ -56,7 +57,7 @@ def test_reweighting_comes_to_the_least_squares_of_distances():
 
         def cost(p, i=i):
             one = Ellipses(p[None, :2], p[None, 2:4], p[4:5])
-            return np.sum(distances(points[i][None], one.conics()) ** 2)
+            return np.sum(sampson_distances(points[i][None], one.conics()) ** 2)
 
         start = np.r_[truth.centre_px[i], truth.semi_axes_px[i], truth.angle_rad[i]]
         least = minimize(cost, start, method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-9, "maxiter": 4000})
@@ -99,4 +100,4 @@ def test_distances_are_those_to_a_circle():
     circle = Ellipses(np.array([[3.0, 4.0]]), np.array([[10.0, 10.0]]), np.zeros(1))
     near = np.array([[[13.1, 4.0], [3.0, -5.9], [3.0 + 7.2, 4.0 + 7.2]]])
     expected = np.hypot(near[0, :, 0] - 3.0, near[0, :, 1] - 4.0) - 10.0
-    np.testing.assert_allclose(distances(near, circle.conics())[0], expected, atol=2e-3)
+    np.testing.assert_allclose(sampson_distances(near, circle.conics())[0], expected, atol=2e-3)

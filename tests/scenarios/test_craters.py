@@ -17,7 +17,6 @@ from renderers.mitsuba3.variant import load_mitsuba
 from scenarios.bodies import load_body
 from scenarios.bodies.topology import is_closed
 from scenarios.craters import Craters, Tiling, draw_craters
-from scenarios.craters.ellipse_fit import fit_ellipses, rim_deviation
 from scenarios.craters.profile import REACH, Profiles, profile_height
 from scenarios.craters.relief import crater_relief
 from scenarios.craters.rims import find_rims
@@ -26,6 +25,7 @@ from scenarios.craters.surface import smooth_tiles
 from scenarios.craters.truth import CraterTruth
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, TriangleMesh
+from scenarios.geometry.conics import fit_conics, sampson_distances
 
 
 def test_profile_has_its_crest_at_the_radius_and_its_floor_at_the_depth() -> None:
@@ -214,25 +214,25 @@ def test_fitted_ellipses_are_those_of_opencv() -> None:
         np.array([[200.3, 150.7], [40.0, 300.0]]), np.array([[30.0, 18.0], [9.0, 8.0]]), np.array([0.6, 2.0])
     )
     points, normal = true.points(72)
-    exact, found = fit_ellipses(points, np.ones(points.shape[:2], dtype=bool))
+    exact, found = Ellipses.among(fit_conics(points, np.ones(points.shape[:2])))
     assert found.all()
     np.testing.assert_allclose(exact.centre_px, true.centre_px, atol=1e-8)
     np.testing.assert_allclose(exact.semi_axes_px, true.semi_axes_px, atol=1e-8)
     np.testing.assert_allclose(exact.angle_rad, true.angle_rad, atol=1e-7)
     offset = rng.normal(0.0, 0.2, points.shape[:2])
     noisy = points + offset[..., None] * normal
-    fitted, _ = fit_ellipses(noisy, np.ones(points.shape[:2], dtype=bool))
+    fitted, _ = Ellipses.among(fit_conics(noisy, np.ones(points.shape[:2])))
     for k in range(2):
         (u, v), (d1, d2), _ = cv2.fitEllipseDirect(noisy[k].astype(np.float32))
         np.testing.assert_allclose(fitted.centre_px[k], [u, v], atol=2e-3)
         np.testing.assert_allclose(fitted.semi_axes_px[k], sorted([d1 / 2, d2 / 2], reverse=True), atol=5e-3)
-    deviation = rim_deviation(true, noisy, np.ones(points.shape[:2], dtype=bool)) * true.radius_px
-    np.testing.assert_allclose(deviation, np.sqrt((offset**2).mean(axis=1)), rtol=0.03)
+    apart = sampson_distances(noisy, true.conics())
+    np.testing.assert_allclose(np.sqrt((apart**2).mean(axis=1)), np.sqrt((offset**2).mean(axis=1)), rtol=0.03)
 
 
 def test_a_line_is_no_ellipse() -> None:
     line = np.stack([np.linspace(0, 10, 20), np.linspace(0, 5, 20)], axis=1)[None]
-    _, found = fit_ellipses(line, np.ones((1, 20), dtype=bool))
+    _, found = Ellipses.among(fit_conics(line, np.ones((1, 20))))
     assert not found[0]
 
 

@@ -5,7 +5,7 @@ from campaign.trial.kind import Kind
 
 KIND = Kind(
     name="crater-detection",
-    version=2,
+    version=3,
     block_trials=10,
     method_version=CraterDetection.method_version,
     prepare=CraterDetection.prepare,

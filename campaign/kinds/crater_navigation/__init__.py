@@ -5,7 +5,7 @@ from campaign.trial.kind import Kind
 
 KIND = Kind(
     name="crater-navigation",
-    version=1,
+    version=2,
     block_trials=1,
     method_version=CraterNavigationTrials.method_version,
     prepare=CraterNavigationTrials.prepare,

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from estimators.craters.detection.edges import Edges
-from estimators.craters.detection.fitting import distances, fit_conics, fit_reweighted
+from estimators.craters.detection.fitting import RIDGE, fit_reweighted
 from estimators.craters.detection.grouping import Arc
 from estimators.craters.detection.picture import Picture
 from scenarios.geometry import Ellipses, pixel_to_opencv
+from scenarios.geometry.conics import fit_conics, sampson_distances
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -60,7 +61,7 @@ def candidates_of(
     if len(pairs) == 0:
         return nothing
     points, normals = _stacked(pairs, shaded, lit)
-    ellipses, good = Ellipses.among(fit_conics(points, np.ones(points.shape[:2])))
+    ellipses, good = Ellipses.among(fit_conics(points, np.ones(points.shape[:2]), RIDGE))
     agree = normal_agreement(ellipses, points[good], normals[good])
     sane = plausible(ellipses, radius_px, axis_ratio_min, picture) & (agree > 0.85)
     order = np.argsort(-agree[sane], kind="stable")[:_COUNT]
@@ -100,7 +101,7 @@ def normal_agreement(ellipses: Ellipses, points: FloatArray, normals: FloatArray
     slope = np.einsum("nij,nkj->nki", conics, homogeneous)[..., :2]
     slope /= np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-12)
     cosine = np.einsum("nki,nki->nk", slope, normals).mean(axis=1)
-    far = np.abs(distances(points, conics)).mean(axis=1) / ellipses.radius_px
+    far = np.abs(sampson_distances(points, conics)).mean(axis=1) / ellipses.radius_px
     return np.asarray(cosine - far, dtype=np.float64)
 
 
@@ -129,7 +130,7 @@ def edges_near(ellipses: Ellipses, edges: Edges, picture: Picture) -> tuple[Floa
     near = tree.query_ball_point(ellipses.centre_px, ellipses.semi_axes_px[:, 0] + band)
     for i, listed in enumerate(near):
         rows = np.array(listed, dtype=np.int64)
-        far = distances(edges.uv_px[rows][None], conics[i : i + 1])[0]
+        far = sampson_distances(edges.uv_px[rows][None], conics[i : i + 1])[0]
         rows = rows[np.abs(far) < band[i]]
         slope = np.concatenate([edges.uv_px[rows], np.ones((len(rows), 1))], axis=1) @ conics[i]
         normal = slope[:, :2] / np.maximum(np.linalg.norm(slope[:, :2], axis=1, keepdims=True), 1e-12)
