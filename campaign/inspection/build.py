@@ -2,27 +2,52 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
+
 from campaign.inspection.case import Case
-from campaign.inspection.keep import keep
 from campaign.inspection.recompute import Recomputed, recompute
 from campaign.inspection.same import Sameness
-from campaign.inspection.show import Drawn, Show, show_of
+from campaign.inspection.show import Drawn, Kept, Show, show_of
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
-from campaign.store.columns import TABLES
+from campaign.store.columns import TABLES, schema
+from campaign.trial.kept_images import write_image
 from campaign.trial.kind import Record
 from reports.pages.case import CasePage, write_case
 from reports.schema.grid import NO_VALUE, Grid, number
 from reports.schema.labels import as_title
+from scenarios.atomic import write_atomically, write_text
 
 _SHORT = ("stages", "references", "diagnostics", "orbits", "crater_matches")
 """Tables that are a few rows a case; the longer ones are kept as Parquet beside the page."""
+
+
+def keep(again: Recomputed, show: Show | None, folder: Path) -> list[Path]:
+    """Write the tables of a case as Parquet, what its estimator saw as TIFF, and what it returned as JSON."""
+    kept = [_table(name, records, folder) for name, records in again.records.items() if records]
+    shown = Kept() if show is None else show.kept(again.shown)
+    for name, image in shown.images.items():
+        kept.append(folder / f"{name}.tiff")
+        write_image(kept[-1], image)
+    if shown.estimate is not None:
+        kept.append(folder / "estimate.json")
+        write_text(kept[-1], json.dumps(shown.estimate, indent=1) + "\n")
+    return kept
+
+
+def _table(name: str, records: Sequence[Record], folder: Path) -> Path:
+    path = folder / "tables" / f"{name}.parquet"
+    table = pa.Table.from_pylist([dict(record) for record in records], schema=schema(name))
+    write_atomically(path, lambda temporary: pq.write_table(table, temporary))
+    return path
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from campaign.kinds.crater_detection.examples import detected, stages_of
-from campaign.kinds.crater_matching.examples import matching_example
+from campaign.kinds.crater_matching.show import matching_example
 from campaign.papers.gather import FinishedRun
 from campaign.papers.kinds import Draw, Paper, PaperFigure, Runs
 from estimators.craters.planning.plan import PLANNER

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from campaign.papers.first_image import first_image
+import numpy as np
+from numpy.typing import NDArray
+
+from campaign.kinds.sequence.images import OrbitImages
 from campaign.papers.gather import FinishedRun
 from campaign.papers.kinds import Draw, Paper, PaperFigure, Runs
 from reports.figures.sightings import draw_sightings
@@ -25,9 +28,19 @@ from reports.kinds.sequence.vision import vision_grid
 from reports.schema.grid import Grid
 from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
+from scenarios.load import LoadedScenario
 
 _STRONGEST = 30
 _SENSITIVITY = "delpech2015-sensitivity"
+
+
+def first_image(
+    scenario: LoadedScenario, variant: str, seed: int, count: int
+) -> tuple[NDArray[np.float32], NDArray[np.float64], int]:
+    """Return the image (H, W) of trial 0, its ``count`` strongest features (n, 2) px, and how many were found."""
+    images = OrbitImages.open(scenario, variant, seed)
+    features = images.found(0, 0).features
+    return images.image(0, 0), features.uv_px[:count], len(features)
 
 
 def _trace(method: str, panel: str) -> Draw:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,10 +17,68 @@ from reports.figures.style import save_figure
 from reports.kinds.kind import Content
 from reports.kinds.report import draw_figures, report_grids
 from reports.pages.content import read_content
-from reports.pages.html import html_page, reproduce_command
-from reports.run.row_files import write_row_files
+from reports.pages.distributions import distributions
+from reports.pages.templates import embedded, filled, text_of
+from reports.run.row_files import row_links, write_row_files
 from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
+
+
+def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) -> str:
+    """Fill the page's template.
+
+    Parameters
+    ----------
+    content
+        What is said.
+    figures
+        Each with its PNG, which is embedded.
+    """
+    manifest = content.run.manifest
+    return filled(
+        "page.html",
+        manifest=manifest,
+        progress=content.run.progress(),
+        facts=_facts(content),
+        notes=content.notes,
+        js=text_of("page.js"),
+        grids=[(grid, row_links(content.run, grid)) for grid in report_grids(content)],
+        distributions=list(distributions(content.run)),
+        figures=embedded(figures),
+        resolved={
+            "scenarios": json.dumps(dict(manifest.scenarios), indent=2, ensure_ascii=False),
+            "estimators": json.dumps(manifest.estimators, indent=2, ensure_ascii=False),
+        },
+        command=reproduce_command(content),
+    )
+
+
+def reproduce_command(content: Content) -> str:
+    """Write the command line that makes this run again."""
+    manifest = content.run.manifest
+    return manifest.command or f"boresight run {manifest.name} --trials {manifest.trials} --seed {manifest.seed}"
+
+
+def _facts(content: Content) -> list[tuple[str, str]]:
+    """Say how the run was made, as names and values."""
+    manifest = content.run.manifest
+    done, total = content.run.progress()
+    facts = [
+        ("Campaign", manifest.name),
+        ("Trials", f"{done} of {total}"),
+        ("Seed", str(manifest.seed)),
+        ("Created", manifest.created),
+        ("Commit", manifest.commit),
+        ("Machine", _listed(manifest.machine)),
+        ("Versions", _listed(manifest.versions)),
+    ]
+    return [(name, value) for name, value in facts if value]
+
+
+def _listed(mapping: Mapping[str, object]) -> str:
+    """Write what a mapping says on one line."""
+    said = {name: value for name, value in mapping.items() if value not in ("", None)}
+    return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in said.items())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,8 +16,8 @@ from scenarios.bodies.detail.subdivide import interpolating_control, limit, refi
 from scenarios.bodies.load import Body, body_digest, load_body
 from scenarios.bodies.topology import find_edges, unit, vertex_normals
 from scenarios.cache import Cache, default_cache
-from scenarios.craters.envelope import lower_envelope
 from scenarios.craters.facing import facing_cones
+from scenarios.craters.kernels import least_heights
 from scenarios.craters.population import Craters, draw_craters
 from scenarios.craters.relief import add_roughness, crater_relief
 from scenarios.craters.rims import Rims, find_rims
@@ -33,6 +33,27 @@ SingleArray = NDArray[np.float32]
 
 CRATERS_VERSION = 3
 """Part of every cratered surface's key: raise it when the same spec gives another surface."""
+
+_CLEARANCE_M = 0.5
+
+
+def lower_envelope(tiling: Tiling, vertices_m: NDArray[np.float32]) -> FloatArray:
+    """(V, 3) corners of tiles moved inward until no flat tile rises above the relief of its own cuts.
+
+    Where fine tiles end, their edges lie above the coarse body, which is closed: there is no gap to look or shine
+    through. What is coarse is low by the relief within a tile, so that limbs and shadows that come from there are
+    short by that.
+    """
+    mesh = tiling.mesh
+    normals = mesh.normals
+    least = np.empty(len(mesh.faces))
+    least_heights(least, vertices_m, mesh.corners_m[:, 0], normals, tiling.layout)
+    corner_least = np.full(len(mesh.vertices_m), np.inf)
+    steep = np.einsum("tki,ti->tk", tiling.up[mesh.faces], normals)
+    # A corner that moves by h along its own direction moves by h times the cosine along the tile's normal.
+    for k in range(3):
+        np.minimum.at(corner_least, mesh.faces[:, k], np.minimum(least / np.maximum(steep[:, k], 0.2), least))
+    return np.asarray(mesh.vertices_m + (corner_least - _CLEARANCE_M)[:, None] * tiling.up)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,6 @@ from scenarios.spec.craters import CratersSpec
 from scenarios.spec.images import ImageSetSpec
 from scenarios.spec.onboard import OnboardSpec
 from scenarios.spec.orbit import OrbitSpec
-from scenarios.spec.sensors import SensorsSpec
 from scenarios.spec.sequence import SequenceSpec
 from scenarios.spec.world import PAPER_POSE_ERROR, LightingSpec, PoseErrorSpec, ViewpointSpec
 
@@ -27,6 +26,23 @@ _ONBOARD_OF = {
 """Keys of ``onboard`` that estimators of such scenarios are lent; what else they know is said in those sections."""
 
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
+
+
+class AltimeterSpec(SpecModel):
+    """A laser altimeter along the camera's boresight; its Gaussian error has no part in the prior's."""
+
+    sigma_m: float = Field(gt=0, description="Standard deviation of a range")
+
+
+class SensorsSpec(SpecModel):
+    """Sensors by name; those left out are not aboard."""
+
+    altimeter: AltimeterSpec | None = Field(None, description="Measures the distance to the surface on the boresight")
+
+    @property
+    def aboard(self) -> frozenset[str]:
+        """Names of the sensors that are there."""
+        return frozenset(name for name in type(self).model_fields if getattr(self, name) is not None)
 
 
 class ScenarioSpec(SpecModel):

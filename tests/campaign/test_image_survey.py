@@ -11,8 +11,7 @@ import trimesh
 from orbit_worlds import orbit_world
 
 from campaign.kinds.crater_navigation.sights import DrawnSights
-from campaign.kinds.image_survey.coverage import coverage
-from campaign.kinds.image_survey.trial import FEW, ImageSurvey
+from campaign.kinds.image_survey.trial import FEW, ImageSurvey, coverage
 from campaign.store.columns import TABLES
 from scenarios.craters.pairs import population
 from scenarios.craters.simulated import NO_CRATER

@@ -13,7 +13,7 @@ from orbit_worlds import orbit_world
 
 from campaign.inspection.case import Case
 from campaign.inspection.look_parts import nearer
-from campaign.kinds.crater_matching.look import pair_outcomes
+from campaign.kinds.crater_matching.show import pair_outcomes
 from campaign.kinds.crater_matching.trial import MatchedPair
 from campaign.kinds.orbit_determination.look import image_sets, landmark_errors, orbit_marks, sightings_of
 from campaign.kinds.orbit_determination.trial import DeterminedOrbit

@@ -28,10 +28,10 @@ def test_missing_engines_are_named_and_no_error(
 ) -> None:
     monkeypatch.setitem(sys.modules, "gtsam", None)
     monkeypatch.setitem(sys.modules, "pyceres", None)
-    assert main(["bench", "slam", "--blocks", "1"]) == 0
+    assert main(["bench", "adjustment", "--blocks", "1"]) == 0
     told = " ".join(capsys.readouterr().out.split())
-    assert "left out: gtsam: cannot be imported" in told
-    assert "left out: pyceres: cannot be imported" in told
+    assert "not compared: adjustment of a window: left out: gtsam: cannot be imported" in told
+    assert "not compared: adjustment of a window: left out: pyceres: cannot be imported" in told
     assert "pip install 'boresight[peers]'" in told
 
 
@@ -40,10 +40,10 @@ def test_costs_are_equal_and_stored(monkeypatch: pytest.MonkeyPatch, tmp_path: P
         pytest.importorskip(name, reason=f"{name} is not installed")
     monkeypatch.setattr(slam_benchmark, "WINDOWS", ((10, 3), (20, 4)))
     monkeypatch.setattr(slam_benchmark, "LANDMARKS", (10,))
-    assert main(["bench", "slam", "--blocks", "2", "--json", str(tmp_path / "x.json")]) == 0
+    windows = list(slam_benchmark.window_ratios(2, print))
+    assert {(row.peer, row.landmarks) for row in windows} == {(p, n) for p in ("gtsam", "pyceres") for n in (10, 20)}
+    assert all(row.cost_gap < 1e-6 and row.solve_alone < row.whole for row in windows)
+    assert next(slam_benchmark.cycle_ratios(45, print)).apart_sigma < 0.2
+    assert main(["bench", "adjustment", "--blocks", "2", "--json", str(tmp_path / "x.json")]) == 0
     stored = json.loads((tmp_path / "x.json").read_text())
-    assert {(row["peer"], row["landmarks"]) for row in stored["windows"]} == {
-        (peer, landmarks) for peer in ("gtsam", "pyceres") for landmarks in (10, 20)
-    }
-    assert all(row["cost_gap"] < 1e-6 and row["solve_alone"] < row["whole"] for row in stored["windows"])
-    assert stored["cycles"][0]["apart_sigma"] < 0.2
+    assert {ratio["peer"] for ratio in stored["ratios"]} >= {"gtsam", "pyceres"}

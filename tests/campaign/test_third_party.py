@@ -138,7 +138,7 @@ RUBBISH = {
     "nan-number": "diagnostics: chi2 is nan",
     "no-covariance": "a covariance of shape (3, 3)",
     "half-table": "columns are missing: v_px, x_m",
-    "flat-landmark": "a covariance is not positive definite",
+    "flat-landmark": "a covariance is singular",
     "huge": "translation [0.e+000 0.e+000 1.e+200]",
     "quits": "SystemExit: 0",
     "changes": "assignment destination is read-only",

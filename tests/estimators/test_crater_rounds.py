@@ -17,8 +17,7 @@ from estimators.craters.database.pictures import Picture
 from estimators.craters.detection.files import DetectedImage, read_detections, write_detections
 from estimators.craters.matching.preliminary import same_place
 from estimators.craters.matching.transfer import joint_covariance
-from estimators.craters.navigation.frames import placed_images
-from estimators.craters.navigation.matched import believed
+from estimators.craters.navigation.matched import believed, placed_images
 from estimators.craters.navigation.stages import Stages
 from estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
 from estimators.craters.navigation.trajectory import Trajectory
@@ -26,7 +25,7 @@ from scenarios.dynamics.flight import travelled
 from scenarios.dynamics.propagation import Pushes
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, Pose
-from scenarios.orbits.elements import state_at_epoch
+from scenarios.orbits.flown import state_at_epoch
 from scenarios.orbits.known import draw_knowledge
 from scenarios.orbits.rotation import UniformRotation
 from scenarios.sequences.ground import MeshGround

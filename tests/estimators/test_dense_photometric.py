@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.dense.gauss_newton import PriorTerm, inverse
+from estimators.dense.gauss_newton import PriorTerm, band, inverse, reduced_camera, reduced_image
 from estimators.dense.linearisation import available_gradient
 from estimators.dense.options import LevelOptions, PhotometricOptions
 from estimators.dense.photometric import PhotometricEstimator
-from estimators.dense.pyramid import band, reduced_camera, reduced_image
 from estimators.dense.whole_image import registering
 from estimators.landmark.centroid import MeshView
 from estimators.landmark.stopwatch import Stopwatch

@@ -9,8 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 from slam_sequences import Recipe, Truth, make_sequence
 
-from estimators.slam.agreement import all_fit
-from estimators.slam.association import Adjusted, Jury
+from estimators.slam.association import Adjusted, Jury, all_fit
 from estimators.slam.bundle import BundleSlam
 from estimators.slam.contract import SequenceEstimate
 from estimators.slam.expected import Common

@@ -13,10 +13,9 @@ from slam_orbits import GM, LIGHT, Drive, OrbitTruth, make_orbit_sequence
 from slam_sequences import ORBIT_M, Recipe
 
 from estimators.slam.dynamics.field import Field
-from estimators.slam.dynamics.marginal import marginalised_dynamic
 from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState, arc_information
 from estimators.slam.dynamics.propagation import propagated, propagated_with_derivatives
-from estimators.slam.dynamics.smoother import DynamicSmoother
+from estimators.slam.dynamics.smoother import DynamicSmoother, marginalised_dynamic
 from estimators.slam.dynamics.solve import covariance_of, minimise_dynamic
 from estimators.slam.dynamics.system import Rows, dynamic_equations
 from estimators.slam.dynamics.window import Window

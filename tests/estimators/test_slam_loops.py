@@ -12,10 +12,9 @@ from scipy.stats import chi2
 from slam_sequences import CAMERA, ORBIT_M, RADIUS_M, look_down
 
 from estimators.slam.levenberg import StoppingRule, minimise, view_covariance
-from estimators.slam.loops.gating import agreeing
 from estimators.slam.loops.history import History
 from estimators.slam.loops.outside import Staying, landmark_covariance, told_from_outside
-from estimators.slam.loops.smoother import LoopSmoother
+from estimators.slam.loops.smoother import LoopSmoother, agreeing
 from estimators.slam.smoother import FixedLagSmoother
 from estimators.slam.state import Distances, Sightings, State
 from scenarios.tracks import TrackFrame, TrackRange, TrackSequence

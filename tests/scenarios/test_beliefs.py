@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from scenarios.beliefs import believed_attitude, believed_camera, believed_spec, believed_sun
 from scenarios.bodies.embedded import EMBEDDED
-from scenarios.bodies.height_error import with_height_error
+from scenarios.bodies.load import with_height_error
 from scenarios.errors import BoresightError
 from scenarios.geometry import look_at
 from scenarios.load import load_scenario

@@ -9,7 +9,7 @@ from mission_data import needs_data
 from scipy.spatial import ConvexHull
 
 from scenarios.bodies import body_digest, load_body
-from scenarios.bodies.even import evenly_meshed
+from scenarios.bodies.load import evenly_meshed
 from scenarios.cache import Cache
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh

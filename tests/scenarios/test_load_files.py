@@ -416,7 +416,6 @@ def test_a_campaign_names_estimators_with_options_and_labels(here, tmp_path):
         ("estimators: [prior]\nscenario: [x]", "c.yaml:3: scenario: unknown key; did you mean scenarios?"),
         ("estimators: [prior]\ntrails: 0", "c.yaml:3: trails: unknown key; did you mean trials?"),
         ("estimators: [prior]\nset: 3", "c.yaml:3: set: 3 is not a section of keys"),
-        ("estimators: [prior]\nexperiment: slam", "c.yaml:3: experiment: 'slam' is not 'single-image'"),
     ],
 )
 def test_faults_of_a_campaign(here, tmp_path, change, line):

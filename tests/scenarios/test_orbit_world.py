@@ -9,7 +9,7 @@ from scenarios.bodies.embedded import contact_binary
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
 from scenarios.orbits.draw import draw_orbit
-from scenarios.orbits.elements import state_at_epoch
+from scenarios.orbits.flown import state_at_epoch
 from scenarios.orbits.horizon import Horizons
 from scenarios.orbits.known import draw_knowledge
 from scenarios.orbits.shape import fitted

@@ -2,11 +2,66 @@
 
 from __future__ import annotations
 
-from campaign.inspection.show import Kept, Show
-from campaign.kinds.crater_detection.draw import draw_detection
+import numpy as np
+import pandas as pd
+
+from campaign.inspection.crater_look import crater_look, outcome_marks, places_of
+from campaign.inspection.ranking import crater_faults
+from campaign.inspection.recompute import Recomputed
+from campaign.inspection.show import Drawn, Kept, Scene, Show
 from campaign.kinds.crater_detection.examples import crater_examples
-from campaign.kinds.crater_detection.look import look_at_detections
-from campaign.kinds.crater_detection.trial import DetectedImage
+from campaign.kinds.crater_detection.trial import CraterDetection, DetectedImage
+from reports.kinds.crater_detection.figures import draw_example, ellipses_of
+from reports.pages.look import Look
+from reports.run.data import select
+from scenarios.craters.simulated import NO_CRATER
+from scenarios.errors import BoresightError
+
+
+def look_at_detections(scene: Scene) -> Look:
+    """Show the craters by how often they are detected when they could be, and the cameras of all images.
+
+    Of several worlds the first is shown.
+    """
+    experiment, run = scene.opened(CraterDetection), scene.run
+    rows = select(run.rows, scene.scenario, scene.label)
+    rows = rows[rows["trial"] % scene.campaign.spec.databases == 0]
+    ground = experiment.world.ground
+    if ground is None:
+        raise BoresightError(f"{run.folder}: --look: the scenario {scene.scenario} has no craters")
+    there = run.craters[(run.craters["scenario"] == scene.scenario) & run.craters["detectable"].astype(bool)]
+    there = there[there["trial"].isin(rows["trial"])]
+    found = select(run.detections, scene.scenario, scene.label)
+    found = found[found["trial"].isin(rows["trial"])]
+    found = found[found["kept"].astype(bool) & found["detectable"].astype(bool) & (found["crater"] >= 0)]
+    chances = there.groupby("crater").size()
+    hits = found.groupby("crater").size().reindex(chances.index).fillna(0)
+    outcomes = pd.DataFrame({"chances": chances, "hits": hits})
+    places = places_of(ground.rims.centre_m, ground.rims.crater, outcomes)
+    marks = [outcome_marks(places, outcomes, ("detected when detectable", "detectable", "detected"))]
+    views = {
+        int(trial): experiment.world.source.view(experiment.seed, int(trial)).T_cam_body.camera_position_m[None]
+        for trial in rows["trial"]
+    }
+    return crater_look(
+        scene, rows, marks, experiment.world.body.mesh, (views, "missed or false craters", crater_faults(run))
+    )
+
+
+def draw_detection(again: Recomputed) -> Drawn | None:
+    """Draw an image with the craters that are there and those that were found."""
+    shown, what = again.shown, str(again.case)
+    if not isinstance(shown, DetectedImage):
+        return None
+    truth = shown.truth
+    detections = [record for record in again.records.get("detections", []) if record["kept"]]
+    matched = np.array([int(str(record["crater"])) != NO_CRATER for record in detections], dtype=np.bool_)
+    figure = draw_example(
+        shown.frame.image, (truth.ellipses, truth.detectable), (ellipses_of(detections), matched), "craters", what
+    )
+    missed = int(truth.detectable.sum()) - sum(bool(record["detectable"]) for record in detections)
+    note = f"{int(truth.detectable.sum())} detectable craters, {missed} of them missed; {int((~matched).sum())} of"
+    return Drawn([figure], notes=[f"{note} {len(detections)} detections are of no crater, or of one found before."])
 
 
 def kept(shown: object) -> Kept:

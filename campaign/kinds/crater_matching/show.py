@@ -2,11 +2,144 @@
 
 from __future__ import annotations
 
-from campaign.inspection.show import Kept, Show
-from campaign.kinds.crater_matching.draw import draw_pair_case
-from campaign.kinds.crater_matching.examples import matching_examples
-from campaign.kinds.crater_matching.look import look_at_matches
-from campaign.kinds.crater_matching.trial import MatchedPair
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from campaign.inspection.case import Case
+from campaign.inspection.crater_look import crater_look, outcome_marks, places_of
+from campaign.inspection.ranking import crater_faults
+from campaign.inspection.recompute import Recomputed, recompute
+from campaign.inspection.show import Drawn, Kept, Scene, Show
+from campaign.kinds.crater_matching.pairs import PairSource, RenderedPairs, SimulatedPairs
+from campaign.kinds.crater_matching.trial import CraterMatching, MatchedPair, right_matches
+from campaign.resolved import ResolvedCampaign
+from campaign.store import RunFolder
+from reports.figures.crater_pairs import MatchedRims, draw_matched_pair
+from reports.pages.look import Look
+from reports.run.data import RunData, read_run, select
+from reports.schema.named_figure import NamedFigure, file_stem
+from scenarios.craters.simulated import NO_CRATER
+from scenarios.errors import BoresightError
+
+_ALIKE_DEG = (20.0, 10.0)
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+_MOST_PAIRS = 60
+"""Trials of matching that are recomputed: which crater each match is of is not stored."""
+
+
+def look_at_matches(scene: Scene) -> Look:
+    """Show the craters by how often they are matched when both looks show them, and both cameras of each trial."""
+    experiment, run = scene.opened(CraterMatching), scene.run
+    rows = select(run.rows, scene.scenario, scene.label).head(_MOST_PAIRS)
+    views, outcomes = {}, []
+    for trial in map(int, rows["trial"]):
+        shown = recompute(scene.campaign, scene.folder, Case(scene.scenario, scene.label, trial)).shown
+        if isinstance(shown, MatchedPair):
+            looks = (shown.pair.first, shown.pair.second)
+            views[trial] = np.array([look.view.T_cam_body.camera_position_m for look in looks])
+            outcomes.append(pair_outcomes(shown))
+    if not outcomes:
+        raise BoresightError(f"{scene.folder.path}: --look: no trial of {scene.title} came to a pair of looks")
+    rows = rows[rows["trial"].isin(views)]
+    counts = pd.concat(outcomes).groupby("crater").sum()
+    words = ("matched when in both looks", "in both looks", "matched rightly")
+    marks = [outcome_marks(places_of(*_craters_of(experiment.source), counts), counts, words)]
+    look = crater_look(
+        scene, rows, marks, experiment.known.mesh, (views, "missed or wrong matches", crater_faults(run))
+    )
+    more = len(select(run.rows, scene.scenario, scene.label)) - len(rows)
+    return replace(look, note=f"{look.note} {more} further trials are left out.") if more else look
+
+
+def pair_outcomes(shown: MatchedPair) -> pd.DataFrame:
+    """List the craters that both looks of a pair show, and whether each is matched with itself."""
+    one, other = (look.detections.crater for look in (shown.pair.first, shown.pair.second))
+    common = np.setdiff1d(np.intersect1d(one, other), [NO_CRATER])
+    pairs = np.zeros((0, 2), dtype=np.int64) if shown.matches is None else shown.matches.pairs
+    here, there = one[pairs[:, 0]], other[pairs[:, 1]]
+    hits = np.isin(common, here[here == there]).astype(float)
+    return pd.DataFrame({"crater": common, "chances": np.ones(len(common)), "hits": hits})
+
+
+def _craters_of(source: PairSource) -> tuple[FloatArray, IndexArray]:
+    """Return the middles (n, 3) and the numbers (n,) of the craters that a source shows."""
+    if isinstance(source, SimulatedPairs):
+        return source.craters.centre_body_m, np.arange(len(source.craters))
+    if isinstance(source, RenderedPairs):
+        return source.rims.centre_m, source.rims.crater
+    raise TypeError(f"{type(source).__name__} has no craters that could be looked at")
+
+
+def draw_pair_case(again: Recomputed) -> Drawn | None:
+    """Draw both looks with the matches that are right, those that are wrong, and common craters that were missed."""
+    shown, what = again.shown, str(again.case)
+    if not isinstance(shown, MatchedPair):
+        return None
+    looks = (shown.pair.first, shown.pair.second)
+    pairs = np.zeros((0, 2), dtype=np.int64) if shown.matches is None else shown.matches.pairs
+    one, other = (look.detections.crater for look in looks)
+    right = np.zeros(0, dtype=np.bool_) if shown.matches is None else right_matches(shown.matches, shown.pair)
+    rims = MatchedRims(
+        (looks[0].detections.ellipses, looks[1].detections.ellipses), pairs, right, _missed(one, other, pairs[right])
+    )
+    images = (looks[0].frame.image, looks[1].frame.image)
+    caption = (
+        f"{what}. The same craters have the same colour and number in both looks, {shown.pair.view_deg:.0f} deg of view"
+        f" and {shown.pair.sun_deg:.0f} deg of Sun apart. Red and dashed: wrong matches. White and dashed: craters that"
+        " both show and that were not matched. Grey: other detections."
+    )
+    figure = NamedFigure(
+        "pair", draw_matched_pair(images, rims, what), caption, "Two looks at craters with their rims."
+    )
+    drawn = "" if images[0].size else " Rims are drawn by geometry in this scenario: there are no images."
+    return Drawn([figure], notes=[f"{len(pairs)} matches, {int(right.sum())} of them right.{drawn}"])
+
+
+def _missed(one: NDArray[np.int64], other: NDArray[np.int64], right: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(k, 2) rows of common craters of which no match is right."""
+    common = np.setdiff1d(np.intersect1d(one[one != NO_CRATER], other), one[right[:, 0]])
+    rows = [(int(np.flatnonzero(one == c)[0]), int(np.flatnonzero(other == c)[0])) for c in common]
+    return np.array(rows, dtype=np.int64).reshape(-1, 2)
+
+
+def matching_examples(campaign: ResolvedCampaign, folder: RunFolder) -> Iterator[NamedFigure]:
+    """Draw a pair for each scenario and matcher; of a grid of scenarios none."""
+    run = read_run(folder.path)
+    for scenario, label in run.pairs() if run.manifest.grid is None else ():
+        figure = matching_example(campaign, folder, run, scenario, label)
+        if figure is not None:
+            yield figure
+
+
+def matching_example(
+    campaign: ResolvedCampaign, folder: RunFolder, run: RunData, scenario: str, label: str
+) -> NamedFigure | None:
+    """Draw the pair in which a matcher finds its median number of craters; None where it never finds one."""
+    trial = _typical(select(run.crater_matches, scenario, label))
+    drawn = None if trial is None else draw_pair_case(recompute(campaign, folder, Case(scenario, label, trial)))
+    if drawn is None:
+        return None
+    figure = drawn.figures[0]
+    chosen = (
+        " Of the pairs with views within 20 deg and Suns within 10 deg, where there are any, that with the median"
+        " number of right matches."
+    )
+    return replace(figure, stem=file_stem("matching_example", scenario, label), caption=f"{figure.caption}{chosen}")
+
+
+def _typical(table: pd.DataFrame) -> int | None:
+    """Return the trial of the median number of right matches, those of none left out."""
+    found = table[table["n_correct"] > 0]
+    alike = found[(found["view_deg"] <= _ALIKE_DEG[0]) & (found["sun_deg"] <= _ALIKE_DEG[1])]
+    ordered = (alike if len(alike) else found).sort_values(["n_correct", "trial"])["trial"]
+    return int(ordered.iloc[len(ordered) // 2]) if len(ordered) else None
 
 
 def kept(shown: object) -> Kept:

@@ -100,7 +100,7 @@ class SequenceTrials:
             try:
                 undisturbed(section, ground)
             except OrbitLostError as error:
-                raise BoresightError(f"{scenario.path}: {error}") from error
+                raise BoresightError(f"{scenario.path}: sequence.orbit: {error}") from error
         return missing(scenario, estimators)
 
     @classmethod

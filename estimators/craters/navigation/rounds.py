@@ -17,8 +17,7 @@ from estimators.craters.database.numbering import Numbering, PairMatches, number
 from estimators.craters.database.orbit_input import places_of_landmarks, sequence_of_pictures
 from estimators.craters.database.pictures import placed_pictures
 from estimators.craters.matching.preliminary import preliminary_pairs
-from estimators.craters.navigation.frames import placed_images
-from estimators.craters.navigation.matched import believed, match_pairs, matching_key
+from estimators.craters.navigation.matched import believed, match_pairs, matching_key, placed_images
 from estimators.craters.navigation.options import NavigationOptions
 from estimators.craters.navigation.stages import Stages
 from estimators.craters.navigation.task import Exposure, NavigationTask

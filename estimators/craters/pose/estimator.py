@@ -13,8 +13,7 @@ from estimators.contract import Assets, Estimate, Stage
 from estimators.craters.contract import CraterDetector
 from estimators.craters.database.files import CraterDatabase
 from estimators.craters.matching.association import Association, associate
-from estimators.craters.pose.adjustment import adjusted
-from estimators.craters.pose.expected import expected_craters
+from estimators.craters.pose.expected import adjusted, expected_craters
 from estimators.craters.pose.options import PRODUCT, CraterPoseOptions
 from estimators.craters.registry import crater_detector_class
 from estimators.landmark.stopwatch import Stopwatch

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -10,18 +12,99 @@ from numpy.typing import NDArray
 
 from estimators.options import parse_options
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from estimators.slam.dynamics.innovation import InnovationTest, measurements_beyond_unknowns
-from estimators.slam.dynamics.marginal import marginalised_dynamic
-from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState
+from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gathered
 from estimators.slam.dynamics.solve import covariance_of, minimise_dynamic
-from estimators.slam.dynamics.system import Rows, dynamic_cost
+from estimators.slam.dynamics.system import Rows, dynamic_cost, dynamic_equations
 from estimators.slam.dynamics.window import Window
 from estimators.slam.following import LostError, check_scale, follow
 from estimators.slam.levenberg import StoppingRule
+from estimators.slam.marginal import departing, schur, touched
 from estimators.slam.options import DynamicOptions
 from scenarios.tracks import TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
+
+IndexArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+def marginalised_dynamic(problem: DynamicAdjustment, state: DynamicState, view: int, lost: BoolArray) -> DynamicPrior:
+    """Marginalise a view with its velocity, and the landmarks marked in ``lost`` (L,), all linearised at ``state``.
+
+    The quadratic is about all other views, the parameters, and the landmarks that something departing speaks of.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If what goes is not determined.
+    """
+    part = _departing(problem, view, lost)
+    rows = Rows.of(part)
+    matrix, right, _ = dynamic_equations(part, state, rows).reduced()
+    views = np.flatnonzero(np.arange(len(problem.R_body_inertial)) != view)
+    points = np.flatnonzero(part.vision.free_points & ~lost)
+    kept = rows.of_prior(views, points)
+    staying = np.zeros(rows.count, dtype=np.bool_)
+    staying[kept[kept >= 0]] = True
+    information, gradient = schur(matrix, -right, ~staying)
+    place = np.append(np.cumsum(staying) - 1, -1)[kept]  # what is fixed keeps rows of zeros
+    padded = np.zeros((len(information) + 1, len(information) + 1))
+    padded[:-1, :-1] = information
+    return DynamicPrior(
+        views, points, gathered(state, views, points), padded[np.ix_(place, place)], np.append(gradient, 0.0)[place]
+    )
+
+
+def _departing(problem: DynamicAdjustment, view: int, lost: BoolArray) -> DynamicAdjustment:
+    """Return the part of ``problem`` that goes; of its landmarks only those that it speaks of are free."""
+    vision = departing(problem.vision, view, lost)
+    joined = np.zeros(len(lost), dtype=np.bool_)
+    if problem.prior is not None:
+        joined[problem.prior.points] = True
+    told = touched(vision) | joined
+    vision = replace(vision, free_points=vision.free_points & told, kept_points=told & (joined | ~lost))
+    return replace(problem, vision=vision, arcs=problem.arcs.of_view(view))
+
+
+class InnovationTest:
+    """Holds by how much new frames raise the minimum of the cost against what chance lets expect.
+
+    Twice the rise is chi-square of as many degrees of freedom as there are new measurements beyond new unknowns: the
+    squared normalised innovation of a filter that iterates.
+    """
+
+    def __init__(self, frames: int, limit: float) -> None:
+        self.limit = limit
+        self.recent: deque[tuple[float, int]] = deque(maxlen=frames)
+        self.total = 0.0
+        self.measurements = 0
+
+    def diagnostics(self) -> dict[str, float]:
+        """Return the mean over all frames so far, of which 1 is expected, and its degrees of freedom."""
+        if not self.measurements:
+            return {}
+        return {"innovation": self.total / self.measurements, "innovation_degrees": float(self.measurements)}
+
+    def add(self, rise: float, measurements: int) -> None:
+        """Take the next frame's rise in; raise LostError where the last frames are far above expectation."""
+        self.total += 2.0 * rise
+        self.measurements += measurements
+        self.recent.append((2.0 * rise, measurements))
+        count = sum(item[1] for item in self.recent)
+        if len(self.recent) < (self.recent.maxlen or 0) or count <= 0:
+            return
+        mean = sum(item[0] for item in self.recent) / count
+        if mean > self.limit:
+            raise LostError(
+                f"the smoother diverges: the squared normalised innovation of {len(self.recent)} frames is {mean:.3g};"
+                " forces or tracks are not what they are said to be"
+            )
+
+
+def measurements_beyond_unknowns(problem: DynamicAdjustment) -> int:
+    """Count measurements less unknowns of landmarks; a view adds as many unknowns as its arc tells."""
+    vision = problem.vision
+    return 2 * len(vision.sightings.view) + len(vision.distances.view) - 3 * len(vision.free_points)
 
 
 class DynamicSmoother:
