@@ -186,21 +186,22 @@ class AltimeterEstimator:
         return cls(base, base.database, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Let the base estimate, then fuse the range of each frame that has one."""
+        """Let the base estimate, then fuse the range where there is one."""
         estimate = self._base.estimate(observation, rng=rng)
-        if estimate.status != "ok":
+        if estimate.status != "ok" or estimate.pose is None:
             return estimate
-        if len(estimate.covariances) != len(estimate.poses):
+        if estimate.covariance is None:
             return Estimate("failed", "the base gives no covariance to weigh the range with")
         clock = Stopwatch()
         with clock("range"):
-            fused = [
-                self._fused(pose, covariance, frame.altimeter)
-                for pose, covariance, frame in zip(
-                    estimate.poses, estimate.covariances, observation.frames, strict=True
-                )
-            ]
-        return _with_ranges(estimate, fused, clock.seconds)
+            fused = self._fused(estimate.pose, estimate.covariance, observation.frame.altimeter)
+        found = estimate if fused is None else _with_range(estimate, fused)
+        return replace(
+            found,
+            stages=(*estimate.stages, Stage("range", estimate.pose if fused is None else fused.T_cam_body)),
+            diagnostics={**estimate.diagnostics, **_diagnostics(fused)},
+            timings_s={**estimate.timings_s, **clock.seconds},
+        )
 
     def _fused(self, pose: Pose, covariance: FloatArray, reading: RangeReading | None) -> Fusion | None:
         if reading is None:
@@ -208,31 +209,21 @@ class AltimeterEstimator:
         return fuse_range((pose, covariance), reading, self._mesh, self._height_sigma_m, self._adaptive)
 
 
-def _with_ranges(estimate: Estimate, fused: list[Fusion | None], seconds: Mapping[str, float]) -> Estimate:
-    """Put the fused poses in place of the base's; diagnostics are those of the last frame, as the base's are."""
-    last = fused[-1]
-    numbers: dict[str, float | int | str] = {"range_used": int(last is not None)}
-    if last is not None:
-        numbers |= {
-            "range_innovation_m": last.innovation_m,
-            "range_contradiction": last.contradiction,
-            "range_sigma_m": last.sigma_m,
-            "range_inflation": last.inflation,
-        }
-    poses = tuple(f.T_cam_body if f else pose for f, pose in zip(fused, estimate.poses, strict=True))
-    return replace(
-        estimate,
-        poses=poses,
-        covariances=tuple(f.covariance if f else c for f, c in zip(fused, estimate.covariances, strict=True)),
-        bounds=tuple(_bound(b, f) for f, b in zip(fused, estimate.bounds, strict=True)) if estimate.bounds else (),
-        stages=(*estimate.stages, Stage("range", poses[-1])),
-        diagnostics={**estimate.diagnostics, **numbers},
-        timings_s={**estimate.timings_s, **seconds},
-    )
+def _with_range(estimate: Estimate, fused: Fusion) -> Estimate:
+    """Put the fused pose in place of the base's, and add the range's information to that of its observations."""
+    bound = estimate.bound
+    if bound is not None:
+        bound = np.asarray(np.linalg.inv(np.linalg.inv(bound) + fused.information), dtype=np.float64)
+    return replace(estimate, pose=fused.T_cam_body, covariance=fused.covariance, bound=bound)
 
 
-def _bound(bound: FloatArray, fused: Fusion | None) -> FloatArray:
-    """Add the range's information to that of the base's observations."""
+def _diagnostics(fused: Fusion | None) -> dict[str, float | int | str]:
     if fused is None:
-        return bound
-    return np.asarray(np.linalg.inv(np.linalg.inv(bound) + fused.information), dtype=np.float64)
+        return {"range_used": 0}
+    return {
+        "range_used": 1,
+        "range_innovation_m": fused.innovation_m,
+        "range_contradiction": fused.contradiction,
+        "range_sigma_m": fused.sigma_m,
+        "range_inflation": fused.inflation,
+    }

@@ -94,14 +94,15 @@ class Estimate:
         ``ok`` or ``failed``; a hard image is a failure with a reason, not an exception.
     reason
         Why it failed; empty when ok.
-    poses
-        One T_cam_body for each frame when ok; empty when failed.
-    covariances
-        (6, 6) each, [rotation_rad, translation_m] in camera axes, where the method has one: what the method
-        believes its error to be, prior included where it uses it.
-    bounds
-        (6, 6) each, in the same parameters: the Cramer-Rao bound of the observations that the estimate rests on,
-        under their calibrated noise (with the prior's information where the method uses the prior).
+    pose
+        T_cam_body; None when failed.
+    covariance
+        (6, 6), [rotation_rad, translation_m] in camera axes: what the method believes its error to be, prior included
+        where it uses it; None where the method has none.
+    bound
+        (6, 6), in the same parameters: the Cramer-Rao bound of the observations that the estimate rests on, under
+        their calibrated noise (with the prior's information where the method uses the prior); None where the method
+        has none.
     stages
         Poses after the named stages, in order, also where a later stage failed.
     details
@@ -114,9 +115,9 @@ class Estimate:
 
     status: Literal["ok", "failed"]
     reason: str = ""
-    poses: tuple[Pose, ...] = ()
-    covariances: tuple[NDArray[np.float64], ...] = ()
-    bounds: tuple[NDArray[np.float64], ...] = ()
+    pose: Pose | None = None
+    covariance: NDArray[np.float64] | None = None
+    bound: NDArray[np.float64] | None = None
     stages: tuple[Stage, ...] = ()
     details: Mapping[str, Table] = field(default_factory=dict)
     diagnostics: Mapping[str, float | int | str] = field(default_factory=dict)
@@ -140,5 +141,5 @@ class Estimator(Protocol):
         ...
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose of each frame. Must not change its input or keep state between calls."""
+        """Estimate the pose of the frame. Must not change its input or keep state between calls."""
         ...

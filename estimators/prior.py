@@ -18,7 +18,7 @@ class PriorOptions(SpecModel):
 
 
 class PriorEstimator:
-    """Returns each frame's prior pose and covariance as they are, whatever the image shows."""
+    """Returns the prior pose and its covariance as they are, whatever the image shows."""
 
     name: ClassVar[str] = "prior"
     version: ClassVar[int] = 1
@@ -31,10 +31,7 @@ class PriorEstimator:
         return cls()
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Return the prior of each frame."""
+        """Return the prior."""
         del rng
-        return Estimate(
-            "ok",
-            poses=tuple(frame.prior_T_cam_body for frame in observation.frames),
-            covariances=tuple(frame.prior_covariance for frame in observation.frames),
-        )
+        frame = observation.frame
+        return Estimate("ok", pose=frame.prior_T_cam_body, covariance=frame.prior_covariance)

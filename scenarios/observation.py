@@ -49,12 +49,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """A sequence of frames of one camera; a single image is a sequence of length one."""
+    """A camera, and the frame that it took."""
 
     camera: Camera
-    frames: tuple[Frame, ...]
-
-    def __post_init__(self) -> None:
-        """Refuse one without frames, which no estimator could do anything with."""
-        if not self.frames:
-            raise ValueError("an observation holds one frame at least")
+    frame: Frame

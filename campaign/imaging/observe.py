@@ -55,7 +55,7 @@ def observe(world: World, sight: Sight, seed: int, trial: int) -> Observation:
         time_s=sight.time_s,
         altimeter=altimeter_reading(world, sight.view, generator(seed, Stream.ALTIMETER, trial)),
     )
-    return Observation(camera.pinhole, (frame,))
+    return Observation(camera.pinhole, frame)
 
 
 def _read_only(array: NDArray[T]) -> NDArray[T]:

@@ -44,38 +44,32 @@ class PhotometricEstimator:
         return cls(renderer, size_m, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose of each frame on its own; the first frame that fails fails the whole.
-
-        Stages, diagnostics and timings are those of the last frame; nothing is drawn at random.
-        """
+        """Estimate the pose; nothing is drawn at random."""
         del rng
         clock = Stopwatch()
-        found: list[Registration] = []
-        for frame in observation.frames:
-            result = self._register(frame, observation.camera, clock)
-            if isinstance(result, str):
-                return Estimate("failed", result, timings_s=clock.seconds)
-            if result.failure:
-                return Estimate("failed", result.failure, stages=self._stages(result), timings_s=clock.seconds)
-            found.append(result)
-        fits = [result.fits[-1] for result in found]
-        bounds = tuple(inverse(fit.information) for fit in fits)
+        found = self._register(observation.frame, observation.camera, clock)
+        if isinstance(found, str):
+            return Estimate("failed", found, timings_s=clock.seconds)
+        if found.failure:
+            return Estimate("failed", found.failure, stages=self._stages(found), timings_s=clock.seconds)
+        last = found.fits[-1]
+        bound = inverse(last.information)
         return Estimate(
             "ok",
-            poses=tuple(fit.T_cam_body for fit in fits),
-            covariances=bounds,
-            bounds=bounds,
-            stages=self._stages(found[-1]),
+            pose=last.T_cam_body,
+            covariance=bound,
+            bound=bound,
+            stages=self._stages(found),
             diagnostics={
-                "correlation": fits[-1].correlation,
-                "steps": sum(fit.steps for fit in found[-1].fits),
-                "masked_share": fits[-1].masked_share,
+                "correlation": last.correlation,
+                "steps": sum(fit.steps for fit in found.fits),
+                "masked_share": last.masked_share,
             },
             timings_s=clock.seconds,
         )
 
     def _register(self, frame: Frame, camera: Camera, clock: Stopwatch) -> Registration | str:
-        """Register one frame, or say why there is nothing to register."""
+        """Register the frame, or say why there is nothing to register."""
         fault = image_fault(frame, camera)
         if fault:
             return fault
@@ -85,12 +79,12 @@ class PhotometricEstimator:
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
         return register(observed.image, frame, view, self._size_m, self._options, clock)
 
-    def _stages(self, result: Registration) -> tuple[Stage, ...]:
-        if result.shift.failure:
+    def _stages(self, found: Registration) -> tuple[Stage, ...]:
+        if found.shift.failure:
             return ()
-        levels = zip(self._options.levels, result.fits, strict=False)  # a failure may have ended it early
+        levels = zip(self._options.levels, found.fits, strict=False)  # a failure may have ended it early
         fitted = (Stage(f"level-{level.reduction}", fit.T_cam_body) for level, fit in levels)
-        return (Stage("alignment", result.shift.T_cam_body), *fitted)
+        return (Stage("alignment", found.shift.T_cam_body), *fitted)
 
 
 def _landmark_mesh(options: PhotometricOptions, assets: Assets) -> TriangleMesh:

@@ -75,7 +75,7 @@ class Matched:
 
 
 class DescriptorNavigator:
-    """Features matched with those of rendered views, RANSAC, maximum a posteriori; each frame on its own."""
+    """Features matched with those of rendered views, RANSAC, maximum a posteriori."""
 
     name: ClassVar[str]
     version: ClassVar[int] = 4
@@ -96,32 +96,24 @@ class DescriptorNavigator:
         return cls(database, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose of each frame on its own; the first frame that fails fails the whole.
-
-        Stages, diagnostics and timings are those of the last frame.
-        """
+        """Estimate the pose; ``rng`` seeds RANSAC."""
         clock = Stopwatch()
-        solved: list[Posterior] = []
-        stages: tuple[Stage, ...] = ()
-        for frame in observation.frames:
-            found = self._solve(frame, observation.camera, int(rng.integers(2**31)), clock)
-            if isinstance(found, str):
-                return Estimate("failed", found, timings_s=clock.seconds)
-            consensus, posterior = found
-            solved.append(posterior)
-            stages = (Stage("consensus", consensus), Stage("recognition", posterior.T_cam_body))
+        found = self._solve(observation.frame, observation.camera, int(rng.integers(2**31)), clock)
+        if isinstance(found, str):
+            return Estimate("failed", found, timings_s=clock.seconds)
+        consensus, posterior = found
         return Estimate(
             "ok",
-            poses=tuple(posterior.T_cam_body for posterior in solved),
-            covariances=tuple(posterior.covariance for posterior in solved),
-            bounds=tuple(posterior.bound for posterior in solved),
-            stages=stages,
-            diagnostics={"n_landmarks": len(solved[-1].d2), "scale2": solved[-1].scale2},
+            pose=posterior.T_cam_body,
+            covariance=posterior.covariance,
+            bound=posterior.bound,
+            stages=(Stage("consensus", consensus), Stage("recognition", posterior.T_cam_body)),
+            diagnostics={"n_landmarks": len(posterior.d2), "scale2": posterior.scale2},
             timings_s=clock.seconds,
         )
 
     def _solve(self, frame: Frame, camera: Camera, seed: int, clock: Stopwatch) -> tuple[Pose, Posterior] | str:
-        """Solve one frame, or say why there is no pose."""
+        """Solve the frame, or say why there is no pose."""
         options = self._options
         fault = image_fault(frame, camera)
         if fault:

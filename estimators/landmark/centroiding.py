@@ -16,7 +16,7 @@ from estimators.landmark.recognizer import borrow_database
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
-from scenarios.geometry import Camera, Pose
+from scenarios.geometry import Camera
 from scenarios.observation import Frame, Observation
 from scenarios.spec.base import SpecModel
 
@@ -29,7 +29,7 @@ class CentroidOptions(SpecModel):
 
 
 class CentroidAligner:
-    """Shifts each frame's prior until the mesh of the landmarks and the image share their centre of brightness."""
+    """Shifts the prior until the mesh of the landmarks and the image share their centre of brightness."""
 
     name: ClassVar[str] = "centroid"
     version: ClassVar[int] = 1
@@ -46,33 +46,27 @@ class CentroidAligner:
         return cls(assets.mesh_renderer(database.mesh()), parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Shift each frame's prior; the first frame that fails fails the whole.
+        """Shift the prior.
 
-        Diagnostics are those of the last frame: ``centroid_du_px``, ``centroid_dv_px`` and their length
-        ``centroid_offset_px`` (observed minus rendered, both at the prior pose), ``extent_px`` (longer side of the box
-        about the observed body), ``diameter_px`` (of the disc of its area) and ``centroid_iterations``. Nothing is
-        drawn at random.
+        Diagnostics are ``centroid_du_px``, ``centroid_dv_px`` and their length ``centroid_offset_px`` (observed minus
+        rendered, both at the prior pose), ``extent_px`` (longer side of the box about the observed body),
+        ``diameter_px`` (of the disc of its area) and ``centroid_iterations``. Nothing is drawn at random.
         """
         del rng
-        clock, poses, numbers, failure = Stopwatch(), list[Pose](), dict[str, float](), ""
-        for frame in observation.frames:
-            alignment, extent = self.align(frame, observation.camera, clock)
-            poses.append(alignment.T_cam_body)
-            numbers, failure = {**_offset(alignment), **extent}, alignment.failure
-            if failure:
-                break
-        ok = not failure
+        clock = Stopwatch()
+        alignment, extent = self.align(observation.frame, observation.camera, clock)
+        ok = not alignment.failure
         return Estimate(
             status="ok" if ok else "failed",
-            reason=failure,
-            poses=tuple(poses) if ok else (),
-            stages=(Stage("centroid", poses[-1]),) if ok else (),
-            diagnostics=numbers,
+            reason=alignment.failure,
+            pose=alignment.T_cam_body if ok else None,
+            stages=(Stage("centroid", alignment.T_cam_body),) if ok else (),
+            diagnostics={**_offset(alignment), **extent},
             timings_s=clock.seconds,
         )
 
     def align(self, frame: Frame, camera: Camera, clock: Stopwatch) -> tuple[Alignment, dict[str, float]]:
-        """Align one frame; also return how large the observed body is.
+        """Align the frame; also return how large the observed body is.
 
         Raises
         ------

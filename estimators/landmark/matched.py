@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,28 +20,24 @@ _COVARIANCE_NAMES = ("sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedFrame:
-    """Matches of one frame: its number, its pose, (M,) rows of the data base and (M, 2) corners in the image."""
+    """Matches of a frame: its pose, (M,) rows of the data base and (M, 2) corners in the image."""
 
-    frame: int
     T_cam_body: Pose
     landmark: NDArray[np.intp]
     uv_px: FloatArray
 
 
-def matched_table(frames: Sequence[MatchedFrame], database: LandmarkDatabase, camera: Camera) -> Table:
-    """One row for each matched landmark of each frame.
+def matched_table(found: MatchedFrame, database: LandmarkDatabase, camera: Camera) -> Table:
+    """One row for each matched landmark.
 
-    Columns: ``frame``, ``landmark`` (row of the data base), ``u_px, v_px`` (its corner), ``d2_px`` (weighted squared
-    distance of the corner to the landmark at the estimated pose), ``x_m, y_m, z_m`` and ``sxx_m2 ... szz_m2`` (the
-    data base's mean and covariance).
+    Columns: ``landmark`` (row of the data base), ``u_px, v_px`` (its corner), ``d2_px`` (weighted squared distance of
+    the corner to the landmark at the estimated pose), ``x_m, y_m, z_m`` and ``sxx_m2 ... szz_m2`` (the data base's
+    mean and covariance).
     """
-    frame = np.concatenate([np.full(len(found.landmark), found.frame) for found in frames])
-    landmark = np.concatenate([found.landmark for found in frames])
-    uv = np.concatenate([found.uv_px for found in frames])
-    d2 = np.concatenate([_distances(found, database, camera) for found in frames])
+    landmark, uv = found.landmark, found.uv_px
     covariances = database.covariances_m2[landmark][:, *np.triu_indices(3)]
-    table: dict[str, NDArray[np.generic]] = {"frame": frame, "landmark": landmark}
-    table |= {"u_px": uv[:, 0], "v_px": uv[:, 1], "d2_px": d2}
+    table: dict[str, NDArray[np.generic]] = {"landmark": landmark, "u_px": uv[:, 0], "v_px": uv[:, 1]}
+    table["d2_px"] = _distances(found, database, camera)
     table |= {name: database.means_m[landmark, axis] for axis, name in enumerate(("x_m", "y_m", "z_m"))}
     table |= {name: covariances[:, axis] for axis, name in enumerate(_COVARIANCE_NAMES)}
     return table

@@ -19,6 +19,7 @@ from estimators.landmark.consistency import centroid_residual_px, inconsistency,
 from estimators.landmark.corners import CornerOptions, Corners, detect_corners
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.matched import MatchedFrame, matched_table
+from estimators.landmark.pose.levenberg_marquardt import PoseFit
 from estimators.landmark.pose.outliers import PoseOptions, PoseSolution, solve_pose
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
@@ -117,10 +118,14 @@ class Recognition:
         return self.likeness is None or self.likeness[1] >= self.likeness[0]
 
     @property
+    def fit(self) -> PoseFit | None:
+        """The last fit; None without one, and where the recognition does not count."""
+        return self.solution.fit if self.solution is not None and self.kept else None
+
+    @property
     def T_cam_body(self) -> Pose:
         """The pose that is the answer."""
-        fit = None if self.solution is None else self.solution.fit
-        return fit.T_cam_body if fit is not None and self.kept else self.alignment.T_cam_body
+        return self.alignment.T_cam_body if self.fit is None else self.fit.T_cam_body
 
 
 def shifting(options: LandmarkOptions) -> MeshAligner:
@@ -219,7 +224,7 @@ def borrow_judge(options: RecognitionOptions, assets: Assets) -> ImageRenderer |
 
 
 class LandmarkRecognizer:
-    """Rowell et al. (2015): known landmarks by proximity of Harris corners; each frame on its own."""
+    """Rowell et al. (2015): known landmarks by proximity of Harris corners."""
 
     name: ClassVar[str] = "landmark-harris"
     version: ClassVar[int] = 2
@@ -252,38 +257,25 @@ class LandmarkRecognizer:
         return cls(database, assets.mesh_renderer(database.mesh()), parsed, shifting(parsed), judge)
 
     def recognise(self, frame: Frame, camera: Camera) -> Recognition:
-        """Run on one frame and keep all intermediate results."""
+        """Run on a frame and keep all intermediate results."""
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
         judge = None if self._judge is None else replace(view, renderer=self._judge)
         return recognise(frame, view, self._database, self._options, self._aligner, judge)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose of each frame on its own; the first frame that fails fails the whole.
-
-        Stages, diagnostics and timings are those of the last frame; nothing is drawn at random.
-        """
+        """Estimate the pose; nothing is drawn at random."""
         del rng
-        results: list[Recognition] = []
-        for frame in observation.frames:
-            results.append(self.recognise(frame, observation.camera))
-            if results[-1].failure:
-                break
-        return self._estimate(results, observation.camera)
-
-    def _estimate(self, results: list[Recognition], camera: Camera) -> Estimate:
-        last = results[-1]
-        kept = [result for result in results if result.kept]
-        fits = [result.solution.fit for result in kept if result.solution and result.solution.fit]
-        ok = not last.failure
+        found = self.recognise(observation.frame, observation.camera)
+        ok, fit = not found.failure, found.fit
         return Estimate(
             status="ok" if ok else "failed",
-            reason=last.failure,
-            poses=tuple(result.T_cam_body for result in results) if ok else (),
-            covariances=tuple(fit.covariance for fit in fits) if ok and kept == results else (),
-            stages=self._stages(last),
-            details={"landmarks": landmark_table(results, self._database, camera)} if ok and kept else {},
-            diagnostics=_diagnostics(last),
-            timings_s=last.timings_s,
+            reason=found.failure,
+            pose=found.T_cam_body if ok else None,
+            covariance=fit.covariance if ok and fit is not None else None,
+            stages=self._stages(found),
+            details=_details(found, self._database, observation.camera) if ok else {},
+            diagnostics=_diagnostics(found),
+            timings_s=found.timings_s,
         )
 
     def _stages(self, result: Recognition) -> tuple[Stage, ...]:
@@ -316,22 +308,10 @@ def _diagnostics(result: Recognition) -> dict[str, float | int | str]:
     return diagnostics
 
 
-def landmark_table(results: list[Recognition], database: LandmarkDatabase, camera: Camera) -> Table:
-    """List the recognised landmarks of each frame whose recognition counts, see `matched_table`."""
-    return matched_table(
-        [
-            MatchedFrame(
-                index,
-                result.solution.fit.T_cam_body,
-                result.solution.rounds[-1].matches.landmark,
-                result.corners.uv_px[result.solution.rounds[-1].matches.corner],
-            )
-            for index, result in enumerate(results)
-            if result.kept
-            and result.corners is not None
-            and result.solution is not None
-            and result.solution.fit is not None
-        ],
-        database,
-        camera,
-    )
+def _details(found: Recognition, database: LandmarkDatabase, camera: Camera) -> dict[str, Table]:
+    """List the recognised landmarks, see `matched_table`, where the recognition counts."""
+    if found.fit is None or found.solution is None or found.corners is None:
+        return {}
+    matches = found.solution.rounds[-1].matches
+    matched = MatchedFrame(found.fit.T_cam_body, matches.landmark, found.corners.uv_px[matches.corner])
+    return {"landmarks": matched_table(matched, database, camera)}

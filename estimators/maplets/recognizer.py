@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -136,7 +136,7 @@ def _rounds(observed: Image, frame: Frame, start: Pose, bench: _Bench, stages: l
 
 
 class MapletNavigator:
-    """Maplets of the onboard shape, rendered at the predicted pose and Sun and correlated; each frame on its own."""
+    """Maplets of the onboard shape, rendered at the predicted pose and Sun and correlated."""
 
     name: ClassVar[str] = "lmaps"
     version: ClassVar[int] = 2
@@ -157,33 +157,26 @@ class MapletNavigator:
         return cls(MapletScene(database, renderer, assets.mesh_renderer(mesh), mesh.vertices_m), parsed)
 
     def recognise(self, frame: Frame, camera: Camera) -> Recognition:
-        """Run on one frame and keep all intermediate results."""
+        """Run on a frame and keep all intermediate results."""
         return recognise(frame, camera, self._scene, self._options)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose of each frame on its own; the first frame that fails fails the whole.
-
-        Stages, diagnostics and timings are those of the last frame; nothing is drawn at random.
-        """
+        """Estimate the pose; nothing is drawn at random."""
         del rng
-        results: list[Recognition] = []
-        for frame in observation.frames:
-            results.append(self.recognise(frame, observation.camera))
-            if results[-1].failure:
-                break
-        last = results[-1]
-        ok = not last.failure
-        final = [result.fits[-1].posterior for result in results] if ok else []
-        return Estimate(
-            status="ok" if ok else "failed",
-            reason=last.failure,
-            poses=tuple(posterior.T_cam_body for posterior in final),
-            covariances=tuple(posterior.covariance for posterior in final),
-            bounds=tuple(posterior.bound for posterior in final),
-            stages=last.stages,
-            details={"landmarks": maplet_table(results, self._scene.database, observation.camera)} if ok else {},
-            diagnostics=_diagnostics(last),
-            timings_s=last.timings_s,
+        found = self.recognise(observation.frame, observation.camera)
+        reached = Estimate(
+            "failed", found.failure, stages=found.stages, diagnostics=_diagnostics(found), timings_s=found.timings_s
+        )
+        if found.failure:
+            return reached
+        fit = found.fits[-1]
+        return replace(
+            reached,
+            status="ok",
+            pose=fit.posterior.T_cam_body,
+            covariance=fit.posterior.covariance,
+            bound=fit.posterior.bound,
+            details={"landmarks": maplet_table(fit, self._scene.database, observation.camera)},
         )
 
 

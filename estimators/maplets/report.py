@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,27 +50,23 @@ class Recognition:
     failure: str = ""
 
 
-def maplet_table(results: Sequence[Recognition], database: MapletDatabase, camera: Camera) -> Table:
-    """One row for each maplet that the last round of each frame found.
+def maplet_table(fit: Fit, database: MapletDatabase, camera: Camera) -> Table:
+    """One row for each maplet that a round found.
 
-    Columns: ``frame``, ``landmark`` (row of the data base), ``u_px, v_px`` (where its anchor was found),
-    ``correlation``, ``d2_px`` (weighted squared distance to the anchor at the estimated pose), ``x_m, y_m, z_m`` (the
-    anchor) and ``sxx_m2 ... szz_m2`` (covariance of the surface point that is seen there, about the anchor).
+    Columns: ``landmark`` (row of the data base), ``u_px, v_px`` (where its anchor was found), ``correlation``,
+    ``d2_px`` (weighted squared distance to the anchor at the estimated pose), ``x_m, y_m, z_m`` (the anchor) and
+    ``sxx_m2 ... szz_m2`` (covariance of the surface point that is seen there, about the anchor).
     """
-    last = [result.fits[-1] for result in results]
-    maplet = np.concatenate([fit.found.maplet for fit in last])
-    uv_px = np.concatenate([fit.found.uv_px for fit in last])
-    covariances = np.concatenate([surface_covariances(fit, database, camera) for fit in last])
+    found = fit.found
     table: dict[str, NDArray[np.generic]] = {
-        "frame": np.repeat(np.arange(len(last)), [len(fit.found) for fit in last]),
-        "landmark": maplet,
-        "u_px": uv_px[:, 0],
-        "v_px": uv_px[:, 1],
-        "correlation": np.concatenate([fit.found.correlation for fit in last]),
-        "d2_px": np.concatenate([fit.posterior.d2 for fit in last]),
+        "landmark": found.maplet,
+        "u_px": found.uv_px[:, 0],
+        "v_px": found.uv_px[:, 1],
+        "correlation": found.correlation,
+        "d2_px": fit.posterior.d2,
     }
-    table |= {name: database.anchors_m[maplet, axis] for axis, name in enumerate(_POSITION_NAMES)}
-    upper = covariances[:, *np.triu_indices(3)]
+    table |= {name: database.anchors_m[found.maplet, axis] for axis, name in enumerate(_POSITION_NAMES)}
+    upper = surface_covariances(fit, database, camera)[:, *np.triu_indices(3)]
     return table | {name: upper[:, axis] for axis, name in enumerate(_COVARIANCE_NAMES)}
 
 

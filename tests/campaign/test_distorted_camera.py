@@ -42,7 +42,7 @@ def test_an_estimator_sees_what_an_ideal_lens_would_have_seen(experiment):
     assert sight.view.camera.distortion is not None
     ideal = experiment.world.renderer.render(View(observation.camera, sight.view.T_cam_body, sight.view.sun_dir_body))
     inside = cv2.erode((ideal > 0).astype(np.uint8), np.ones((5, 5))) > 0
-    seen = observation.frames[0].image
+    seen = observation.frame.image
     assert np.median(np.abs(seen - ideal)[inside]) < 0.005 * ideal.max()
     assert np.abs(seen - ideal)[inside].mean() < 0.3 * np.abs(sight.image - ideal)[inside].mean()
 
@@ -68,5 +68,5 @@ def test_a_lens_that_the_spacecraft_does_not_know_of_displaces_what_it_sees(tmp_
     file.write_text(SCENE + "onboard: {distortion_error: -1}\n")
     experiment = SingleImage(open_world(load_scenario(str(file)), choose_variant().name), {}, seed=5)
     sight = experiment.world.source.sight(5, 0)
-    seen = observe(experiment.world, sight, experiment.seed, 0).frames[0].image
+    seen = observe(experiment.world, sight, experiment.seed, 0).frame.image
     np.testing.assert_allclose(seen, sight.image, atol=1e-5)

@@ -19,17 +19,16 @@ from estimators.contract import Estimate, Stage
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatches
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from scenarios.geometry import Camera, Pose
-from scenarios.observation import Frame, Observation
+from scenarios.observation import Frame
 from scenarios.tracks import TrackFrame, TrackSequence
 
 HERE = Pose(np.eye(3), np.array([0.0, 0.0, 1e3]))
 CAMERA = Camera.from_fov(100, 100, 0.1)
 FRAME = Frame(np.zeros((100, 100), np.float32), np.array([0.0, 0.0, -1.0]), HERE, np.eye(6))
-OBSERVATION = Observation(CAMERA, (FRAME,))
 WORK = Work(Call("scene", 7, "mine"), "estimator", {"range_m": 5.0})
 NAMES = ("u_px", "v_px", "x_m", "y_m", "z_m", "sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
 TABLE = {"landmark": np.arange(2), **{name: np.full(2, float(name[1:3] in ("xx", "yy", "zz"))) for name in NAMES}}
-GOOD = Estimate("ok", poses=(HERE,), covariances=(np.eye(6),), details={"landmarks": TABLE})
+GOOD = Estimate("ok", pose=HERE, covariance=np.eye(6), details={"landmarks": TABLE})
 
 
 @pytest.mark.parametrize(
@@ -40,16 +39,18 @@ GOOD = Estimate("ok", poses=(HERE,), covariances=(np.eye(6),), details={"landmar
         (replace(GOOD, status=["ok"]), "not ok or failed"),
         (replace(GOOD, reason=7), "the reason is 7"),
         (Estimate("failed", "x" * 10_000), "the reason is '10000 characters'"),
-        (replace(GOOD, poses=(np.eye(4),)), "a ndarray is no Pose"),
-        (replace(GOOD, poses=(HERE.inverse(),)), "T_body_cam, not T_cam_body"),
-        (replace(GOOD, poses=(Pose(np.eye(3), [0, 0, 1e16]),)), "not rigid"),
+        (replace(GOOD, pose=np.eye(4)), "a ndarray is no Pose"),
+        (replace(GOOD, pose=None), "an ok estimate has no pose"),
+        (replace(GOOD, pose=(HERE,)), "a tuple is no Pose"),
+        (replace(GOOD, pose=HERE.inverse()), "T_body_cam, not T_cam_body"),
+        (replace(GOOD, pose=Pose(np.eye(3), [0, 0, 1e16])), "the pose is not rigid"),
         (replace(GOOD, stages=(Stage("half", Pose(2 * np.eye(3), [0, 0, 1])),)), "after half is not rigid"),
-        (replace(GOOD, covariances=(np.eye(6).tolist(),)), "a list, not an array"),
-        (replace(GOOD, covariances=(np.full((6, 6), 1e300),)), "beyond 1e"),
-        (replace(GOOD, bounds=(1j * np.eye(6),)), "of finite numbers"),
-        (replace(GOOD, covariances=(np.triu(np.ones((6, 6))),)), "not symmetric"),
+        (replace(GOOD, covariance=np.eye(6).tolist()), "a list, not an array"),
+        (replace(GOOD, covariance=np.full((6, 6), 1e300)), "beyond 1e"),
+        (replace(GOOD, bound=1j * np.eye(6)), "of finite numbers"),
+        (replace(GOOD, covariance=np.triu(np.ones((6, 6)))), "not symmetric"),
         (replace(GOOD, stages=iter(())), "stages are a tuple_iterator, not a tuple"),
-        (Estimate("failed", "late", poses=(np.eye(4),)), "a ndarray is no Pose"),
+        (Estimate("failed", "late", pose=np.eye(4)), "a ndarray is no Pose"),
         (replace(GOOD, details={"mine": {"a": np.array([None])}}), "mine: a is no array of numbers or texts"),
         (replace(GOOD, diagnostics={(1, 2): 3.0}), "diagnostics of type dict have no names"),
         (replace(GOOD, diagnostics={"chi2": 1j}), "chi2 is complex, not a number"),
@@ -69,9 +70,9 @@ GOOD = Estimate("ok", poses=(HERE,), covariances=(np.eye(6),), details={"landmar
     ],
 )
 def test_rubbish_for_an_estimate(answer, said):
-    check(GOOD, OBSERVATION)
+    check(GOOD)
     with pytest.raises(ValueError, match=said):
-        check(answer, OBSERVATION)
+        check(answer)
 
 
 STEP = FrameEstimate(np.zeros(3), np.eye(3), np.zeros(0, np.int64), np.zeros((0, 3)), 0.1)

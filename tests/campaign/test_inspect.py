@@ -65,14 +65,14 @@ def test_what_is_kept_is_what_the_estimator_saw_and_said(copied):
     campaign = reopened(RunFolder(copied))
     again = recompute(campaign, RunFolder(copied), Case("scene", "landmark-harris", trial))
     truth = again.shown.sight.view.T_cam_body
-    pose = json.loads((folder / "estimate.json").read_text())["poses"][0]
+    pose = json.loads((folder / "estimate.json").read_text())["pose"]
     R = Rotation.from_quat(pose["T_cam_body_quat_wxyz"], scalar_first=True).as_matrix()
     c = -R.T @ pose["T_cam_body_translation_m"]
     stored = rows.query("estimator == 'landmark-harris' and trial == @trial").iloc[0]
     assert np.linalg.norm(c - truth.camera_position_m) == pytest.approx(stored["position_error_m"], rel=1e-9)
     image = cv2.imread(str(folder / "image.tiff"), cv2.IMREAD_UNCHANGED)
     assert image.dtype == np.float32
-    np.testing.assert_array_equal(image, again.shown.observation.frames[0].image)
+    np.testing.assert_array_equal(image, again.shown.observation.frame.image)
     assert {"fit.png", "matches.pdf"} <= {path.name for path in folder.iterdir()}
 
 

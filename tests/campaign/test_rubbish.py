@@ -27,19 +27,21 @@ def endless(prior):
         yield Stage("again", prior)
 
 ANSWERS = {
-    "matrix": lambda prior: Estimate("ok", poses=(np.eye(4),)),
-    "matrix-failed": lambda prior: Estimate("failed", "late", poses=(np.eye(4),)),
+    "matrix": lambda prior: Estimate("ok", pose=np.eye(4)),
+    "matrix-failed": lambda prior: Estimate("failed", "late", pose=np.eye(4)),
     "nothing": lambda prior: None,
     "text": lambda prior: "ok",
-    "table": lambda prior: {"status": "ok", "poses": [prior]},
-    "nan": lambda prior: Estimate("ok", poses=(Pose(prior.rotation, [np.nan, 0, 0]),)),
-    "complex": lambda prior: Estimate("ok", poses=(prior,), covariances=(1j * np.eye(6),)),
-    "skew": lambda prior: Estimate("ok", poses=(prior,), covariances=(np.triu(np.ones((6, 6))),)),
-    "huge": lambda prior: Estimate("ok", poses=(Pose(prior.rotation, [0, 0, 1e200]),)),
-    "falls": lambda prior: Estimate("ok", poses=Falls()),
+    "table": lambda prior: {"status": "ok", "pose": prior},
+    "none": lambda prior: Estimate("ok"),
+    "several": lambda prior: Estimate("ok", pose=(prior,)),
+    "nan": lambda prior: Estimate("ok", pose=Pose(prior.rotation, [np.nan, 0, 0])),
+    "complex": lambda prior: Estimate("ok", pose=prior, covariance=1j * np.eye(6)),
+    "skew": lambda prior: Estimate("ok", pose=prior, covariance=np.triu(np.ones((6, 6)))),
+    "huge": lambda prior: Estimate("ok", pose=Pose(prior.rotation, [0, 0, 1e200])),
+    "falls": lambda prior: Estimate("ok", pose=prior, stages=Falls()),
     "endless": lambda prior: Estimate("failed", "on and on", stages=endless(prior)),
-    "objects": lambda prior: Estimate("ok", poses=(prior,), details={"mine": {"a": np.array([object()])}}),
-    "keys": lambda prior: Estimate("ok", poses=(prior,), diagnostics={(1, 2): 3.0}),
+    "objects": lambda prior: Estimate("ok", pose=prior, details={"mine": {"a": np.array([object()])}}),
+    "keys": lambda prior: Estimate("ok", pose=prior, diagnostics={(1, 2): 3.0}),
 }
 
 class Rubbish:
@@ -48,7 +50,7 @@ class Rubbish:
     def from_options(cls, options, assets):
         return cls()
     def estimate(self, observation, *, rng):
-        return ANSWERS[self.name](observation.frames[0].prior_T_cam_body)
+        return ANSWERS[self.name](observation.frame.prior_T_cam_body)
 
 for _name in ANSWERS:
     globals()["made_" + _name.replace("-", "_")] = type(_name, (Rubbish,), {"name": _name})
@@ -153,9 +155,9 @@ class Absurd:
     def from_options(cls, options, assets):
         return cls()
     def estimate(self, observation, *, rng):
-        prior = observation.frames[0].prior_T_cam_body
+        prior = observation.frame.prior_T_cam_body
         pose = Pose(prior.rotation, ANSWERS[self.name](prior))
-        return Estimate("ok", poses=(pose,), details={"landmarks": TABLE})
+        return Estimate("ok", pose=pose, details={"landmarks": TABLE})
 
 for _name in ANSWERS:
     globals()["made_" + _name] = type(_name, (Absurd,), {"name": _name})

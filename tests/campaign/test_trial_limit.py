@@ -199,7 +199,7 @@ class Base:
     def estimate(self, observation, *, rng):
         if rng.random() < 0.5:
             self.break_down()
-        return Estimate("ok", poses=(observation.frames[0].prior_T_cam_body,))
+        return Estimate("ok", pose=observation.frame.prior_T_cam_body)
 
 class Sleeps(Base):
     name = "sleeps"

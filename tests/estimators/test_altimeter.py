@@ -163,29 +163,29 @@ class Base:
 def observation(reading):
     pose = look_at(np.array([0.0, 0.0, 2000.0]))
     frame = Frame(np.zeros((64, 64), np.float32), np.array([0.0, 0.0, -1.0]), pose, np.eye(6), altimeter=reading)
-    return Observation(CAMERA, (frame,))
+    return Observation(CAMERA, frame)
 
 
 @pytest.mark.parametrize("reading", [None, RangeReading(1800.0, 5.0)])
 def test_the_estimator_uses_a_reading_where_there_is_one(reading):
     pose, covariance = look_at(np.array([0.0, 0.0, 2000.0])), np.diag([1e-6] * 3 + [9.0] * 3)
-    base = Base(Estimate("ok", poses=(pose,), covariances=(covariance,), bounds=(0.5 * covariance,)))
+    base = Base(Estimate("ok", pose=pose, covariance=covariance, bound=0.5 * covariance))
     estimator = AltimeterEstimator(base, base.database, AltimeterOptions())
     estimate = estimator.estimate(observation(reading), rng=np.random.default_rng(0))
     assert [stage.name for stage in estimate.stages] == ["range"]
     assert estimate.diagnostics["range_used"] == (reading is not None)
-    moved = estimate.poses[0].translation_m[2] - pose.translation_m[2]
+    moved = estimate.pose.translation_m[2] - pose.translation_m[2]
     if reading is None:
         assert moved == 0.0
-        assert estimate.covariances[0] is covariance
+        assert estimate.covariance is covariance
         return
     assert moved * estimate.diagnostics["range_innovation_m"] > 0.0
-    assert np.linalg.eigvalsh(0.5 * covariance - estimate.bounds[0]).min() > -1e-12
-    assert estimate.bounds[0][5, 5] < 4.5
+    assert np.linalg.eigvalsh(0.5 * covariance - estimate.bound).min() > -1e-12
+    assert estimate.bound[5, 5] < 4.5
 
 
 @pytest.mark.parametrize(
-    "answer", [Estimate("failed", "no landmarks"), Estimate("ok", poses=(Pose(np.eye(3), np.array([0.0, 0.0, 9.0])),))]
+    "answer", [Estimate("failed", "no landmarks"), Estimate("ok", pose=Pose(np.eye(3), np.array([0.0, 0.0, 9.0])))]
 )
 def test_what_the_base_cannot_say_fails(answer):
     base = Base(answer)
@@ -193,7 +193,7 @@ def test_what_the_base_cannot_say_fails(answer):
     estimate = estimator.estimate(observation(RangeReading(1800.0, 5.0)), rng=np.random.default_rng(0))
     assert estimate.status == "failed"
     assert estimate.reason in {"no landmarks", "the base gives no covariance to weigh the range with"}
-    assert estimate.poses == ()
+    assert estimate.pose is None
 
 
 @pytest.mark.parametrize(

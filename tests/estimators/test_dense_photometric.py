@@ -45,7 +45,7 @@ def frame(image: np.ndarray, seed: int = 1) -> Frame:
 
 def estimate(renderer: MitsubaRenderer, frame: Frame, options: PhotometricOptions = OPTIONS):
     estimator = PhotometricEstimator(renderer, 200.0, options)
-    return estimator.estimate(Observation(CAMERA, (frame,)), rng=np.random.default_rng(0))
+    return estimator.estimate(Observation(CAMERA, frame), rng=np.random.default_rng(0))
 
 
 def errors(pose: Pose) -> tuple[float, float]:
@@ -57,7 +57,7 @@ def test_the_true_shape_gives_the_true_pose(renderer, image, seed):
     """The same renderer made the image: what is left is below a pixel (5 m), the prior's error 40 m."""
     found = estimate(renderer, frame(image, seed))
     assert found.status == "ok"
-    shift_m, turn_deg = errors(found.poses[0])
+    shift_m, turn_deg = errors(found.pose)
     assert shift_m < 2.5
     assert turn_deg < 0.15
     assert found.diagnostics["correlation"] > 0.99
@@ -88,7 +88,7 @@ def test_pixels_that_are_not_finite_are_left_out_and_counted(renderer, image):
     found = estimate(Holed(renderer), frame(image))
     assert found.status == "ok"
     assert 0.05 < found.diagnostics["masked_share"] < 0.4
-    shift_m, turn_deg = errors(found.poses[0])
+    shift_m, turn_deg = errors(found.pose)
     assert shift_m < 2.5
     assert turn_deg < 0.15
     assert estimate(renderer, frame(image)).diagnostics["masked_share"] == 0.0
@@ -113,7 +113,7 @@ def test_the_mesh_is_brought_into_place_for_recognition(renderer, image, seed):
 def test_both_gradients_lead_to_the_same_pose(renderer, image, seed):
     """Twelve renderings hold for every shadow; the renderer's derivatives must not lead elsewhere."""
     poses = [
-        estimate(renderer, frame(image, seed), OPTIONS.model_copy(update={"gradient": gradient})).poses[0]
+        estimate(renderer, frame(image, seed), OPTIONS.model_copy(update={"gradient": gradient})).pose
         for gradient in ("autodiff", "differences")
     ]
     assert np.linalg.norm(poses[0].translation_m[:2] - poses[1].translation_m[:2]) < 0.5
@@ -133,8 +133,8 @@ def test_a_gradient_that_the_renderer_lacks_is_refused_and_otherwise_replaced(re
 def test_the_unit_of_the_image_has_no_part(renderer, image):
     plain = estimate(renderer, frame(image))
     scaled = estimate(renderer, frame((700.0 * image + 90.0).astype(np.float32)))
-    np.testing.assert_allclose(scaled.poses[0].translation_m, plain.poses[0].translation_m, atol=0.1)
-    assert np.degrees(scaled.poses[0].angle_to(plain.poses[0])) < 0.01
+    np.testing.assert_allclose(scaled.pose.translation_m, plain.pose.translation_m, atol=0.1)
+    assert np.degrees(scaled.pose.angle_to(plain.pose)) < 0.01
 
 
 def test_what_the_image_does_not_tell_comes_from_the_prior(renderer, image):
@@ -142,13 +142,13 @@ def test_what_the_image_does_not_tell_comes_from_the_prior(renderer, image):
     sure = np.diag(np.array([1e-6, 1e-6, 1e-6, 1e-3, 1e-3, 1e-3]) ** 2)
     wrong = TRUE.perturbed(np.zeros(3), np.array([0.0, 0.0, 30.0]))
     found = estimate(renderer, Frame(image, SUN_CAM, wrong, sure))
-    assert found.poses[0].translation_m[2] - TRUE.translation_m[2] == pytest.approx(30.0, abs=0.1)
+    assert found.pose.translation_m[2] - TRUE.translation_m[2] == pytest.approx(30.0, abs=0.1)
 
 
 def test_the_covariance_is_below_the_prior_and_positive(renderer, image):
     found = estimate(renderer, frame(image))
-    assert (np.linalg.eigvalsh(found.covariances[0]) > 0).all()
-    assert (np.diag(found.covariances[0]) <= PRIOR_SIGMAS**2 * (1 + 1e-9)).all()
+    assert (np.linalg.eigvalsh(found.covariance) > 0).all()
+    assert (np.diag(found.covariance) <= PRIOR_SIGMAS**2 * (1 + 1e-9)).all()
 
 
 def test_another_body_is_a_failure_with_a_reason(renderer, image):
@@ -194,10 +194,10 @@ def test_what_the_prior_knows_without_error_stays(renderer, image, sure_of):
     prior = TRUE.perturbed(error[:3], error[3:])
     found = estimate(renderer, Frame(image, SUN_CAM, prior, np.diag(sigmas**2)))
     assert found.status == "ok"
-    moved = PriorTerm(prior, np.eye(6)).error(found.poses[0])
+    moved = PriorTerm(prior, np.eye(6)).error(found.pose)
     np.testing.assert_allclose(moved[list(sure_of)], 0.0, atol=1e-6)
-    assert np.isfinite(found.covariances[0]).all()
-    assert errors(found.poses[0])[0] < 2.5
+    assert np.isfinite(found.covariance).all()
+    assert errors(found.pose)[0] < 2.5
 
 
 def test_a_shape_that_goes_out_of_sight_on_the_way_is_a_failure_with_a_reason(renderer, image):

@@ -227,9 +227,9 @@ def test_recognition_improves_on_the_prior(world, navigator):
     before, after = [], []
     for trial in range(10):
         view, frame = world.frame(trial)
-        result = estimator.estimate(Observation(CAMERA, (frame,)), rng=np.random.default_rng(trial))
+        result = estimator.estimate(Observation(CAMERA, frame), rng=np.random.default_rng(trial))
         prior = frame.prior_T_cam_body
-        final = result.poses[0] if result.status == "ok" else prior
+        final = result.pose if result.status == "ok" else prior
         position = view.T_cam_body.camera_position_m
         before.append(np.linalg.norm(prior.camera_position_m - position))
         after.append(np.linalg.norm(final.camera_position_m - position))
@@ -253,7 +253,7 @@ def test_a_solution_that_contradicts_the_prior_is_refused(world):
     view, frame = world.frame(0)
     sure = Prior(view.T_cam_body.perturbed(np.array([0.0, 0.0, 0.05]), np.zeros(3)), 1e-6 * PRIOR_COVARIANCE)
     wrong = Frame(frame.image, frame.sun_dir_cam, sure.T_cam_body, np.diag([3e-3] * 3 + [1.0] * 3) ** 2)
-    result = estimator.estimate(Observation(CAMERA, (wrong,)), rng=np.random.default_rng(1))
+    result = estimator.estimate(Observation(CAMERA, wrong), rng=np.random.default_rng(1))
     assert result.status == "failed"
     assert "contradicts the prior" in result.reason
 

@@ -73,7 +73,7 @@ def judge(detector: CraterDetector, world: World, images: int) -> Judged:
         truth = crater_truth(world.ground.rims, sight.view, world.renderer)
         there += int(truth.detectable.sum())
         try:
-            found = detector.detect(observation.frames[0], observation.camera)
+            found = detector.detect(observation.frame, observation.camera)
         except BoresightError:  # too little lit ground: nothing is found there
             continue
         every = [found] if found.rejected is None else [found, found.rejected]

@@ -116,7 +116,7 @@ class CraterDetection:
         started = time.perf_counter()
         sight = self.world.source.sight(self.seed, trial)
         observation = observe(self.world, sight, self.seed, trial)
-        frame, camera = observation.frames[0], observation.camera
+        frame, camera = observation.frame, observation.camera
         image_seconds = time.perf_counter() - started
         if self.keep_image is not None:
             self.keep_image(trial, sight.image)

@@ -21,7 +21,6 @@ from campaign.trial.checks import (
 )
 from estimators.contract import Estimate, Stage, Table
 from scenarios.geometry import Pose
-from scenarios.observation import Observation
 
 LANDMARK_NUMBERS = (
     *("u_px", "v_px", "x_m", "y_m", "z_m"),
@@ -34,54 +33,49 @@ _MOST_PX = 1e6
 _PARAMETERS = 6
 
 
-def check(estimate: Estimate, observation: Observation) -> None:
+def check(estimate: Estimate) -> None:
     """Refuse an estimate that does not keep the contract.
 
     Raises
     ------
     ValueError
-        If it is none, the status or the reason is none, poses or covariances are not those of the frames, or a number
-        is not finite or of an impossible size.
+        If it is none, the status or the reason is none, it is ok without a pose, or a number is not finite or of an
+        impossible size.
     """
     check_type(estimate, Estimate)
     check_status(estimate.status, estimate.reason)
-    for what in ("poses", "covariances", "bounds", "stages"):
-        check_several(what, getattr(estimate, what))
+    check_several("stages", estimate.stages)
     for stage in estimate.stages:
         check_type(stage, Stage)
         check_reason(stage.name)
-        _check_pose(stage.T_cam_body, f"after {stage.name}")
+        _check_pose(stage.T_cam_body, f"the pose after {stage.name}")
     check_numbers(estimate.diagnostics, "diagnostics", texts=True)
     if isinstance(estimate.diagnostics.get("n_landmarks"), str):
         raise ValueError("diagnostics: n_landmarks is a text")  # noqa: TRY004  all rubbish is a ValueError
     check_seconds(estimate.timings_s, "timings_s")
     _check_details(estimate.details)
-    _check_solution(estimate, len(observation.frames))
+    _check_solution(estimate)
 
 
-def _check_solution(estimate: Estimate, frames: int) -> None:
-    """Refuse poses and covariances that are none, also of an estimate that failed; of one that is ok, their number."""
-    if estimate.status == "ok" and len(estimate.poses) != frames:
-        raise ValueError(f"{len(estimate.poses)} poses for {frames} frames")
-    for index, pose in enumerate(estimate.poses):
-        _check_pose(pose, f"of frame {index}")
-    for what, matrices in (("covariance", estimate.covariances), ("bound", estimate.bounds)):
-        if estimate.status == "ok" and len(matrices) not in (0, frames):
-            raise ValueError(f"{len(matrices)} {what}s for {frames} frames")
-        for matrix in matrices:
+def _check_solution(estimate: Estimate) -> None:
+    """Refuse a pose and covariances that are none, also of an estimate that failed, and an ok one without a pose."""
+    if estimate.pose is not None:
+        _check_pose(estimate.pose, "the pose")
+    elif estimate.status == "ok":
+        raise ValueError("an ok estimate has no pose")
+    for what, matrix in (("covariance", estimate.covariance), ("bound", estimate.bound)):
+        if matrix is not None:
             check_covariance(f"a {what}", matrix, _PARAMETERS)
 
 
 def _check_pose(pose: Pose, which: str) -> None:
     check_type(pose, Pose)
     if (pose.to_frame, pose.from_frame) != ("cam", "body"):
-        raise ValueError(f"the pose {which} is T_{pose.to_frame}_{pose.from_frame}, not T_cam_body")
+        raise ValueError(f"{which} is T_{pose.to_frame}_{pose.from_frame}, not T_cam_body")
     residual = np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max()
     possible = np.abs(pose.translation_m).max() <= MOST
     if not (possible and residual < _RIGID and np.linalg.det(pose.rotation) > 0):
-        raise ValueError(
-            f"the pose {which} is not rigid: rotation off by {residual:.1e}, translation {pose.translation_m}"
-        )
+        raise ValueError(f"{which} is not rigid: rotation off by {residual:.1e}, translation {pose.translation_m}")
 
 
 def _check_details(details: Mapping[str, Table]) -> None:

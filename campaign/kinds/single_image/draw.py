@@ -44,7 +44,7 @@ def draw_single(again: Recomputed) -> Drawn | None:
 
 def _posed(experiment: SingleImage, shown: EstimatedImage, what: str, lines: list[str]) -> NamedFigure:
     """Draw the body at the prior, at the estimate and at the truth."""
-    frame, camera = shown.observation.frames[0], shown.observation.camera
+    frame, camera = shown.observation.frame, shown.observation.camera
     image = frame.image.astype(np.float64)
     truth = shown.sight.view.T_cam_body
     poses = {"prior": ("prior", frame.prior_T_cam_body)}
@@ -71,8 +71,8 @@ def _reached(estimate: Estimate | None) -> tuple[str, Pose] | None:
     """Return the estimate, or the last pose on the way to none, with its heading."""
     if estimate is None:
         return None
-    if estimate.status == "ok" and estimate.poses:
-        return "estimate", estimate.poses[0]
+    if estimate.status == "ok" and estimate.pose is not None:
+        return "estimate", estimate.pose
     if estimate.stages:
         last = estimate.stages[-1]
         return f"no estimate: after {last.name}", last.T_cam_body
@@ -119,11 +119,11 @@ def _recognised(shown: EstimatedImage, scored: list[Record]) -> Recognised | Non
     """Collect recognised landmarks before the camera with their true errors; None where there are none."""
     estimate = shown.estimate
     table = None if estimate is None else estimate.details.get("landmarks")
-    if estimate is None or table is None or not estimate.poses or len(table["landmark"]) == 0:
+    if estimate is None or table is None or estimate.pose is None or len(table["landmark"]) == 0:
         return None
     places = np.column_stack([np.asarray(table[name], dtype=np.float64) for name in ("x_m", "y_m", "z_m")])
     seen = np.column_stack([np.asarray(table[name], dtype=np.float64) for name in ("u_px", "v_px")])
-    predicted = shown.observation.camera.project(estimate.poses[0].transform(places))
+    predicted = shown.observation.camera.project(estimate.pose.transform(places))
     errors = np.array([np.nan if record["error_m"] is None else float(str(record["error_m"])) for record in scored])
     ahead = np.isfinite(predicted).all(axis=1)
     return Recognised(seen[ahead], predicted[ahead], errors[ahead]) if ahead.any() else None
@@ -132,7 +132,7 @@ def _recognised(shown: EstimatedImage, scored: list[Record]) -> Recognised | Non
 def _matches(shown: EstimatedImage, found: Recognised, what: str, lines: list[str]) -> NamedFigure:
     return NamedFigure(
         "matches",
-        draw_recognised(shown.observation.frames[0].image, found, what, lines),
+        draw_recognised(shown.observation.frame.image, found, what, lines),
         f"{what}. Left, recognised landmarks where the estimate projects them, with magnified residuals. Middle, the"
         " residuals. Right, each residual over the true distance between the landmark and the surface point that was"
         " taken for it: far to the right and low is a wrong match that the fit has swallowed.",

@@ -63,7 +63,7 @@ def second_look(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> Se
 
 def recognised_again(estimator: LandmarkRecognizer, observation: Observation, image_name: str) -> SecondLook:
     """Recognise the landmarks of an observation and keep all that comes about in between."""
-    frame = observation.frames[0]
+    frame = observation.frame
     found = estimator.recognise(frame, observation.camera)
     return SecondLook(frame.image, image_name, observation.camera, estimator.database, found)
 

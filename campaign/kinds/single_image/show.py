@@ -18,7 +18,7 @@ def kept(shown: object) -> Kept:
     """Return the image that an estimator saw, and its estimate; none of one that raised."""
     if not isinstance(shown, EstimatedImage):
         return Kept()
-    image = {"image": shown.observation.frames[0].image}
+    image = {"image": shown.observation.frame.image}
     return Kept(image, None if shown.estimate is None else _estimate(shown.estimate))
 
 
@@ -26,8 +26,8 @@ def _estimate(estimate: Estimate) -> dict[str, object]:
     return {
         "status": estimate.status,
         "reason": estimate.reason,
-        "poses": [plain_pose(pose) for pose in estimate.poses],
-        "covariances": [listed(covariance) for covariance in estimate.covariances],
+        "pose": None if estimate.pose is None else plain_pose(estimate.pose),
+        "covariance": listed(estimate.covariance),
         "stages": {stage.name: plain_pose(stage.T_cam_body) for stage in estimate.stages},
         "diagnostics": {name: plain(value) for name, value in estimate.diagnostics.items()},
         "details": {
@@ -42,9 +42,9 @@ def posed(shown: object, case: Case) -> PosedFrames | None:
     if not isinstance(shown, EstimatedImage):
         return None
     camera, estimate = shown.observation.camera, shown.estimate
-    if estimate is None or estimate.status != "ok":
+    if estimate is None or estimate.status != "ok" or estimate.pose is None:
         return PosedFrames(camera, [], {})
-    frame, table = shown.observation.frames[0], estimate.details.get("landmarks")
+    frame, table = shown.observation.frame, estimate.details.get("landmarks")
     numbers, uv, places = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 3))
     if table is not None and len(table["landmark"]):
         numbers = np.asarray(table["landmark"], dtype=np.int64)
@@ -56,7 +56,7 @@ def posed(shown: object, case: Case) -> PosedFrames | None:
         shown.sight.image_name or f"{case.trial:07d}.tiff",
         frame.time_s if shown.sight.image_name else float(case.trial),
         shown.sight.view.T_cam_body,
-        estimate.poses[0],
+        estimate.pose,
         numbers,
         uv,
     )

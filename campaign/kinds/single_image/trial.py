@@ -156,19 +156,17 @@ class SingleImage:
                 self.witness(EstimatedImage(sight, observation, found))
 
         return Work(call, "estimator", row).judged(
-            work,
-            lambda found: check(found, observation),
-            lambda found: self._scored(found, observation, sight),
-            show,
+            work, check, lambda found: self._scored(found, observation, sight), show
         )
 
     def _scored(self, estimate: Estimate, observation: Observation, sight: Sight) -> Records:
         true = sight.view.T_cam_body
-        final = estimate.poses[0] if estimate.status == "ok" else None
-        row: Record = {
-            **_circumstances(observation, sight),
-            **({} if final is None else {**pose_error(final, true), **pose_columns(final)}),
-            **_consistency(estimate, true),
+        final = estimate.pose if estimate.status == "ok" else None
+        row = _circumstances(observation, sight)
+        if final is not None:
+            row |= {**pose_error(final, true), **pose_columns(final)}
+            row |= consistency(final, true, estimate.covariance, estimate.bound)
+        row |= {
             "status": estimate.status,
             "reason": estimate.reason,
             "n_landmarks": int(estimate.diagnostics.get("n_landmarks", 0)),
@@ -219,7 +217,7 @@ def _circumstances(observation: Observation, sight: Sight) -> Record:
     """Describe a trial as far as no estimator can change it."""
     true = sight.view.T_cam_body
     x, y, z = true.camera_position_m
-    prior = pose_error(observation.frames[0].prior_T_cam_body, true)
+    prior = pose_error(observation.frame.prior_T_cam_body, true)
     return {
         **{f"prior_{name}": value for name, value in prior.items()},
         "image": sight.image_name,
@@ -229,14 +227,6 @@ def _circumstances(observation: Observation, sight: Sight) -> Record:
         "time_s": sight.time_s,
         **pose_columns(true, "true_"),
     }
-
-
-def _consistency(estimate: Estimate, true: Pose) -> dict[str, float | None]:
-    if estimate.status != "ok":
-        return {}
-    covariance = estimate.covariances[0] if estimate.covariances else None
-    bound = estimate.bounds[0] if estimate.bounds else None
-    return consistency(estimate.poses[0], true, covariance, bound)
 
 
 def _columns(table: Table, *names: str) -> NDArray[np.float64]:

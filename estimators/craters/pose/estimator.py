@@ -58,28 +58,24 @@ class CraterPose:
         return cls(database, assets.shape(), detector, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose of each frame on its own; the first frame that fails fails the whole."""
+        """Estimate the pose; nothing is drawn at random."""
         del rng
-        clock, poses, covariances, n_craters = Stopwatch(), [], [], 0
-        for frame in observation.frames:
-            with clock("detection"):
-                rims = self._detect(frame, observation.camera)
-            if isinstance(rims, str):
-                return Estimate("failed", rims, timings_s=clock.seconds)
-            with clock("recognition"):
-                pose, found = self.recognise(frame, observation.camera, rims)
-            if found.reason or len(found.pairs) < self._options.least:
-                needed = f"{len(found.pairs)} craters recognised, {self._options.least} needed"
-                return Estimate("failed", found.reason or needed, timings_s=clock.seconds)
-            poses.append(pose)
-            covariances.append(found.covariance)
-            n_craters = len(found.pairs)
+        frame, camera, clock = observation.frame, observation.camera, Stopwatch()
+        with clock("detection"):
+            rims = self._detect(frame, camera)
+        if isinstance(rims, str):
+            return Estimate("failed", rims, timings_s=clock.seconds)
+        with clock("recognition"):
+            pose, found = self.recognise(frame, camera, rims)
+        if found.reason or len(found.pairs) < self._options.least:
+            needed = f"{len(found.pairs)} craters recognised, {self._options.least} needed"
+            return Estimate("failed", found.reason or needed, timings_s=clock.seconds)
         return Estimate(
             "ok",
-            poses=tuple(poses),
-            covariances=tuple(covariances),
-            stages=(Stage("recognition", poses[-1]),),
-            diagnostics={"n_landmarks": n_craters},
+            pose=pose,
+            covariance=found.covariance,
+            stages=(Stage("recognition", pose),),
+            diagnostics={"n_landmarks": len(found.pairs)},
             timings_s=clock.seconds,
         )
 

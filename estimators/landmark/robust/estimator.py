@@ -27,7 +27,6 @@ from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.landmark.visibility import visible_landmarks
 from estimators.options import parse_options
-from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose
 from scenarios.observation import Frame, Observation
 
@@ -38,19 +37,25 @@ _FEWEST = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solution:
-    """A frame's result; ``failure`` says why there is no pose."""
+    """A pose, and what it rests on."""
 
-    failure: str = ""
-    alignment: Alignment | None = None
-    pose: Pose | None = None
-    step: Step | None = None
-    visible: NDArray[np.intp] | None = None
-    corners_px: FloatArray | None = None
+    alignment: Alignment
+    pose: Pose
+    step: Step
+    visible: NDArray[np.intp]
+    corners_px: FloatArray
     centroid_residual_px: float | None = None
+
+    def matched(self) -> MatchedFrame:
+        """Take as matches the landmarks with a corner within their 3-sigma region (two degrees of freedom)."""
+        rows, likely = np.arange(len(self.visible)), self.step.squares[0].argmin(axis=1)
+        sure = self.step.squares[0, rows, likely] < _MATCHED_D2
+        corner = self.step.candidates[0, rows, likely][sure]
+        return MatchedFrame(self.pose, self.visible[sure], self.corners_px[corner])
 
 
 class ConsensusRecognizer:
-    """All corners as candidates, the whole prior searched, maximum a posteriori; each frame on its own."""
+    """All corners as candidates, the whole prior searched, maximum a posteriori."""
 
     name: ClassVar[str] = "landmark-ransac"
     version: ClassVar[int] = 3
@@ -74,51 +79,56 @@ class ConsensusRecognizer:
         return cls(database, assets.mesh_renderer(database.mesh()), parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose of each frame on its own; the first frame that fails fails the whole.
-
-        Stages, diagnostics and timings are those of the last frame. Only minimal sets, where asked for, need ``rng``.
-        """
+        """Estimate the pose; only minimal sets, where asked for, need ``rng``."""
         clock = Stopwatch()
-        solutions: list[_Solution] = []
-        for frame in observation.frames:
-            solutions.append(self._solve(frame, observation.camera, clock, rng))
-            if solutions[-1].failure:
-                return Estimate("failed", solutions[-1].failure, timings_s=clock.seconds)
-        return self._estimate(solutions, observation.camera, clock)
+        solution = self._solve(observation.frame, observation.camera, clock, rng)
+        if isinstance(solution, str):
+            return Estimate("failed", solution, timings_s=clock.seconds)
+        bound, matched = np.linalg.inv(solution.step.hessian[0]), solution.matched()
+        return Estimate(
+            "ok",
+            pose=solution.pose,
+            covariance=self._options.covariance_scale * bound,
+            bound=bound,
+            stages=(Stage("alignment", solution.alignment.T_cam_body), Stage("recognition", solution.pose)),
+            details={"landmarks": matched_table(matched, self._database, observation.camera)},
+            diagnostics=_diagnostics(solution, len(matched.landmark)),
+            timings_s=clock.seconds,
+        )
 
-    def _solve(self, frame: Frame, camera: Camera, clock: Stopwatch, rng: np.random.Generator) -> _Solution:
+    def _solve(self, frame: Frame, camera: Camera, clock: Stopwatch, rng: np.random.Generator) -> _Solution | str:
+        """Solve the frame, or say why there is no pose."""
         options, prior = self._options, frame.prior_T_cam_body
         fault = image_fault(frame, camera)
         if fault:
-            return _Solution(fault)
+            return fault
         with clock("centroid"):
             observed = extract_signal(frame.image)
         if observed.empty:
-            return _Solution("the image is black: nothing above its background")
+            return "the image is black: nothing above its background"
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
         measure = MEASURES[options.alignment]
         alignment = align_translation(observed.image, prior, view, measure, options.alignment_loop, clock)
         if alignment.failure:
-            return _Solution(alignment.failure, alignment)
+            return alignment.failure
         with clock("feature_extraction"):
             corners_px = detect_corners(frame.image, options.corners).uv_px
         with clock("recognition"):
             solution = self._recognise(frame, camera, alignment, corners_px, rng)
-        if solution.pose is None:
+        if isinstance(solution, str):
             return solution
         with clock("consistency"):
             residual_px = centroid_residual_px(observed.image, solution.pose, view)
         failure = inconsistency(residual_px, options.consistency_max_px)
-        return replace(solution, failure=failure, centroid_residual_px=residual_px)
+        return failure or replace(solution, centroid_residual_px=residual_px)
 
     def _recognise(
         self, frame: Frame, camera: Camera, alignment: Alignment, corners_px: FloatArray, rng: np.random.Generator
-    ) -> _Solution:
+    ) -> _Solution | str:
         options, start = self._options, alignment.T_cam_body
         visible = np.flatnonzero(visible_landmarks(self._mesh, camera, start))
         if min(len(visible), len(corners_px)) < _FEWEST:
-            found = f"{len(visible)} landmarks in view and {len(corners_px)} corners, {_FEWEST} of each needed"
-            return _Solution(found, alignment)
+            return f"{len(visible)} landmarks in view and {len(corners_px)} corners, {_FEWEST} of each needed"
         sigma_px = options.mixture.corner_sigma_px
         turn_sigma_rad = float(np.sqrt(np.diag(invertible(frame.prior_covariance))[:3].max()))
         prior = _prior_after_alignment(frame, start, camera, options)
@@ -128,36 +138,19 @@ class ConsensusRecognizer:
         else:
             hypotheses = sampled_hypotheses(first, prior, start, corners_px, camera, options.search, rng)
         if not len(hypotheses):
-            return _Solution("no three landmarks have a corner within their matching radius", alignment)
+            return "no three landmarks have a corner within their matching radius"
         pose = refined(first, hypotheses, sigma_px, options.search)
         # A turn of some degrees brings other landmarks into view.
         visible = np.flatnonzero(visible_landmarks(self._mesh, camera, pose))
         last = self._mixture(visible, corners_px, camera, prior)
         poses = last.climb(_single(pose), sigma_px, options.search.max_iterations, 1e-3)
-        return _Solution("", alignment, poses.pose(0), last.step(poses, sigma_px), visible, corners_px)
+        return _Solution(alignment, poses.pose(0), last.step(poses, sigma_px), visible, corners_px)
 
     def _mixture(self, visible: NDArray[np.intp], corners_px: FloatArray, camera: Camera, prior: PosePrior) -> Mixture:
         means, covariances = self._database.means_m[visible], self._database.covariances_m2[visible]
         area_px2 = float(cv2.contourArea(cv2.convexHull(corners_px.astype(np.float32))))
         area_px2 = max(area_px2, float(len(corners_px)))
         return Mixture(means, covariances, corners_px, area_px2, camera, prior, self._options.mixture)
-
-    def _estimate(self, solutions: list[_Solution], camera: Camera, clock: Stopwatch) -> Estimate:
-        done = [(s.alignment, s.pose, s.step) for s in solutions]
-        poses = [pose for _, pose, _ in done if pose is not None]
-        bounds = [np.linalg.inv(step.hessian[0]) for _, _, step in done if step is not None]
-        aligned = [alignment for alignment, _, _ in done if alignment is not None]
-        frames = [_matched(index, solution) for index, solution in enumerate(solutions)]
-        return Estimate(
-            "ok",
-            poses=tuple(poses),
-            covariances=tuple(self._options.covariance_scale * bound for bound in bounds),
-            bounds=tuple(bounds),
-            stages=(Stage("alignment", aligned[-1].T_cam_body), Stage("recognition", poses[-1])),
-            details={"landmarks": matched_table(frames, self._database, camera)},
-            diagnostics=_diagnostics(solutions[-1], frames[-1]),
-            timings_s=clock.seconds,
-        )
 
 
 def _single(pose: Pose) -> Poses:
@@ -181,24 +174,12 @@ def _prior_after_alignment(frame: Frame, aligned: Pose, camera: Camera, options:
     return PosePrior(mean, information)
 
 
-def _matched(index: int, solution: _Solution) -> MatchedFrame:
-    """Take as matches the landmarks with a corner within their 3-sigma region (two degrees of freedom)."""
-    step, visible, corners_px, pose = solution.step, solution.visible, solution.corners_px, solution.pose
-    if step is None or visible is None or corners_px is None or pose is None:
-        raise BoresightError("a frame without a solution has no matches")
-    rows, likely = np.arange(len(visible)), step.squares[0].argmin(axis=1)
-    sure = step.squares[0, rows, likely] < _MATCHED_D2
-    corner = step.candidates[0, rows, likely][sure]
-    return MatchedFrame(index, pose, visible[sure], corners_px[corner])
-
-
-def _diagnostics(solution: _Solution, matched: MatchedFrame) -> dict[str, float | int | str]:
-    step, visible, corners_px = solution.step, solution.visible, solution.corners_px
+def _diagnostics(solution: _Solution, n_landmarks: int) -> dict[str, float | int | str]:
     residual_px = solution.centroid_residual_px
     return {
-        "n_landmarks": len(matched.landmark),
-        "n_predicted": 0 if visible is None else len(visible),
-        "n_corners": 0 if corners_px is None else len(corners_px),
-        "log_posterior": 0.0 if step is None else float(step.log_posterior[0]),
+        "n_landmarks": n_landmarks,
+        "n_predicted": len(solution.visible),
+        "n_corners": len(solution.corners_px),
+        "log_posterior": float(solution.step.log_posterior[0]),
         **({} if residual_px is None else {"centroid_residual_px": residual_px}),
     }

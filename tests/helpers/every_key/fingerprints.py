@@ -55,7 +55,7 @@ def fingerprint(file: Path, overrides: tuple[str, ...] = ()) -> str:
             parts.append(str(error).encode())
             continue
         observation = observe(experiment.world, sight, experiment.seed, trial)
-        frame = observation.frames[0]
+        frame = observation.frame
         parts += [repr(observation.camera).encode(), repr(frame.altimeter).encode()]
         truths = [sight.view.T_cam_body, *(view.T_cam_body for view in sight.further.values())]
         poses = [array for pose in (*truths, frame.prior_T_cam_body) for array in (pose.rotation, pose.translation_m)]
