@@ -16,7 +16,7 @@ from campaign.pool.guard import Call
 from campaign.products import MissingProduct, Shelf
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.checks import check_array, check_indices, check_reason
-from campaign.trial.kind import Bench, Record, Records, Witness, add_records
+from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
 from campaign.trial.work import Work
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
@@ -105,14 +105,13 @@ class CraterMatching:
 
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and matchers."""
-        records: Records = {}
-        for trial in trials:
-            looks = self.source.looks(self.seed, trial)
-            for label, matcher in self.matchers.items():
-                found = self._judged(Call(self.name, trial, label), matcher, looks)
-                add_records(records, found, {"trial": trial, "scenario": self.name, "estimator": label})
+        records = each_trial(trials, self.name, self._trial)
         self.source.flush()
         return records
+
+    def _trial(self, trial: int) -> dict[str, Records]:
+        looks = self.source.looks(self.seed, trial)
+        return {label: self._judged(Call(self.name, trial, label), one, looks) for label, one in self.matchers.items()}
 
     def _judged(self, call: Call, matcher: CraterMatcher | Unbuilt, looks: Looks) -> Records:
         """Let a detector and a matcher work and score the matches: records without their key, whatever goes wrong."""

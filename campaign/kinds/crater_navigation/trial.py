@@ -33,7 +33,7 @@ from campaign.kinds.orbit_determination.trial import (
 from campaign.pool.guard import Call
 from campaign.products import MissingProduct, Shelf
 from campaign.resolved import ResolvedCampaign
-from campaign.trial.kind import Bench, Record, Records, Witness, add_records
+from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
 from campaign.trial.work import GaveUpError, Work
 from estimators.craters.navigation.rounds import CraterNavigation, Navigation
@@ -130,11 +130,7 @@ class CraterNavigationTrials:
 
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and chains."""
-        records: Records = {}
-        for trial in trials:
-            for label, found in self._trial(trial).items():
-                add_records(records, found, {"trial": trial, "scenario": self.name, "estimator": label})
-        return records
+        return each_trial(trials, self.name, self._trial)
 
     def _trial(self, trial: int) -> dict[str, Records]:
         """Take the images of a trial and let each chain work; where there is no arc, none has images."""

@@ -18,7 +18,7 @@ from campaign.kinds.crater_navigation.taken import NavigationTrial
 from campaign.kinds.orbit_determination.trial import checked_orbit_section, empty_row, open_orbit_world
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolved import ResolvedCampaign
-from campaign.trial.kind import Bench, Record, Records, Witness, add_records
+from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from estimators.craters.contract import Ground
 from estimators.craters.matching.preliminary import lit_points
 from estimators.craters.navigation.stages import Stages
@@ -139,12 +139,7 @@ class ImageSurvey:
 
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and labels."""
-        records: Records = {}
-        for trial in trials:
-            found = self._surveyed(trial)
-            for label in self.labels:
-                add_records(records, found, {"trial": trial, "scenario": self.name, "estimator": label})
-        return records
+        return each_trial(trials, self.name, lambda trial: dict.fromkeys(self.labels, self._surveyed(trial)))
 
     def _surveyed(self, trial: int) -> Records:
         """Plan the images of an arc, take them and count: records without their key."""

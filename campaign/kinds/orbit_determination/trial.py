@@ -19,7 +19,7 @@ from campaign.kinds.orbit_determination.score import (
 from campaign.pool.guard import Call
 from campaign.products import MissingProduct, Shelf
 from campaign.resolved import ResolvedCampaign
-from campaign.trial.kind import Bench, Record, Records, Witness, add_records
+from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
 from campaign.trial.work import Work
 from estimators.orbit.contract import OrbitEstimate, OrbitEstimator
@@ -85,11 +85,7 @@ class OrbitTrials:
 
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and estimators."""
-        records: Records = {}
-        for trial in trials:
-            for label, found in self._run(trial).items():
-                add_records(records, found, {"trial": trial, "scenario": self.name, "estimator": label})
-        return records
+        return each_trial(trials, self.name, self._run)
 
     def _run(self, trial: int) -> dict[str, Records]:
         """Run a trial: the records of each estimator; where chance leads the orbit into the body, none has data."""

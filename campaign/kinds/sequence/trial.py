@@ -21,7 +21,7 @@ from campaign.kinds.sequence.tracks import ImageTracks, Seen, Watch
 from campaign.pool.guard import Call
 from campaign.products import MissingProduct, Shelf
 from campaign.resolved import ResolvedCampaign
-from campaign.trial.kind import Bench, Record, Records, Witness, add_records
+from campaign.trial.kind import Bench, Record, Records, Witness, add_records, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
 from campaign.trial.work import Work
 from estimators.slam.contract import SequenceEstimate, SequenceEstimator
@@ -121,10 +121,7 @@ class SequenceTrials:
 
     def run(self, trials: range) -> Records:
         """Run trials, in the order of trials and estimators."""
-        records: Records = {}
-        for trial in trials:
-            for label, found in self._run(trial).items():
-                add_records(records, found, {"trial": trial, "scenario": self.name, "estimator": label})
+        records = each_trial(trials, self.name, self._run)
         if self.images is not None:
             self.images.images.flush()
         return records
