@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,9 +71,3 @@ def _differs(one: pa.ChunkedArray, other: pa.ChunkedArray) -> np.ndarray[tuple[i
 def _bits(column: pa.ChunkedArray) -> list[object]:
     values = column.to_pylist()
     return [value.hex() if isinstance(value, float) else value for value in values]
-
-
-def stored_row(folder: RunFolder, case: Case) -> Mapping[str, object]:
-    """Return the stored row of a case."""
-    rows = folder.of_trial("rows", case.scenario, case.estimator, case.trial).to_pylist()
-    return dict(rows[0])

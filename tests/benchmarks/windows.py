@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.peers import PeerSolution, solved_by_ceres, solved_by_gtsam
 from estimators.slam.journal import Journal
 from estimators.slam.levenberg import StoppingRule, minimise
-from estimators.slam.peers.adjust import PeerSolution, solved_by_ceres, solved_by_gtsam
 from estimators.slam.registry import sequence_estimator_class
 from estimators.slam.state import Adjustment, Distances, State
 from scenarios.errors import BoresightError

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.peers import solved_by_ceres, solved_by_gtsam
 from slam_sequences import Recipe, make_sequence
 from test_slam_kernels import window
 
 from estimators.slam.levenberg import StoppingRule, minimise, view_covariance
-from estimators.slam.peers.adjust import solved_by_ceres, solved_by_gtsam
 from estimators.slam.peers.factors import Factors, graph_of
 from estimators.slam.peers.smoothers import GtsamFixedLag, GtsamIsam2
 from estimators.slam.registry import sequence_estimator_class
