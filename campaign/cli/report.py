@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from campaign.cli.terminal import console
+from campaign.inspection.build import worst_figures
 from campaign.inspection.show import show_of
-from campaign.inspection.worst import worst_figures
 from campaign.runs.resolve import reload
 from campaign.store import RunFolder
 from reports.pages.build import write_report

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from campaign.inspection.case import Case
+from campaign.inspection.case import Case, Choice
+from campaign.inspection.ranking import ORDER, worst_cases
 from campaign.inspection.recompute import Recomputed, recompute
 from campaign.inspection.same import Sameness
 from campaign.inspection.show import Drawn, Kept, Show, show_of
@@ -22,12 +23,32 @@ from campaign.store.columns import TABLES, schema
 from campaign.trial.kept_images import write_image
 from campaign.trial.kind import Record
 from reports.pages.case import CasePage, write_case
+from reports.run.data import read_run
 from reports.schema.grid import NO_VALUE, Grid, number
 from reports.schema.labels import as_title
+from reports.schema.named_figure import NamedFigure
 from scenarios.atomic import write_atomically, write_text
 
 _SHORT = ("stages", "references", "diagnostics", "orbits", "crater_matches")
 """Tables that are a few rows a case; the longer ones are kept as Parquet beside the page."""
+
+
+def worst_figures(campaign: ResolvedCampaign, folder: RunFolder, count: int) -> Iterator[NamedFigure]:
+    """Draw the first picture of each of the worst cases; none where one alone takes minutes to make again."""
+    show = show_of(campaign.spec.experiment)
+    if count == 0 or (show is not None and show.long(campaign)):
+        return
+    cases, ranked_by = worst_cases(read_run(folder.path), count, Choice(), None)
+    for place, case in enumerate(cases, start=1):
+        again = recompute(campaign, folder, case)
+        for figure in list(draw_case(again, show, campaign.spec.experiment).figures)[:1]:
+            reason = f" ({again.row['reason']})" if again.row["reason"] else ""
+            words = (
+                f"Worst {place} of {len(cases)} by {ORDER} {ranked_by}: {again.row['status']}{reason}. {figure.caption}"
+                f" All of it: boresight inspect {folder.path} --scenario {case.scenario} --estimator {case.estimator}"
+                f" --trial {case.trial}"
+            )
+            yield replace(figure, stem=f"worst_{place}", caption=words)
 
 
 def keep(again: Recomputed, show: Show | None, folder: Path) -> list[Path]:

@@ -1,4 +1,4 @@
-"""Reading and writing of a run folder."""
+"""Reading and writing of a run folder, and what the entries of a manifest must be."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import BaseModel, ConfigDict, Field
 
-from campaign.store.columns import TABLES, layout, schema
-from campaign.store.manifest_keys import read_manifest
+from campaign.store.columns import FORMAT_VERSION, TABLES, layout, schema
 from scenarios import checksums
 from scenarios.atomic import write_atomically, write_text
 from scenarios.checksums import refuse_damaged
 from scenarios.errors import BoresightError
 from scenarios.parquet import read_column, read_frame, read_where
+from scenarios.reading import held_to, plain_json, unreadable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,6 +29,72 @@ if TYPE_CHECKING:
 Records = Sequence[Mapping[str, object]]
 
 _ROUND_BLOCKS = 50
+
+_Text = str | None
+_Count = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class _Entries(BaseModel):
+    """What every manifest has from its first writing on, and the kinds of what boresight reads of the rest."""
+
+    model_config = ConfigDict(strict=True, extra="ignore")
+
+    digest: str
+    name: str
+    seed: int
+    trials: _Count
+    scenarios: dict[str, dict[str, Any]]
+    identity: dict[str, Any] = {}
+    title: _Text = ""
+    description: _Text = ""
+    report: _Text = None
+    campaign: dict[str, Any] = {}
+    overrides: list[str] = []
+    draft: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    files: dict[str, list[str]] = {}
+    estimators: list[str] = []
+    credits: list[str] = []
+    created: _Text = ""
+    finished: _Text = ""
+    updated: _Text = ""
+    start: _Count = 0
+    command: _Text = ""
+    commit: _Text = ""
+    versions: dict[str, Any] = {}
+    machine: dict[str, Any] = {}
+    notes: list[str] = []
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """Read the manifest of a run as it is.
+
+    Raises
+    ------
+    BoresightError
+        If it is none that boresight writes, or that of a run that another version stored in another way.
+    """
+    try:
+        found = plain_json(path)
+        manifest: dict[str, Any] = found if isinstance(found, dict) else {}
+        _check_version(manifest, path)
+        held_to(_Entries, manifest)
+    except (OSError, ValueError) as error:
+        raise unreadable(path, "a manifest", error) from error
+    return manifest
+
+
+def _check_version(manifest: Mapping[str, Any], path: Path) -> None:
+    missing = [key for key, entry in _Entries.model_fields.items() if entry.is_required() and key not in manifest]
+    if missing:
+        raise BoresightError(
+            f"{path}: not a manifest of boresight, which has a {missing[0]}: choose another folder with --out"
+        )
+    stored = manifest.get("format", "unknown")
+    if stored != FORMAT_VERSION:
+        raise BoresightError(
+            f"{path.parent}: stored in format {stored}, and this version of boresight reads {FORMAT_VERSION}: run the"
+            " campaign again, into another folder (--out)"
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from estimators.image import image_fault
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
 from estimators.landmark.pose.posterior import Posterior, Prior, solve_map
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.pose.shared import shared_pixels
+from estimators.landmark.pose.stack import shared_pixels
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options

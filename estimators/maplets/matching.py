@@ -14,7 +14,7 @@ from estimators.contract import ImageRenderer
 from estimators.landmark.centroid import MeshView
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.pose.shared import shared_pixels
+from estimators.landmark.pose.stack import shared_pixels
 from estimators.landmark.signal import KNOWN_SKY, extract_signal
 from estimators.maplets.correlation import Displacement, correlate_window
 from estimators.maplets.database import MapletDatabase

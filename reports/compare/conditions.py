@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from reports.compare.craters import DETECTION, MATCHING
 from reports.compare.metrics import BORESIGHT, LATERAL, Metric
 from reports.compare.trials import CONDITIONS
-from reports.figures.curves import Points
+from reports.figures.designs import Points
 from reports.statistics.intervals import FloatArray
 from reports.statistics.measured import MEDIAN, measure, share_of
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from reports.compare.looks import colours, credits_of, groups, titled
 from reports.compare.subjects import RunComparison, Subject
-from reports.figures.calibration import Claim, draw_calibration
+from reports.figures.comparison import Claim, draw_calibration
 from reports.run.data import TRIAL_KEY
 from reports.schema.grid import Grid, number
 from reports.schema.named_figure import NamedFigure, file_stem

@@ -21,7 +21,7 @@ from reports.compare.grids import changed
 from reports.compare.looks import colours, credits_of, groups, titled
 from reports.compare.metrics import Metric
 from reports.compare.subjects import RunComparison, Subject
-from reports.figures.binned import draw_binned
+from reports.figures.comparison import draw_binned
 from reports.figures.pose import draw_cumulative_errors
 from reports.figures.standings import Standing, draw_standings
 from reports.run.data import TRIAL_KEY

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from reports.figures.navigation import draw_counts, draw_landmark_spans
+from reports.figures.orbit import draw_counts, draw_landmark_spans
 from reports.kinds.orbit_determination import REPORT as OF_ORBIT
 from reports.run.clusters import clusters_of
 from reports.run.data import TRIAL_KEY, RunData, select

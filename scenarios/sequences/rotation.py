@@ -1,4 +1,4 @@
-"""How a body turns in inertial space: not at all, about one axis, or tumbling free of torques."""
+"""How a body turns in inertial space: not at all, about one axis, or tumbling; and the axes of the first camera."""
 
 from __future__ import annotations
 
@@ -18,6 +18,20 @@ Attitude = Callable[[FloatArray], FloatArray]
 
 _HOUR_S = 3600.0
 _TOLERANCE = 1e-12
+
+R_PAPER_CAMERA: FloatArray = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""``x_C = R_PAPER_CAMERA x_cam``: the paper's R_C, z along the boresight, x along the sensor's vertical and y along its
+horizontal. It does not say which way; x down the columns of the image makes y point left."""
+
+
+def inertial_from_body(points_m: FloatArray, R_body_inertial: FloatArray) -> FloatArray:
+    """Turn points (..., 3) of the body frame R_A into ACRF; ``R_body_inertial`` is (..., 3, 3), m."""
+    return np.asarray(np.einsum("...ji,...j->...i", R_body_inertial, points_m), dtype=np.float64)
+
+
+def first_camera_from_inertial(points_m: FloatArray, first_camera_m: FloatArray) -> FloatArray:
+    """Shift points (..., 3) of ACRF to R_0, whose origin is the first camera position (3,) in ACRF, m."""
+    return np.asarray(points_m - first_camera_m, dtype=np.float64)
 
 
 def angular_velocity(motion: BodyMotionSpec) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimators.slam.peers.factors import Factors, graph_of, load_gtsam
+from estimators.slam.peers.smoothers import Factors, graph_of, load_gtsam
 from estimators.slam.residuals import cost
 from estimators.slam.state import Adjustment, State
 from scenarios.errors import BoresightError

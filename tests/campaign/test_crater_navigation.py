@@ -13,8 +13,7 @@ from campaign.kinds.crater_navigation.trial import CraterNavigationTrials
 from campaign.store.columns import TABLES
 from estimators.craters.contract import CraterDetections, CraterMatches
 from estimators.craters.database.numbering import Numbering, PairMatches
-from estimators.craters.navigation.options import NavigationOptions
-from estimators.craters.navigation.rounds import CraterNavigation, Round
+from estimators.craters.navigation.rounds import CraterNavigation, NavigationOptions, Round
 from estimators.craters.navigation.stages import Stages
 from estimators.orbit.contract import OrbitEstimate
 from scenarios.craters.pairs import population

@@ -21,8 +21,7 @@ from tiny_campaign import (
 )
 
 from campaign.cli import main
-from campaign.imaging.image_chunk import KeptImage, read_images, write_images
-from campaign.imaging.image_store import ImageStore, image_set_key, store_switched
+from campaign.imaging.image_store import ImageStore, KeptImage, image_set_key, read_images, store_switched, write_images
 from campaign.store import RunFolder
 from renderers.mitsuba3 import choose_variant
 from scenarios.cache import default_cache

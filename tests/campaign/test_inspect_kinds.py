@@ -15,7 +15,7 @@ from campaign.inspection.case import Case, Choice
 from campaign.inspection.look import look_of
 from campaign.inspection.recompute import recompute, reopened
 from campaign.kinds.crater_matching.show import draw_pair_case
-from campaign.kinds.sequence.draw import followed_of, last_seen, lives_of
+from campaign.kinds.sequence.show import followed_of, last_seen, lives_of
 from campaign.store import RunFolder
 from reports.run.data import read_run
 

@@ -22,7 +22,7 @@ from campaign.inspection.coarse import coarsened
 from campaign.inspection.look import look_of
 from campaign.inspection.look_parts import camera_sets
 from campaign.inspection.recompute import reopened
-from campaign.kinds.single_image.look import landmark_marks
+from campaign.kinds.single_image.show import landmark_marks
 from campaign.store import RunFolder
 from reports.run.data import read_run
 from scenarios.geometry import TriangleMesh

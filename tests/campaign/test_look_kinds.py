@@ -15,7 +15,7 @@ from campaign.inspection.case import Case
 from campaign.inspection.look_parts import nearer
 from campaign.kinds.crater_matching.show import pair_outcomes
 from campaign.kinds.crater_matching.trial import MatchedPair
-from campaign.kinds.orbit_determination.look import image_sets, landmark_errors, orbit_marks, sightings_of
+from campaign.kinds.orbit_determination.show import image_sets, landmark_errors, orbit_marks, sightings_of
 from campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from estimators.craters.contract import CraterMatches
 from estimators.orbit.contract import Orbit, OrbitEstimate

@@ -8,8 +8,13 @@ from scipy.stats import chi2, kstest
 from tiny_campaign import SCENE, compute, run, write_campaign
 
 from campaign.cli import main
-from campaign.kinds.pose_convergence.draws import LANDMARKS, draw_landmarks, first_visible, problem_stack
-from campaign.kinds.pose_convergence.trial import PoseConvergence
+from campaign.kinds.pose_convergence.trial import (
+    LANDMARKS,
+    PoseConvergence,
+    draw_landmarks,
+    first_visible,
+    problem_stack,
+)
 from campaign.runs.resolve import resolve
 from campaign.store import RunFolder
 from campaign.trial.kind import Bench

@@ -87,7 +87,7 @@ def test_a_row_is_the_score_of_what_the_estimator_returned(tiny_run):
     experiment = SingleImage(open_world(campaign.scenarios[0], campaign.variant), {}, seed=5)
     for trial in range(3):
         sight = experiment.world.source.sight(5, trial)
-        frame = observe(experiment.world, sight, experiment.seed, trial).frames[0]
+        frame = observe(experiment.world, sight, experiment.seed, trial).frame
         row = rows[(rows["trial"] == trial) & (rows["estimator"] == "landmark-harris")].iloc[0]
         for name, value in pose_error(frame.prior_T_cam_body, sight.view.T_cam_body).items():
             assert row[f"prior_{name}"] == value

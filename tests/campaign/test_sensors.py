@@ -29,7 +29,7 @@ def test_a_reading_is_the_true_range_with_its_noise(tmp_path):
     errors_m = []
     for trial in range(TRIALS):
         sight = ranging.world.source.sight(5, trial)
-        pose, reading = sight.view.T_cam_body, observe(ranging.world, sight, ranging.seed, trial).frames[0].altimeter
+        pose, reading = sight.view.T_cam_body, observe(ranging.world, sight, ranging.seed, trial).frame.altimeter
         assert reading.sigma_m == 5.0
         errors_m.append(reading.range_m - boresight_range(ranging.world.body.mesh, pose).range_m)
     assert kstest(errors_m, "norm", (0.0, 5.0)).pvalue > 1e-3
@@ -41,7 +41,7 @@ def test_an_altimeter_changes_nothing_else(tmp_path):
     for sensors in ("", "sensors: {altimeter: {sigma_m: 5}}\n"):
         trials = experiment(tmp_path, sensors)
         sight = trials.world.source.sight(5, 3)
-        frame = observe(trials.world, sight, trials.seed, 3).frames[0]
+        frame = observe(trials.world, sight, trials.seed, 3).frame
         seen.append((sight.image, frame.prior_T_cam_body.rotation, frame.prior_T_cam_body.translation_m))
         assert (frame.altimeter is None) == (sensors == "")
     for without, with_it in zip(*seen, strict=True):
@@ -54,7 +54,7 @@ def test_a_boresight_past_the_body_gives_no_reading(tmp_path):
     aside = sight.view.T_cam_body.perturbed(np.zeros(3), np.array([900.0, 0.0, 0.0]))
     past = View(sight.view.camera, aside, sight.view.sun_dir_body)
     moved = type(sight)(sight.image, past, {})
-    assert observe(trials.world, moved, trials.seed, 0).frames[0].altimeter is None
+    assert observe(trials.world, moved, trials.seed, 0).frame.altimeter is None
 
 
 @pytest.mark.parametrize("options", ["{}", "{base: landmark-harris}"])

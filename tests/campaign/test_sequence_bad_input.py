@@ -117,5 +117,5 @@ def test_an_orbit_that_leads_into_the_body_by_known_forces_is_refused(tmp_path, 
     )
     error = capsys.readouterr().err
     assert "scene.yaml: sequence.orbit: " in error
-    assert "raise radius_m or lower the forces" in error
+    assert "begin farther away or lower the forces" in error
     assert error.count("\n") == 1

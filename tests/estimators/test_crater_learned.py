@@ -14,8 +14,7 @@ from estimators.craters.detection.merit import Field, side_merits
 from estimators.craters.detection.options import ClassicOptions
 from estimators.craters.detection.picture import noise_level, prepare
 from estimators.craters.learned.detector import blended
-from estimators.craters.learned.network import Network, windows
-from estimators.craters.learned.patches import SIDE, Source, cut
+from estimators.craters.learned.patches import SIDE, Network, Source, cut, windows
 from estimators.craters.learned.placing import ellipses_of, placed, shape_of, targets
 from estimators.craters.learned.proposals import halved, propose, rings
 from scenarios.geometry import Ellipses

@@ -8,9 +8,8 @@ from orbit_worlds import CAMERA, orbit_world
 from scipy.spatial.transform import Rotation
 
 from estimators.craters.contract import CraterDetections, CraterMatches
-from estimators.craters.database.files import LANDMARKS, PICTURES, CraterDatabase
+from estimators.craters.database.files import LANDMARKS, PICTURES, CraterDatabase, read_matches, write_matches
 from estimators.craters.database.landmarks import Landmarks
-from estimators.craters.database.match_files import read_matches, write_matches
 from estimators.craters.database.numbering import PairMatches
 from estimators.craters.database.orbit_input import places_of_landmarks, sequence_of_pictures
 from estimators.craters.database.pictures import Picture

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from estimators.landmark.pose.posterior import Prior, solve_map
 from estimators.landmark.pose.problem import PoseProblem
-from estimators.landmark.pose.shared import shared_pixels
+from estimators.landmark.pose.stack import shared_pixels
 from estimators.maplets.correlation import correlate_window, shift_covariance
 from estimators.maplets.refinement import make_pair, refine_window
 from scenarios.geometry import Camera, look_at

@@ -12,8 +12,7 @@ from slam_sequences import Recipe, make_sequence
 from test_slam_kernels import window
 
 from estimators.slam.levenberg import StoppingRule, minimise, view_covariance
-from estimators.slam.peers.factors import Factors, graph_of
-from estimators.slam.peers.smoothers import GtsamFixedLag, GtsamIsam2
+from estimators.slam.peers.smoothers import Factors, GtsamFixedLag, GtsamIsam2, graph_of
 from estimators.slam.registry import sequence_estimator_class
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
 from estimators.slam.state import Distances, Motions

@@ -16,8 +16,8 @@ from slam_sequences import Recipe, make_sequence
 
 from estimators.slam import deviations, levenberg, marginal
 from estimators.slam.bundle import BundleSlam
+from estimators.slam.compiled import descent, equations, sight
 from estimators.slam.compiled import envelope as packed
-from estimators.slam.compiled import equations, reduction, sight
 from estimators.slam.compiled import layout as layouts
 from estimators.slam.compiled.flat import flat
 from estimators.slam.journal import Journal
@@ -105,7 +105,7 @@ def test_equations_are_those_of_numpy(seed: int) -> None:
     assert sight.look(flat(problem), *at, sights) == pytest.approx(cost(problem, state), rel=1e-12)
     layout = layouts.make_layout(flat(problem))
     system = equations.linearise(flat(problem), layout, *at, sights)
-    done, matrix, right, inverse = reduction.reduced(system, layout, 0.3)
+    done, matrix, right, inverse = descent.reduced(system, layout, 0.3)
     assert done
     expected, expected_right, expected_inverse = normal_equations(problem, state, Layout.of(problem)).reduced(0.3)
     for found, wanted in [

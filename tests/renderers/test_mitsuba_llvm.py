@@ -11,7 +11,7 @@ import pytest
 
 from renderers.mitsuba3 import choose_variant, find_llvm, gpu_status, limit_threads, variant
 from renderers.mitsuba3.llvm import HIDE_VARIABLE, PATH_VARIABLE
-from renderers.mitsuba3.probe import variant_fault
+from renderers.mitsuba3.variant import variant_fault
 from scenarios.errors import BoresightError
 
 _RENDER = """

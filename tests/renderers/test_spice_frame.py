@@ -9,7 +9,7 @@ import pytest
 import spiceypy
 
 from renderers.spice import loaded
-from renderers.spice.daf import check_binary
+from renderers.spice.kernels import check_binary
 from scenarios.errors import BoresightError
 
 _SEGMENTS = 30  # more than the 25 that one record tells of

@@ -7,7 +7,7 @@ from scipy.stats import bootstrap, chi2
 
 from reports.compare.conditions import SUCCESS, binned, frames_of, split_of_frames, split_of_trials
 from reports.compare.metrics import Metric
-from reports.figures.calibration import Claim, draw_calibration
+from reports.figures.comparison import Claim, draw_calibration
 
 POSITION = Metric("position_error_m")
 

@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from stored_runs import RunBuilder, pose_error
 
-from reports.figures.curves import CurvePanel, Points, draw_curves
+from reports.figures.designs import CurvePanel, Points, draw_curves
 from reports.figures.matrix import Matrix, draw_matrix
-from reports.kinds.designs.figures import design_figures
+from reports.kinds.designs.report import design_figures
 from reports.kinds.designs.tables import DesignData, Outcome, design_grids, outcomes
 from reports.kinds.report import report_grids
 from reports.pages.build import write_report

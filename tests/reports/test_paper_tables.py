@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from reports.figures.drawn_table import draw_table
 from reports.papers.page import PaperLine
-from reports.papers.tables import lines_by_table, table_figure
+from reports.papers.tables import draw_table, lines_by_table, table_figure
 from reports.schema.grid import Grid
 from reports.schema.records import Record
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from reports.kinds.crater_detection.rates import Shown
-from reports.kinds.crater_detection.rims import rim_grid, rim_scatter
+from reports.kinds.crater_detection.report import rim_grid, rim_scatter
 
 
 def seen(n=4000, wild=0.05):

@@ -3,9 +3,8 @@
 import pandas as pd
 import pytest
 
-from reports.figures.starts import draw_starts
+from reports.figures.sequences import draw_starts, draw_traces
 from reports.figures.style import render
-from reports.figures.traces import draw_traces
 
 COLUMNS = ["trial", "anomaly_deg", "position_error_m", "landmark_rmse_m"]
 KNOWN = pd.DataFrame([[0, 0.0, 1.0, float("nan")], [0, 800.0, 2.0, float("nan")]], columns=COLUMNS)

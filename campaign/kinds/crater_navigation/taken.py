@@ -14,9 +14,8 @@ from estimators.craters.detection.files import DetectedImage, read_detections, w
 from estimators.craters.navigation.rounds import CraterNavigation
 from estimators.craters.navigation.stages import Stages
 from estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
-from estimators.craters.planning.arc import plan_arc
 from estimators.craters.planning.files import read_plan, write_plan
-from estimators.craters.planning.plan import PlannedImage, with_telemetry
+from estimators.craters.planning.plan import PlannedImage, plan_arc, with_telemetry
 from scenarios.atomic import write_atomically
 from scenarios.errors import BoresightError
 from scenarios.geometry import Pose, TriangleMesh, View

@@ -4,14 +4,132 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from campaign.inspection.recompute import Recomputed
-from campaign.inspection.show import Drawn, Kept, Show
-from campaign.kinds.orbit_determination.look import look_at_orbits
+from campaign.inspection.case import Case
+from campaign.inspection.coarse import coarsened
+from campaign.inspection.look_parts import MOST_FACES, finite_or_dash, middle_and_worst, nearer
+from campaign.inspection.recompute import Recomputed, recompute
+from campaign.inspection.show import Drawn, Kept, Scene, Show
 from campaign.kinds.orbit_determination.score import orbit_errors, residual_records, wrong_sightings
 from campaign.kinds.orbit_determination.trial import DeterminedOrbit
+from estimators.orbit.contract import Orbit
 from reports.figures.orbit import draw_orbit_case_errors, draw_residuals, draw_sightings_used
+from reports.pages.look import FAILED, Cameras, Look, Marks
 from reports.schema.named_figure import NamedFigure
+from scenarios.errors import BoresightError
+from scenarios.orbits.draw import OrbitTruth
+from scenarios.orbits.flown import DAY_S
+from scenarios.orbits.rotation import UniformRotation
+
+FloatArray = NDArray[np.float64]
+
+_NOTE = (
+    "The trial of median error and the worst one, in the axes of the turning body. A landmark stands where the orbit's"
+    " solution has it, a camera where it truly was."
+)
+
+
+def look_at_orbits(scene: Scene) -> Look:
+    """Show the trial in the middle and the worst one; also solutions that were rejected.
+
+    Raises
+    ------
+    BoresightError
+        If neither came to an orbit.
+    """
+    marks, seen, world = [], [], None
+    for name, colour, case in middle_and_worst(scene):
+        again = recompute(scene.campaign, scene.folder, case)
+        shown = again.shown
+        if not isinstance(shown, DeterminedOrbit) or shown.estimate is None or shown.estimate.orbit is None:
+            continue
+        world = shown.world
+        sightings = sightings_of(shown, shown.estimate.orbit)
+        marks += orbit_marks(shown.estimate.orbit, shown.truth, sightings, name)
+        seen += image_sets(shown, sightings, world.rotation, case, (name, colour))
+    if world is None:
+        raise BoresightError(
+            f"{scene.folder.path}: --look: neither the middle nor the worst trial of {scene.title} came to an orbit:"
+            " choose another --scenario or --estimator, or see why with --worst 1"
+        )
+    body = coarsened(world.asteroid.mesh, MOST_FACES)
+    factor, told = nearer(np.concatenate([cameras.points_m for cameras in seen]), body.radius_m)
+    drawn = [Cameras(cameras.name, cameras.colour, cameras.points_m / factor, cameras.texts) for cameras in seen]
+    return Look(scene.title, _NOTE + told, body.vertices_m, body.faces, marks, drawn)
+
+
+def sightings_of(shown: DeterminedOrbit, orbit: Orbit) -> pd.DataFrame:
+    """List the sightings: image, number, true crater, whether used, and squared length of the residual, px^2."""
+    pictures = shown.data.pictures
+    return pd.DataFrame(
+        {
+            "image": pictures.image,
+            "number": pictures.landmark,
+            "crater": shown.truth.crater,
+            "used": orbit.used,
+            "square": np.where(orbit.used, np.square(orbit.residuals_px).sum(axis=1), np.nan),
+        }
+    )
+
+
+def orbit_marks(orbit: Orbit, truth: OrbitTruth, sightings: pd.DataFrame, name: str) -> list[Marks]:
+    """Colour the landmarks of a solution by their errors, where the truth has places for craters, and residuals."""
+    grouped = sightings.groupby("number")
+    at = orbit.numbers
+    hits, used = grouped.size().reindex(at).to_numpy(), grouped["used"].sum().reindex(at).to_numpy()
+    residual = np.sqrt(grouped["square"].mean().reindex(at).to_numpy(dtype=np.float64))
+    errors = landmark_errors(orbit, truth, sightings)
+    texts = [
+        f"landmark {number}<br>seen in {h:.0f} images, used in {u:.0f}<br>error {finite_or_dash(error, 'm')}"
+        f"<br>residual, RMS {finite_or_dash(rms, 'px')}"
+        for number, h, u, error, rms in zip(at, hits, used, errors, residual, strict=True)
+    ]
+    marks = [Marks(f"residual, {name} trial", orbit.points_body_m, residual, texts, "px")]
+    if np.isfinite(errors).any():
+        marks.insert(0, Marks(f"landmark error, {name} trial", orbit.points_body_m, errors, texts, "m"))
+    return marks
+
+
+def landmark_errors(orbit: Orbit, truth: OrbitTruth, sightings: pd.DataFrame) -> FloatArray:
+    """(L',) m from each landmark to the crater that its number stands for; NaN where the truth has none.
+
+    A number stands for the crater that most of its sightings are of, and for the next one as well where the solution
+    has two landmarks of it.
+    """
+    known = sightings[(sightings["crater"] >= 0) & (sightings["crater"] < len(truth.points_body_m))]
+    counts = known.groupby(["number", "crater"]).size().reset_index(name="times")
+    counts = counts.sort_values(["number", "times"], ascending=[True, False], kind="stable")
+    craters = counts.groupby("number")["crater"].apply(np.array).to_dict()
+    numbers, places = np.unique(orbit.numbers, return_counts=True)
+    stands_for = {n: craters.get(n, np.zeros(0, dtype=int))[:k] for n, k in zip(numbers, places, strict=True)}
+    gaps = [
+        np.linalg.norm(truth.points_body_m[stands_for[number]] - point, axis=1)
+        for number, point in zip(orbit.numbers, orbit.points_body_m, strict=True)
+    ]
+    return np.array([gap.min() if len(gap) else np.nan for gap in gaps])
+
+
+def image_sets(
+    shown: DeterminedOrbit, sightings: pd.DataFrame, rotation: UniformRotation, case: Case, called: tuple[str, str]
+) -> list[Cameras]:
+    """Place the images of a trial in body axes: those that the orbit rests on, and those without a used sighting."""
+    (name, colour), times = called, shown.data.pictures.times_s
+    places = np.einsum("nij,nj->ni", rotation.at(times), shown.truth.image_states[:, :3])
+    grouped, every = sightings.groupby("image"), np.arange(len(times))
+    hits = grouped.size().reindex(every).fillna(0).to_numpy()
+    used = grouped["used"].sum().reindex(every).fillna(0).to_numpy()
+    residual = np.sqrt(grouped["square"].mean().reindex(every).to_numpy(dtype=np.float64))
+    texts = np.array(
+        [
+            f"trial {case.trial}, image {i}<br>day {times[i] / DAY_S:.3g}, {np.linalg.norm(places[i]):.4g} m away"
+            f"<br>{hits[i]:.0f} sightings, {used[i]:.0f} used<br>residual, RMS {finite_or_dash(residual[i], 'px')}"
+            for i in every
+        ],
+        dtype=object,
+    )
+    sets = ((f"images, {name} trial", colour, used > 0), (f"images of no use, {name} trial", FAILED, used == 0))
+    return [Cameras(what, shade, places[own], list(texts[own])) for what, shade, own in sets if own.any()]
 
 
 def draw_orbit_case(again: Recomputed) -> Drawn | None:

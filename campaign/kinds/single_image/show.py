@@ -2,16 +2,221 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
 
 from campaign.inspection.case import Case
+from campaign.inspection.coarse import coarsened
+from campaign.inspection.look_parts import MOST_FACES, camera_sets, finite_or_dash, nearer
 from campaign.inspection.posed import PosedFrame, PosedFrames
-from campaign.inspection.show import Kept, Show, listed, plain, plain_pose
-from campaign.kinds.single_image.draw import draw_single
-from campaign.kinds.single_image.examples import fit_figures
-from campaign.kinds.single_image.look import look_at_images
-from campaign.kinds.single_image.trial import EstimatedImage
+from campaign.inspection.recompute import Recomputed
+from campaign.inspection.show import Drawn, Kept, Scene, Show, listed, plain, plain_pose
+from campaign.kinds.single_image.examples import SecondLook, alignment_of, fit_figures, fit_of, recognised_again
+from campaign.kinds.single_image.trial import EstimatedImage, SingleImage
+from campaign.trial.in_turn import part_of
+from campaign.trial.kind import Record
 from estimators.contract import Estimate
+from estimators.craters.database.landmarks import Landmarks
+from estimators.craters.pose.estimator import CraterPose
+from estimators.landmark.database import LandmarkDatabase
+from estimators.landmark.recognizer import LandmarkRecognizer
+from estimators.landmark.visibility import visible_landmarks
+from renderers.mitsuba3 import BodyRenderer
+from reports.figures.fit import draw_alignment_panels, draw_fit_panels
+from reports.figures.posed import PosedLook, draw_posed
+from reports.figures.recognised import Recognised, draw_recognised
+from reports.pages.look import Look, Marks
+from reports.run.data import select
+from reports.schema.named_figure import NamedFigure
+from scenarios.errors import BoresightError
+from scenarios.geometry import Camera, Pose, View
+
+FloatArray = NDArray[np.float64]
+
+
+def draw_single(again: Recomputed) -> Drawn | None:
+    """Draw the stages of one image, as far as they came."""
+    shown, what = again.shown, str(again.case)
+    experiment = part_of(again.trials, SingleImage, again.case.trial)
+    if not isinstance(shown, EstimatedImage) or experiment is None:
+        return None
+    credit = experiment.world.scenario.spec.images
+    lines = [credit.credit] if credit is not None and credit.credit else []
+    figures = [_posed(experiment, shown, what, lines)]
+    figures += list(_recognition(experiment, shown, what, lines))
+    found = _recognised(shown, again.records.get("landmarks", []))
+    if found is not None:
+        figures.append(_matches(shown, found, what, lines))
+    return Drawn(figures, lines)
+
+
+def _posed(experiment: SingleImage, shown: EstimatedImage, what: str, lines: list[str]) -> NamedFigure:
+    """Draw the body at the prior, at the estimate and at the truth."""
+    frame, camera = shown.observation.frame, shown.observation.camera
+    image = frame.image.astype(np.float64)
+    truth = shown.sight.view.T_cam_body
+    poses = {"prior": ("prior", frame.prior_T_cam_body)}
+    reached = _reached(shown.estimate)
+    if reached is not None:
+        poses["estimate"] = reached
+    poses["truth"] = ("truth", truth)
+    looks, none = [], "" if reached is not None else " There is no estimate, and no stage had a pose."
+    for name, pose in poses.items():
+        try:
+            looks.append(_look(experiment.world.renderer, camera, frame.sun_dir_cam, image, (name, *pose)))
+        except BoresightError as error:  # an estimate may stand within the body
+            none += f" Nothing can be rendered at the {pose[0]}: {error}."
+    return NamedFigure(
+        "poses",
+        draw_posed(image, looks, what, lines),
+        f"{what}. Above, the outline of the true body at the prior, at the estimate and at the truth. Below, the image"
+        f" less a rendering of it there, scaled to the image; at the truth only noise and the lens are left.{none}",
+        "The image with the outline of the body at each pose, and below it what a rendering leaves of the image.",
+    )
+
+
+def _reached(estimate: Estimate | None) -> tuple[str, Pose] | None:
+    """Return the estimate, or the last pose on the way to none, with its heading."""
+    if estimate is None:
+        return None
+    if estimate.status == "ok" and estimate.pose is not None:
+        return "estimate", estimate.pose
+    if estimate.stages:
+        last = estimate.stages[-1]
+        return f"no estimate: after {last.name}", last.T_cam_body
+    return None
+
+
+def _look(
+    renderer: BodyRenderer, camera: Camera, sun_dir_cam: FloatArray, image: FloatArray, posed: tuple[str, str, Pose]
+) -> PosedLook:
+    """Render the true body at a pose; the Sun stands still in the camera, as it is known to."""
+    name, heading, T_cam_body = posed
+    view = View(camera, T_cam_body, sun_dir_cam @ T_cam_body.rotation)
+    rows, columns = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
+    body = renderer.surface(view, np.column_stack([columns.ravel(), rows.ravel()])).hit.reshape(image.shape)
+    rendered = renderer.render(view).astype(np.float64)
+    design = np.column_stack([rendered.ravel(), np.ones(rendered.size)])
+    scale, offset = np.linalg.lstsq(design, image.ravel())[0]
+    return PosedLook(name, heading, body, image - scale * rendered - offset)
+
+
+def _recognition(experiment: SingleImage, shown: EstimatedImage, what: str, lines: list[str]) -> Iterator[NamedFigure]:
+    """Draw the paper's figure 8 of a landmark recogniser, or its figure 3 where it failed after the alignment."""
+    (estimator,) = experiment.estimators.values()
+    if not isinstance(estimator, LandmarkRecognizer) or shown.estimate is None:
+        return
+    look: SecondLook = recognised_again(estimator, shown.observation, shown.sight.image_name)
+    fit, aligned = fit_of(look), alignment_of(look)
+    alt = "Three images of the body: with the mesh misplaced, the rendered mesh, and with the mesh in place."
+    before = (
+        "Left, the prior: mesh of the data base, 6-sigma search ellipses and both brightness centroids."
+        " Middle, the mesh rendered for the first iteration."
+    )
+    if fit is not None:
+        yield NamedFigure(
+            "fit", draw_fit_panels(fit, what, lines), f"{what}. {before} Right, the last fit with the corners.", alt
+        )
+    elif aligned is not None:
+        ended = f" Recognition ended there: {look.found.failure}." if look.found.failure else ""
+        caption = f"{what}. {before} Right, after the alignment.{ended}"
+        yield NamedFigure("alignment", draw_alignment_panels(aligned, what, lines), caption, alt)
+
+
+def _recognised(shown: EstimatedImage, scored: list[Record]) -> Recognised | None:
+    """Collect recognised landmarks before the camera with their true errors; None where there are none."""
+    estimate = shown.estimate
+    table = None if estimate is None else estimate.details.get("landmarks")
+    if estimate is None or table is None or estimate.pose is None or len(table["landmark"]) == 0:
+        return None
+    places = np.column_stack([np.asarray(table[name], dtype=np.float64) for name in ("x_m", "y_m", "z_m")])
+    seen = np.column_stack([np.asarray(table[name], dtype=np.float64) for name in ("u_px", "v_px")])
+    predicted = shown.observation.camera.project(estimate.pose.transform(places))
+    errors = np.array([np.nan if record["error_m"] is None else float(str(record["error_m"])) for record in scored])
+    ahead = np.isfinite(predicted).all(axis=1)
+    return Recognised(seen[ahead], predicted[ahead], errors[ahead]) if ahead.any() else None
+
+
+def _matches(shown: EstimatedImage, found: Recognised, what: str, lines: list[str]) -> NamedFigure:
+    return NamedFigure(
+        "matches",
+        draw_recognised(shown.observation.frame.image, found, what, lines),
+        f"{what}. Left, recognised landmarks where the estimate projects them, with magnified residuals. Middle, the"
+        " residuals. Right, each residual over the true distance between the landmark and the surface point that was"
+        " taken for it: far to the right and low is a wrong match that the fit has swallowed.",
+        "Arrows over the image, a scatter of residuals, and residuals over true errors.",
+    )
+
+
+def look_at_images(scene: Scene) -> Look:
+    """Show the landmarks of the first data base and the cameras of all its trials."""
+    experiment, run = scene.opened(SingleImage), scene.run
+    tables = (select(table, scene.scenario, scene.label) for table in (run.rows, run.landmarks))
+    rows, recognised = (table[table["trial"] % scene.campaign.spec.databases == 0] for table in tables)
+    views = {int(t): experiment.world.source.view(experiment.seed, int(t)) for t in rows["trial"]}
+    body = coarsened(experiment.world.body.mesh, MOST_FACES)
+    places = {trial: view.T_cam_body.camera_position_m for trial, view in views.items()}
+    factor, told = nearer(np.array(list(places.values())), body.radius_m)
+    marks = _marks(experiment.estimators[scene.label], list(views.values()), recognised)
+    errors = rows["position_error_m"].to_numpy(dtype=np.float64)
+    middle = rows["position_error_m"].median()
+    note = f"{len(rows)} trials. Good and bad: below and above the median error of {middle:.3g} m.{told}"
+    cameras = camera_sets(rows, errors, "error {:.3g} m".format, lambda trial: places[trial] / factor)
+    return Look(scene.title, note, body.vertices_m, body.faces, marks, cameras)
+
+
+def _marks(estimator: object, views: Sequence[View], recognised: pd.DataFrame) -> list[Marks]:
+    """Colour the landmarks that an estimator has, or the craters of its data base; others have places of neither."""
+    if isinstance(estimator, CraterPose):
+        return [crater_marks(estimator.landmarks)]
+    database = getattr(estimator, "database", None)
+    if not isinstance(database, LandmarkDatabase):
+        return []
+    mesh, seen = database.mesh(), np.zeros(len(database))
+    for view in views:
+        seen += visible_landmarks(mesh, view.camera, view.T_cam_body)
+    return landmark_marks(database.means_m, seen, recognised)
+
+
+def crater_marks(craters: Landmarks) -> Marks:
+    """Colour the craters of a data base by the images that they were found in, of which it was made."""
+    sigma_m = np.sqrt(np.trace(craters.covariance_m2, axis1=1, axis2=2))
+    texts = [
+        f"crater {number}<br>{2.0 * radius:.3g} m across<br>in {images} images of the data base<br>sigma {sigma:.3g} m"
+        for number, radius, images, sigma in zip(craters.number, craters.radius_m, craters.images, sigma_m, strict=True)
+    ]
+    return Marks("images of the data base", craters.position_body_m, craters.images.astype(float), texts, "")
+
+
+def landmark_marks(places_m: FloatArray, in_view: FloatArray, recognised: pd.DataFrame) -> list[Marks]:
+    """Colour landmarks by how often they are recognised and by how far they then are from what is seen.
+
+    Parameters
+    ----------
+    places_m
+        (N, 3).
+    in_view
+        (N,) in how many trials each is in view.
+    recognised
+        Rows of the stored table ``landmarks``.
+    """
+    numbers = np.arange(len(places_m))
+    times = recognised.groupby("landmark").size().reindex(numbers).fillna(0).to_numpy(dtype=np.float64)
+    error = recognised.groupby("landmark")["error_m"].median().reindex(numbers).to_numpy(dtype=np.float64)
+    # Recognised where the mesh says that it is hidden: the mesh is coarse, and so is the share.
+    share = np.where(in_view > 0, 100.0 * np.minimum(times / np.maximum(in_view, 1.0), 1.0), np.nan)
+    texts = [
+        f"landmark {i}<br>in view in {in_view[i]:.0f} trials, recognised in {times[i]:.0f}"
+        f"<br>median error {finite_or_dash(error[i], 'm')}"
+        for i in numbers
+    ]
+    return [
+        Marks("recognised when in view", places_m, share, texts, "%"),
+        Marks("median landmark error", places_m, error, texts, "m"),
+    ]
 
 
 def kept(shown: object) -> Kept:

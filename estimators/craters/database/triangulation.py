@@ -1,22 +1,64 @@
-"""Positions of landmarks from all lines of sight to them, where the poses of the pictures are known."""
+"""The crater data base from numbered sightings at known poses: positions from all lines of sight to a landmark."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.craters.contract import CraterImage, CraterMatcher, Ground
 from estimators.craters.database.files import CraterDatabase
-from estimators.craters.database.landmarks import Landmarks
-from estimators.craters.database.pictures import Picture
+from estimators.craters.database.landmarks import Landmarks, locate_landmarks
+from estimators.craters.database.numbering import Numbering, PairMatches, number_craters
+from estimators.craters.database.pictures import Picture, placed_pictures
 from estimators.craters.matching.association import AssociationOptions, centre_noise
+from estimators.craters.matching.preliminary import ImagePairs, PreliminaryOptions, preliminary_pairs
 from estimators.craters.robust import huber_weights
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 _PASSES = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BuiltDatabase:
+    """A data base, and how it came about.
+
+    Parameters
+    ----------
+    database
+        Landmarks and pictures.
+    pairs
+        Of images that were matched.
+    found
+        What the matcher said of each.
+    numbering
+        Numbers of all detections, also of craters that no image places on the body.
+    """
+
+    database: CraterDatabase
+    pairs: ImagePairs
+    found: tuple[PairMatches, ...]
+    numbering: Numbering
+
+
+def build_database(
+    images: Sequence[CraterImage],
+    matcher: CraterMatcher,
+    ground: Ground,
+    options: PreliminaryOptions | None = None,
+) -> BuiltDatabase:
+    """Match all images that may show the same craters, and number and place what they have in common."""
+    options = options or PreliminaryOptions()
+    pairs = preliminary_pairs(images, ground, options)
+    found = tuple(PairMatches(int(i), int(j), matcher.match(images[i], images[j], ground)) for i, j in pairs.pairs)
+    numbering = number_craters([len(image.detections.ellipses) for image in images], found)
+    landmarks = locate_landmarks(images, numbering, ground, options.height_sigma_m)
+    pictures = placed_pictures(images, numbering, landmarks.number)
+    return BuiltDatabase(CraterDatabase(pictures, landmarks), pairs, found, numbering)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,8 +18,7 @@ from estimators.craters.detection.confidence import confidence, suppress
 from estimators.craters.detection.options import ClassicOptions
 from estimators.craters.detection.picture import Picture, noise_level, prepare
 from estimators.craters.detection.refinement import SCALES_PX, refine, scales_of
-from estimators.craters.learned.network import NAMES, OUTPUTS, Network
-from estimators.craters.learned.patches import SCALARS, SIDE, Source, cut
+from estimators.craters.learned.patches import NAMES, OUTPUTS, SCALARS, SIDE, Network, Source, cut
 from estimators.craters.learned.placing import ellipses_of, placed, shape_of
 from estimators.craters.learned.proposals import propose
 from estimators.options import parse_options

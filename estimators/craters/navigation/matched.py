@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.craters.contract import CraterImage, CraterMatcher, CraterMatches, Ground
-from estimators.craters.database.match_files import read_matches, write_matches
+from estimators.craters.database.files import read_matches, write_matches
 from estimators.craters.database.numbering import PairMatches
 from estimators.craters.navigation.stages import Stages
 from estimators.craters.navigation.task import Exposure, NavigationTask

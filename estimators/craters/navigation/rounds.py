@@ -9,6 +9,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
 from estimators.craters.database.files import LANDMARKS, CraterDatabase
@@ -16,9 +17,8 @@ from estimators.craters.database.landmarks import locate_landmarks
 from estimators.craters.database.numbering import Numbering, PairMatches, number_craters
 from estimators.craters.database.orbit_input import places_of_landmarks, sequence_of_pictures
 from estimators.craters.database.pictures import placed_pictures
-from estimators.craters.matching.preliminary import preliminary_pairs
+from estimators.craters.matching.preliminary import PreliminaryOptions, preliminary_pairs
 from estimators.craters.navigation.matched import believed, match_pairs, matching_key, placed_images
-from estimators.craters.navigation.options import NavigationOptions
 from estimators.craters.navigation.stages import Stages
 from estimators.craters.navigation.task import Exposure, NavigationTask
 from estimators.craters.navigation.trajectory import Trajectory
@@ -26,11 +26,31 @@ from estimators.craters.registry import crater_detector_class, crater_matcher_cl
 from estimators.options import parse_options
 from estimators.orbit.batch_filter import BatchFilter
 from estimators.orbit.contract import OrbitEstimate
+from estimators.orbit.options import OrbitOptions
 from scenarios.errors import BoresightError
 from scenarios.observation import Frame
 from scenarios.orbits.data import OrbitData
+from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
+
+
+class NavigationOptions(SpecModel):
+    """Options of ``crater-navigation``."""
+
+    detector: str = Field("crater-classic", description="Name of a detector of craters")
+    most_detections: int = Field(20, ge=1, description="Of an image, the most confident ones")
+    matcher: str = Field("hybrid", description="Name of a matcher of craters")
+    agreeing: int = Field(
+        3, ge=1, description="Matches that a pair of images has at the least: one or two alone are no constellation"
+    )
+    preliminary: PreliminaryOptions = Field(
+        PreliminaryOptions(), description="Which images are matched; heights are as uncertain as the a priori shape"
+    )
+    orbit: OrbitOptions = Field(OrbitOptions(), description="Of the batch filter")
+    rounds: int = Field(
+        3, ge=1, le=10, description="How often matching and orbit determination are done at most, until one is accepted"
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

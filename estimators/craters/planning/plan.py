@@ -1,4 +1,4 @@
-"""Images along an a priori orbit: the nadir when it is lit, near the lit limb, near the terminator."""
+"""Images planned along an a priori orbit: the nadir when it is lit, near the lit limb, near the terminator."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from scenarios.aim import KINDS, Kind, angles_deg, is_lit, of_kind
+from scenarios.dynamics.flight import flight
+from scenarios.dynamics.propagation import Pushes
 from scenarios.errors import BoresightError
 from scenarios.geometry import look_at
+from scenarios.orbits.data import Knowledge
 from scenarios.sequences.ground import MeshGround
 
 PLANNER, PLANNER_VERSION = "planner", 1
@@ -21,6 +24,29 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _AT_ONCE = 64
+
+
+def plan_arc(
+    knowledge: Knowledge,
+    sun_dir_inertial: FloatArray,
+    times_s: FloatArray,
+    ground: MeshGround,
+    centre_of_mass_m: FloatArray,
+) -> tuple[PlannedImage, ...]:
+    """Map the a priori orbit to ``times_s``, (n,) ascending, and plan an image at each where ground is lit.
+
+    ``centre_of_mass_m``, (3,), is where that lies in the axes of ``ground``.
+
+    Raises
+    ------
+    OrbitLostError
+        If the a priori orbit leads into the body.
+    """
+    flown = flight(knowledge.field, knowledge.state, times_s, Pushes.none(float(times_s[-1])))
+    attitudes = knowledge.field.rotation.at(times_s)
+    positions = flown.states[:, :3] + np.einsum("nji,j->ni", attitudes, centre_of_mass_m)
+    suns = np.broadcast_to(sun_dir_inertial, positions.shape)
+    return plan_images(Ephemeris(times_s, positions, attitudes, suns), ground)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

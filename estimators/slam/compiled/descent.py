@@ -1,22 +1,131 @@
-"""Levenberg-Marquardt, equation (4), and the reduced system."""
+"""Levenberg-Marquardt, equation (4), and the Schur complement that reduces it to the views."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled.envelope import block_of_inverse, dense, eliminate, factorise, solve
+from estimators.slam.compiled.envelope import add_diagonal, block_of_inverse, dense, eliminate, factorise, solve
 from estimators.slam.compiled.equations import FlatEquations, linearise
 from estimators.slam.compiled.flat import FlatProblem
 from estimators.slam.compiled.jit import kernel
 from estimators.slam.compiled.layout import FlatLayout, make_layout
-from estimators.slam.compiled.reduction import back_substitute, reduced
 from estimators.slam.compiled.sight import SIGHT_ROWS, look
 
 __all__ = ["block_of_inverse", "dense", "eliminate", "factorise", "minimise", "reduced_at"]
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
+
+
+@kernel
+def reduced(
+    system: FlatEquations, layout: FlatLayout, damping: float
+) -> tuple[bool, FloatArray, FloatArray, FloatArray]:
+    """Reduced matrix in its envelope, right side (3n,), inverted blocks (e, 6) of the eliminated landmarks.
+
+    The first is False if a landmark is not determined.
+    """
+    matrix, right = system.kept.copy(), -system.kept_gradient.ravel()
+    add_diagonal(matrix, layout.shape, damping)
+    inverse = np.empty((len(layout.gone), 6))
+    for g in range(len(layout.gone)):
+        if not _invert(system.gone, layout.gone[g], damping, inverse, g):
+            return False, matrix, right, inverse
+    _take_landmarks(system, layout, inverse, matrix, right)
+    return True, matrix, right, inverse
+
+
+@kernel
+def _take_landmarks(
+    system: FlatEquations, layout: FlatLayout, inverse: FloatArray, matrix: FloatArray, right: FloatArray
+) -> None:
+    """Subtract what the eliminated landmarks couple from the reduced system, in place."""
+    link, slots, terms = layout.link, layout.link_slot, system.terms
+    for g in range(len(layout.gone)):
+        begin, end, own = layout.link_begin[g], layout.link_begin[g + 1], np.uintp(layout.gone[g])
+        px, py, pz = system.gone[own, 6], system.gone[own, 7], system.gone[own, 8]
+        i0, i1, i2, i3, i4, i5 = six(inverse, g)
+        for a in range(begin, end):
+            slot = slots[a]
+            block = six(terms, link[a])
+            x0, x1, x2 = times(block, i0, i1, i2)  # columns of the block times the inverse
+            y0, y1, y2 = times(block, i1, i3, i4)
+            z0, z1, z2 = times(block, i2, i4, i5)
+            right[3 * slot] -= x0 * px + y0 * py + z0 * pz
+            right[3 * slot + 1] -= x1 * px + y1 * py + z1 * pz
+            right[3 * slot + 2] -= x2 * px + y2 * py + z2 * pz
+            width = layout.shape.width[slot]
+            corner = layout.shape.begin[slot] - 3 * slot
+            for b in range(begin, end):
+                if slots[b] >= slot:
+                    at = corner + 3 * slots[b]
+                    other = six(terms, link[b])
+                    _take_row(matrix, at, times(other, x0, y0, z0))
+                    _take_row(matrix, at + width, times(other, x1, y1, z1))
+                    _take_row(matrix, at + 2 * width, times(other, x2, y2, z2))
+
+
+@kernel
+def _take_row(matrix: FloatArray, at: int, taken: tuple[float, float, float]) -> None:
+    """Subtract from three numbers that follow each other."""
+    k = np.uintp(at)
+    matrix[k] -= taken[0]
+    matrix[k + np.uintp(1)] -= taken[1]
+    matrix[k + np.uintp(2)] -= taken[2]
+
+
+@kernel
+def back_substitute(
+    system: FlatEquations, layout: FlatLayout, step: FloatArray, inverse: FloatArray, gone_step: FloatArray
+) -> None:
+    """Write the steps (e, 3) of the eliminated landmarks, given (3n,) those of the kept variables."""
+    for g in range(len(layout.gone)):
+        own = system.gone[layout.gone[g]]
+        x, y, z = -own[6], -own[7], -own[8]
+        for a in range(layout.link_begin[g], layout.link_begin[g + 1]):
+            at = 3 * layout.link_slot[a]
+            i, j, k = times(six(system.terms, layout.link[a]), step[at], step[at + 1], step[at + 2])
+            x, y, z = x + i, y + j, z + k
+        gone_step[g, 0], gone_step[g, 1], gone_step[g, 2] = times(six(inverse, g), x, y, z)
+
+
+@kernel
+def _invert(sums: FloatArray, k: int, damping: float, inverse: FloatArray, g: int) -> bool:
+    """Invert a symmetric block plus a multiple of the identity; False unless it is positive definite."""
+    a, b, c = sums[k, 0] + damping, sums[k, 1], sums[k, 2]
+    d, e, f = sums[k, 3] + damping, sums[k, 4], sums[k, 5] + damping
+    if not a > 0.0:
+        return False
+    l1, l2 = b / a, c / a  # LDL'
+    d1 = d - l1 * b
+    if not d1 > 0.0:
+        return False
+    l3 = (e - l1 * c) / d1
+    d2 = f - l2 * c - l3 * l3 * d1
+    if not d2 > 0.0:
+        return False
+    m = l1 * l3 - l2
+    inverse[g, 0], inverse[g, 1] = 1.0 / a + l1 * l1 / d1 + m * m / d2, -l1 / d1 - l3 * m / d2
+    inverse[g, 2], inverse[g, 3] = m / d2, 1.0 / d1 + l3 * l3 / d2
+    inverse[g, 4], inverse[g, 5] = -l3 / d2, 1.0 / d2
+    return True
+
+
+@kernel
+def six(rows: FloatArray, k: int) -> tuple[float, float, float, float, float, float]:
+    """Return the symmetric block xx, xy, xz, yy, yz, zz of a row; an index without a sign saves the look at it."""
+    i = np.uintp(k)
+    return rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3], rows[i, 4], rows[i, 5]
+
+
+@kernel
+def times(
+    block: tuple[float, float, float, float, float, float], x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Product of a symmetric block with a vector."""
+    a, b, c, d, e, f = block
+    return a * x + b * y + c * z, b * x + d * y + e * z, c * x + e * y + f * z
 
 
 @kernel

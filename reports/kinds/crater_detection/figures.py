@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.figures.crater_rates import (
+from reports.figures.crater_results import (
     FALSE_COLOUR,
     FOUND_COLOUR,
     OTHER_COLOUR,

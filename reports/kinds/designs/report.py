@@ -2,10 +2,197 @@
 
 from __future__ import annotations
 
-from reports.kinds.designs.figures import design_figures
-from reports.kinds.designs.tables import design_grids
+from collections.abc import Iterator
+
+import numpy as np
+
+from reports.compare.figures import cumulative_figure, standings_figure
+from reports.compare.looks import groups
+from reports.compare.metrics import Metric
+from reports.compare.subjects import compared
+from reports.figures.designs import CurvePanel, Effect, Points, draw_curves, draw_effects
+from reports.figures.matrix import Matrix, draw_matrix
+from reports.kinds.designs.tables import ATTITUDE, POSITION, DesignData, Outcome, design_grids, outcomes
 from reports.kinds.kind import Content, ReportKind
-from reports.schema.grid import Grid
+from reports.run.data import DesignAxis, RunData
+from reports.schema.grid import Grid, number
+from reports.schema.labels import measure_label, stage_label
+from reports.schema.named_figure import NamedFigure, file_stem
+from reports.schema.records import CONTROL, SEQUENCE, unit_of
+from reports.statistics.measured import Measured
+
+
+def design_figures(run: RunData) -> Iterator[NamedFigure]:
+    """Draw what a run's grid shows."""
+    design = run.manifest.grid
+    if design is None:
+        return
+    data = DesignData(run, design)
+    if not run.epochs.empty:
+        if design.design == "one-at-a-time":
+            for base, names in data.bases().items():
+                yield from _sequences(data, base, names)
+        return
+    if design.design == "full" and len(design.axes) == 1:
+        yield from _by_level(run)
+        return
+    draw = {"full": _matrix, "one-at-a-time": _curves, "two-level": _effects}[design.design]
+    for base, names in data.bases().items():
+        for estimator in dict.fromkeys(outcome.estimator for outcome in outcomes(run)):
+            yield from draw(data, base, names, estimator)
+
+
+def _by_level(run: RunData) -> Iterator[NamedFigure]:
+    """Draw the errors of every estimator at each level of a single axis, with the figures of a comparison."""
+    if run.rows[POSITION].isna().all():
+        return
+    found = compared((run,), Metric(POSITION))
+    drawn = (standings_figure(found), *(cumulative_figure(found, level, own) for level, own in groups(found).items()))
+    yield from drawn
+
+
+def _of(data: DesignData, estimator: str) -> list[Outcome]:
+    return [outcome for outcome in outcomes(data.run) if outcome.estimator == estimator]
+
+
+def _matrix(data: DesignData, base: str, names: list[str], estimator: str) -> Iterator[NamedFigure]:
+    """Heat maps of two axes; grids of more have their tables alone."""
+    if len(data.design.axes) != 2:
+        return
+    down, across = data.design.axes
+    by_levels = {tuple(data.levels(name).values()): name for name in names}
+    title = f"{down.name} against {across.name}, {base}, {estimator}"
+    matrices = []
+    for outcome in _of(data, estimator):
+        values = np.full((len(down.levels), len(across.levels)), np.nan)
+        texts = [["" for _ in across.levels] for _ in down.levels]
+        for i, row in enumerate(down.levels):
+            for j, column in enumerate(across.levels):
+                name = by_levels.get((row, column))
+                median = data.median(name, outcome) if name else Measured(None)
+                values[i, j] = np.nan if median.value is None else median.value
+                texts[i][j] = _cell_text(median, data.ok([name], outcome) if name else "")
+        matrices.append(Matrix(outcome.label, down.levels, across.levels, values, texts))
+    yield NamedFigure(
+        file_stem(f"matrix_{base}_{estimator}"),
+        draw_matrix(matrices, down.label, across.label, title),
+        f"{title}: median error with its 95 % interval, and the trials behind it, of all.",
+        f"Heat maps of {', '.join(matrix.title for matrix in matrices)} over {down.label} and {across.label}.",
+    )
+
+
+def _cell_text(median: Measured, ok: str) -> str:
+    interval = "" if median.low is None else f"\n[{number(median.low)}, {number(median.high)}]"
+    return f"{number(median.value)}{interval}\n{ok}"
+
+
+def _curves(data: DesignData, base: str, names: list[str], estimator: str) -> Iterator[NamedFigure]:
+    """Median error against each axis that has values, a figure for position and one for attitude."""
+    axes = [axis for axis in data.design.axes if axis.values is not None]
+    if not axes:
+        return
+    for measure in (POSITION, ATTITUDE):
+        group = [Outcome(estimator, CONTROL, measure), *(o for o in _of(data, estimator) if o.measure == measure)]
+        group = [o for o in group if len(data.errors(names[0], o))]
+        if not group:  # no trial at the reference came to an end
+            continue
+        panels = [CurvePanel(axis.label, _lines(data, names, axis, group)) for axis in axes]
+        title = f"{measure_label(measure)} against each error of knowledge, {base}, {estimator}"
+        yield NamedFigure(
+            file_stem(f"curves_{measure.split('_')[0]}_{base}_{estimator}"),
+            draw_curves(panels, f"median {measure_label(measure)}, {unit_of(measure)}", title),
+            f"{title}: medians with 95 % intervals, the other axes at their first level.",
+            f"Curves of the median {measure_label(measure)} against {', '.join(axis.label for axis in axes)}.",
+        )
+
+
+def _sequences(data: DesignData, base: str, names: list[str]) -> Iterator[NamedFigure]:
+    """Draw all estimators of sequences together: curves over the axes with values, and the factor of every level."""
+    found = outcomes(data.run)
+    axes = [axis for axis in data.design.axes if axis.values is not None]
+    for measure in dict.fromkeys(outcome.measure for outcome in found):
+        group = [outcome for outcome in found if outcome.measure == measure]
+        what = f"{measure_label(measure)}, {base}"
+        if axes:
+            panels = [CurvePanel(axis.label, _lines(data, names, axis, group)) for axis in axes]
+            yield NamedFigure(
+                file_stem(f"curves_{measure}_{base}"),
+                draw_curves(panels, f"median {measure_label(measure)}, {unit_of(measure)}", what),
+                f"{what}: medians with 95 % intervals over the trials that came so far, the other axes at their first"
+                " level.",
+                f"Curves of the median {measure_label(measure)} against {', '.join(axis.label for axis in axes)}.",
+            )
+        yield NamedFigure(
+            file_stem(f"levels_{measure}_{base}"),
+            draw_effects({o.estimator: _level_effects(data, names, o) for o in group}, what),
+            f"{what}: the factor by which the error changes from the reference to each level, over the trials that came"
+            " so far with both, with its 95 % interval; 1 is no effect. Beside it the trials that came so far, of all.",
+            f"Points with intervals for {', '.join(o.estimator for o in group)}.",
+        )
+
+
+def _level_effects(data: DesignData, names: list[str], outcome: Outcome) -> list[Effect]:
+    """Compare each level with the reference; where nothing can be compared, the effect is NaN and keeps its line."""
+    reference, effects = names[0], []
+    for axis in data.design.axes:
+        for level in axis.levels[1:]:
+            for name in (n for n in names[1:] if data.levels(n)[axis.name] == level):
+                found = data.change(name, reference, outcome)
+                value, low, high = (np.nan if x is None else x for x in (found.value, found.low, found.high))
+                note = data.ok([name], outcome)
+                effects.append(Effect(f"{axis.label}: {level}", value, low, high, note))
+    return effects
+
+
+def _lines(data: DesignData, names: list[str], axis: DesignAxis, group: list[Outcome]) -> dict[str, Points]:
+    """Points of each outcome along an axis: the reference and the scenarios that vary this axis alone."""
+    reference = data.levels(names[0])
+    along = {}
+    for name in names:
+        levels = data.levels(name)
+        if all(levels[other.name] == reference[other.name] for other in data.design.axes if other.name != axis.name):
+            along[levels[axis.name]] = name
+    known = [
+        (value, along[level]) for level, value in zip(axis.levels, axis.values or (), strict=True) if level in along
+    ]
+    lines = {}
+    for outcome in group:
+        medians = [data.median(name, outcome) for _, name in known]
+        low_high = [(m.value if m.low is None else m.low, m.value if m.high is None else m.high) for m in medians]
+        lines[_line_label(outcome)] = Points(
+            np.array([value for value, _ in known]),
+            np.array([m.value for m in medians], dtype=float),
+            np.array(low_high, dtype=float),
+        )
+    return lines
+
+
+def _line_label(outcome: Outcome) -> str:
+    if outcome.stage == SEQUENCE:
+        return outcome.estimator
+    return stage_label(outcome.stage) if outcome.stage else outcome.estimator
+
+
+def _effects(data: DesignData, base: str, names: list[str], estimator: str) -> Iterator[NamedFigure]:
+    """Draw main effects as points with intervals."""
+    panels: dict[str, list[Effect]] = {}
+    for outcome in _of(data, estimator):
+        effects = []
+        for axis, found in zip(data.design.axes, data.effects(names, outcome), strict=True):
+            if found.value is not None and found.low is not None and found.high is not None:
+                label = f"{axis.label}: {axis.levels[0]} to {axis.levels[-1]}"
+                effects.append(Effect(label, found.value, found.low, found.high))
+        panels[outcome.label.split(",")[0]] = effects
+    if not any(panels.values()):
+        return
+    title = f"Main effects, {base}, {estimator}"
+    yield NamedFigure(
+        file_stem(f"effects_{base}_{estimator}"),
+        draw_effects(panels, title),
+        f"{title}: the factor by which the error changes from the first to the last level of each axis, with its"
+        " 95 % interval; 1 is no effect.",
+        f"Points with intervals for {', '.join(panels)}.",
+    )
 
 
 def brief(content: Content) -> list[Grid]:

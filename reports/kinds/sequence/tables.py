@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 
 from reports.figures.bands import band_of
 from reports.figures.revolutions import AFTER_REVOLUTIONS, draw_revolutions
-from reports.figures.starts import draw_starts
-from reports.figures.traces import LANDMARKS, POSITION, draw_traces
+from reports.figures.sequences import LANDMARKS, POSITION, draw_starts, draw_traces
 from reports.kinds.designs.tables import design_grids
 from reports.kinds.sequence.contrasts import ERROR_RATIOS
 from reports.kinds.sequence.vision import vision_grid

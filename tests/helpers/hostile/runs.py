@@ -11,8 +11,7 @@ import pyarrow.parquet as pq
 
 from campaign.cli.bench import read_ratios
 from campaign.data.fetch import state
-from campaign.imaging.image_chunk import KeptImage, write_images
-from campaign.imaging.image_store import read_chunk
+from campaign.imaging.image_store import KeptImage, read_chunk, write_images
 from hostile import recipes
 from hostile.target import Target
 from renderers.spice.instruments import INSTRUMENTS

@@ -1,4 +1,4 @@
-"""Errors along a sequence of frames (figures 3.1, 3.2, 5.1 and 5.2 of Delpech et al. 2015)."""
+"""Errors along the frames of sequences, from each start (Delpech et al. 2015, figures 3.1, 3.2, 5.1 and 5.2)."""
 
 from __future__ import annotations
 
@@ -11,12 +11,36 @@ from matplotlib.figure import Figure
 from reports.figures.bands import band
 from reports.figures.log_axis import scale_ordinate
 from reports.figures.looks import Look, looks
-from reports.figures.style import add_credits, new_figure, styled
+from reports.figures.style import LINE_STYLES, SERIES_COLOURS, add_credits, new_figure, styled
 from reports.figures.turns import mark_turns
 
 POSITION, LANDMARKS = "position_error_m", "landmark_rmse_m"
 _PANELS = {POSITION: "camera position error, m", LANDMARKS: "RMSE of the frame's landmarks, m"}
 _BANDS_AT_MOST = 3
+
+
+@styled
+def draw_starts(epochs: pd.DataFrame, title: str) -> Figure:
+    """Draw the position error of every trial against the anomaly gone through.
+
+    Parameters
+    ----------
+    epochs
+        Frames of one estimator: columns ``trial``, ``anomaly_deg`` and ``position_error_m``.
+    title
+        Printed above.
+    """
+    figure, (axes,) = new_figure(1, width_in=5.4)
+    for i, (trial, own) in enumerate(epochs.groupby("trial")):
+        colour, line = SERIES_COLOURS[i % len(SERIES_COLOURS)], LINE_STYLES[i // len(SERIES_COLOURS) % len(LINE_STYLES)]
+        axes.plot(own["anomaly_deg"], own["position_error_m"], color=colour, linestyle=line, linewidth=1.0, label=trial)
+    mark_turns(axes, epochs["anomaly_deg"])
+    axes.set(xlabel="anomaly, deg", ylabel="camera position error, m")
+    axes.set_ylim(bottom=0.0)
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 6), title="start")
+    figure.suptitle(title, fontsize=9.5)
+    return figure
 
 
 @styled
