@@ -1,4 +1,4 @@
-"""What an estimator may see of an image: the image, the Sun in the camera and a degraded pose."""
+"""Observations for estimators: the image, the Sun in the camera and a degraded pose."""
 
 from __future__ import annotations
 

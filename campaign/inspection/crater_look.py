@@ -1,4 +1,4 @@
-"""What looks at craters in images share: craters by their share of hits, and the cameras of good and bad trials."""
+"""Parts of looks at craters in images: craters by their share of hits, and the cameras of good and bad trials."""
 
 from __future__ import annotations
 

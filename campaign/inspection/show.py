@@ -1,4 +1,4 @@
-"""What a kind of trial shows of itself: pictures of a case, what is kept of it, a run in space, poses to export."""
+"""The displays of a kind of trial: pictures and files of a case, a run in space, poses to export."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Drawn:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kept:
-    """What is written beside the page of a case: images that a method saw, by name, and what it returned."""
+    """Files to write next to the page of a case: images that a method saw, by name, and what it returned."""
 
     images: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     estimate: Mapping[str, object] | None = None
@@ -65,7 +65,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Show:
-    """What a kind of trial shows; None where it has nothing of the sort.
+    """The displays of a kind of trial; None for one that it lacks.
 
     Parameters
     ----------

@@ -168,6 +168,10 @@ def test_every_folder_of_kinds_is_a_kind_of_its_name():
     assert len(kind_names()) == 9
 
 
+def test_every_kind_of_experiment_can_be_watched():
+    assert all(callable(kind_named(name).open.__self__.watched) for name in kind_names())
+
+
 @needs_chromium
 def test_the_page_opens_and_prints_in_a_browser(copied):
     assert main(["inspect", str(copied), "--trial", "0", "--estimator", "landmark-harris"]) == 0

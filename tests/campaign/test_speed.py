@@ -13,12 +13,13 @@ import pytest
 from benchmarks import blender as blender_module
 from benchmarks import images, works
 from benchmarks.blender import cycles
-from benchmarks.history import HISTORY, read_history, record, regressions, unrecorded
+from benchmarks.history import HISTORY, REGRESSION, read_history, record, regressions, unrecorded
 from benchmarks.ratio import Absent, Ratio, SpeedTable
 from benchmarks.scene import SIZE_PX, SUN_DIR_BODY, SpeedScene
 from benchmarks.settings import Settings
 from benchmarks.timing import Seconds, in_turn, timed
 
+from campaign.cli.bench import PEERS
 from campaign.cli.main import main
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
@@ -181,3 +182,8 @@ def test_absent_blender_is_said_with_what_to_do(tetrahedron, python, monkeypatch
         cycles(python, tetrahedron, 2),
     ):
         pass
+
+
+def test_the_command_names_the_works_that_there_are():
+    assert sorted(PEERS) == sorted({*works.GROUPS, *works.WORKS})
+    assert REGRESSION == 0.30, "as the help of --check says"

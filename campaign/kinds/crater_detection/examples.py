@@ -12,7 +12,7 @@ from campaign.store import RunFolder
 from campaign.trial.in_turn import part_of
 from estimators.craters.detection.classic import CraterClassic
 from reports.kinds.crater_detection.figures import example_figure, stages_figure
-from reports.run.data import RunData, read_run, select
+from reports.run.data import RunData, read_run
 from reports.schema.named_figure import NamedFigure
 
 _EXAMPLES = 3
@@ -32,10 +32,14 @@ def detected(
 ) -> Iterator[NamedFigure]:
     """Draw the images of a scenario with the most detectable craters, once for each detector."""
     for trial in _richest(run, scenario):
-        for label in labels:
-            rows = select(run.rows, scenario, label)
-            shown = recompute(campaign, folder, Case(scenario, label, trial)).shown
-            if isinstance(shown, DetectedImage) and (rows.loc[rows["trial"] == trial, "status"] == "ok").any():
+        rows = run.rows[
+            (run.rows["scenario"] == scenario) & (run.rows["trial"] == trial) & (run.rows["status"] == "ok")
+        ]
+        done = [label for label in labels if label in set(rows["estimator"])]
+        # All detectors see the same image, so one of them is run again for it.
+        shown = recompute(campaign, folder, Case(scenario, done[0], trial)).shown if done else None
+        if isinstance(shown, DetectedImage):
+            for label in done:
                 yield example_figure(run, scenario, label, trial, shown.frame.image)
 
 

@@ -1,4 +1,4 @@
-"""What trials of crater detection show of themselves."""
+"""The displays of crater detection."""
 
 from __future__ import annotations
 

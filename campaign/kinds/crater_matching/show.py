@@ -1,4 +1,4 @@
-"""What trials of crater matching show of themselves."""
+"""The displays of crater matching."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What trials of crater navigation show of themselves: the orbit that the chain comes to."""
+"""The displays of crater navigation: those of the orbit that the chain comes to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What trials of orbit determination show of themselves."""
+"""The displays of orbit determination."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What trials of sequences show of themselves."""
+"""The displays of sequences."""
 
 from __future__ import annotations
 

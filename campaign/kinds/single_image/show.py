@@ -1,4 +1,4 @@
-"""What trials of single images show of themselves."""
+"""The displays of single images."""
 
 from __future__ import annotations
 
