@@ -175,7 +175,7 @@ class _Hand:
     def give(self, item: tuple[int, Call], function: Callable[..., object]) -> bool:
         """Give it a call; tell whether it took it, which it does not if it has just ended with others in hand."""
         call = (_made, store_is_on(), self.note, function, item[1])
-        with _may_have_children(), _workers_deaf_to_interrupts():
+        with _may_have_children(), _interrupts_held_back():
             try:
                 future = self._started().submit(*call)
             except BrokenProcessPool:
@@ -267,10 +267,12 @@ def _made(images_kept: bool, note: Path, function: Callable[..., T], call: Call)
 
 
 def _follow_parent(parent: int, note: Path) -> None:
-    """End this worker soon after its parent: a killed run that goes on would take cores from the next start of it.
+    """Ignore SIGINT, and end this worker soon after its parent.
 
-    Nobody else is left then to remove the worker's note.
+    A worker that outlives a killed run would take cores from the next start of it, and nobody else is left then to
+    remove its note.
     """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -294,13 +296,22 @@ def _may_have_children() -> Iterator[None]:
 
 
 @contextmanager
-def _workers_deaf_to_interrupts() -> Iterator[None]:
-    """Let processes that start here inherit a deaf ear: a terminal sends Ctrl-C to all, but the parent ends them."""
+def _interrupts_held_back() -> Iterator[None]:
+    """Let SIGINT wait while a process may start, and keep it from the child, which inherits the mask.
+
+    A terminal sends Ctrl-C to all processes of its group, but the parent ends the workers. The mask alone would not
+    make it wait here: another thread, one of BLAS say, takes the signal, and Python raises in the middle of the start.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    came: list[int] = []
+    handler = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGINT, handler)
+        if came:
+            signal.raise_signal(signal.SIGINT)

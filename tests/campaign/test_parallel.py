@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import time
 from pathlib import Path
 
@@ -27,3 +29,15 @@ def begin(folder: Path, number: int) -> bool:
 def test_no_call_is_laid_behind_a_long_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "_SHORT_S", 0.1 * LONG_S)
     assert all(parallel.in_order(2, begin, [(tmp_path, number) for number in range(5)]))
+
+
+def test_an_interrupt_that_comes_while_a_call_is_given_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Interrupted(parallel.ProcessPoolExecutor):
+        def submit(self, *call):  # type: ignore[no-untyped-def]
+            os.kill(os.getpid(), signal.SIGINT)
+            return super().submit(*call)
+
+    monkeypatch.setattr(parallel, "ProcessPoolExecutor", Interrupted)
+    monkeypatch.setattr(parallel, "_rested", parallel._Rested)  # no process of another test's
+    with pytest.raises(KeyboardInterrupt):
+        list(parallel.in_order(2, abs, [(number,) for number in range(4)]))

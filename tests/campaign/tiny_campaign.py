@@ -169,10 +169,10 @@ def workers(group: int) -> list[int]:
 
 
 def ignores(process: int, number: int) -> bool:
-    """Tell whether a process ignores a signal."""
+    """Tell whether a process ignores a signal, or has it blocked while it starts."""
     status = Path(f"/proc/{process}/status").read_text()
-    mask = next(line.split()[1] for line in status.splitlines() if line.startswith("SigIgn:"))
-    return bool(int(mask, 16) >> (number - 1) & 1)
+    masks = [line.split()[1] for line in status.splitlines() if line.startswith(("SigIgn:", "SigBlk:"))]
+    return any(int(mask, 16) >> (number - 1) & 1 for mask in masks)
 
 
 def gone(group: int) -> bool:
