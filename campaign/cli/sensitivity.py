@@ -55,18 +55,19 @@ def _sensitivity(arguments: argparse.Namespace) -> int:
     from campaign.runs.sensitivity import analyse, make_design, parse_over
     from campaign.runs.until import CONTROLS, STATISTICS
     from reports.compare.global_sensitivity import sensitivity_grid
-    from reports.compare.metrics import choose_metric, names_before_a_run
+    from reports.compare.metrics import choose_metric
     from reports.pages.console import rich_parts
     from reports.pages.global_sensitivity import write_sensitivity
     from reports.run.data import read_run
     from reports.run.known import short_line
+    from reports.schema.tables import kind_schema
 
     varied = [parse_over(text) for text in arguments.over]
     if arguments.statistic not in STATISTICS:
         raise BoresightError(f"--statistic {arguments.statistic}: choose one of {', '.join(STATISTICS)}")
     variant = choose_variant().name
     campaign = resolve(arguments.name, arguments.overrides, arguments.seed, variant)
-    known = names_before_a_run(campaign.spec.experiment)
+    known = kind_schema(campaign.spec.experiment).metrics
     if arguments.metric is not None and arguments.metric not in known:
         raise BoresightError(f"--metric {arguments.metric}: choose one of {', '.join(known)}")
     design = make_design(arguments.name, campaign, arguments.scenario, varied, arguments.samples, arguments.method)

@@ -75,12 +75,9 @@ def _same(again: Recomputed) -> Recomputed:
 
 
 def stored_images(rows: pd.DataFrame) -> Iterator[tuple[str, list[PosedFrame]]] | None:
-    """Give the trajectories of single images as their rows hold them; None where they hold no poses.
-
-    Rows of other kinds have none, nor have those that an earlier version stored.
-    """
+    """Return the trajectories of single images as their rows hold them; None where they hold no poses."""
     solved = rows[rows["status"] == "ok"]
-    if "true_qw" not in rows or rows["true_qw"].isna().any() or solved["qw"].isna().any():
+    if rows["true_qw"].isna().any() or solved["qw"].isna().any():
         return None
     nothing = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     return (

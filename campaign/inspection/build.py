@@ -19,7 +19,6 @@ from campaign.inspection.same import Sameness
 from campaign.inspection.show import Drawn, Kept, Show, show_of
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
-from campaign.store.columns import TABLES, schema
 from campaign.trial.kept_images import write_image
 from campaign.trial.kind import Record
 from reports.pages.case import CasePage, write_case
@@ -27,6 +26,7 @@ from reports.run.data import read_run
 from reports.schema.grid import NO_VALUE, Grid, number
 from reports.schema.labels import as_title
 from reports.schema.named_figure import NamedFigure
+from reports.schema.tables import TABLES, schema
 from scenarios.atomic import write_atomically, write_text
 
 _SHORT = ("stages", "references", "diagnostics", "orbits", "crater_matches")

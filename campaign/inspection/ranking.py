@@ -57,10 +57,10 @@ def _badness(run: RunData, metric: str | None) -> tuple[pd.Series, str]:
 
 def crater_faults(run: RunData) -> pd.Series | None:
     """Count missed and wrong craters of each row; None in a run that is not about craters in images."""
-    if not run.crater_matches.empty:
-        matched = run.crater_matches
+    if not run.table("crater_matches").empty:
+        matched = run.table("crater_matches")
         counted = matched.assign(faults=matched["n_missed"] + matched["n_wrong"])
-    elif not run.crater_images.empty:
+    elif not run.table("crater_images").empty:
         counts = detection_counts(run)
         counted = counts.assign(faults=counts[THERE] - counts["n_hits"] + counts["n_false"])
     else:

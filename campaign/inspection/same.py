@@ -10,8 +10,8 @@ import pyarrow as pa
 
 from campaign.inspection.case import Case
 from campaign.store import TABLES, RunFolder
-from campaign.store.columns import schema
 from campaign.trial.kind import Records
+from reports.schema.tables import schema
 
 NOT_REPRODUCIBLE = ("timings", "tracebacks", "said")
 """Times are never the same, a trace names the files of the checkout that it was made in, and methods say anything."""

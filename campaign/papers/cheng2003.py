@@ -86,7 +86,7 @@ def _figure_10(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
         for data in (run.content.run,)
         for label in (label for method in (_FILTER, _CHAIN) for label in run.labels(method))
         for scenario in reference_scenarios(data)
-        if len(select(data.residuals, scenario, label))
+        if len(select(data.table("residuals"), scenario, label))
     ]
     for data, scenario, label in solved:
         yield replace(residual_figure(data, scenario, label), stem=f"_{scenario}_{label}")

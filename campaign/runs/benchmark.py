@@ -21,8 +21,8 @@ from campaign.machine import describe, package_versions
 from campaign.resolved import ResolvedCampaign
 from campaign.runs.request import RunRequest
 from campaign.runs.runner import run_campaign
-from campaign.store.columns import FRESH_IMAGE
 from campaign.trial.kind import Records, kind_named
+from reports.schema.common import FRESH_IMAGE
 from scenarios.errors import BoresightError
 
 WHOLE_TRIAL = "whole trial"

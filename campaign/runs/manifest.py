@@ -17,7 +17,7 @@ from campaign.products.kinds import product_kind
 from campaign.resolved import ResolvedCampaign
 from campaign.runs.newest import KEY, next_start
 from campaign.runs.request import RunRequest
-from campaign.store.columns import FORMAT_VERSION
+from reports.schema.tables import FORMAT_VERSION
 from scenarios.load import canonical_json
 
 

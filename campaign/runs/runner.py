@@ -17,9 +17,9 @@ from campaign.runs.losses import Losses
 from campaign.runs.request import RunRequest
 from campaign.runs.worker import renew_after, run_block
 from campaign.store import RunFolder, RunLock
-from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
 from campaign.store.folder import Block, BlockState, blocks
 from campaign.trial.kind import Bench, Records, kind_named
+from reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 from scenarios.errors import BoresightError
 
 
@@ -64,7 +64,7 @@ def run_campaign(campaign: ResolvedCampaign, request: RunRequest, listener: List
         images: Counter[str] = Counter()
         began = time.monotonic()
         for block, records in _computed(campaign, todo, request, listener):
-            folder.write_block(block, records)
+            folder.write_block(block, records, campaign.spec.experiment)
             images.update(_images(records))
             listener.block(records, block.last - block.first)
         if not campaign.overrides:

@@ -27,10 +27,11 @@ from campaign.runs.request import RunRequest
 from campaign.runs.runner import Listener, run_campaign
 from campaign.store import RunFolder
 from campaign.trial.kind import Records, kind_named
-from reports.compare.metrics import Metric, metric_values, names_before_a_run
+from reports.compare.metrics import Metric, metric_values
 from reports.run.clusters import clusters_of
 from reports.run.data import RunData, read_run
 from reports.schema.records import CONTROL
+from reports.schema.tables import kind_schema
 from reports.statistics.measured import MEAN, MEDIAN, P75, P95, P99, RMS, Statistic, measure
 from scenarios.errors import BoresightError
 
@@ -86,7 +87,7 @@ def parse_until(text: str, experiment: str) -> Until:
     if found is None:
         raise BoresightError(f'--until {text!r}: write it as "ci(position_error_m, median) < 0.5", or "... < 5 %"')
     metric, statistic, width = found["metric"], found["statistic"].lower(), float(found["width"])
-    metrics = names_before_a_run(experiment)
+    metrics = kind_schema(experiment).metrics
     if metric not in metrics:
         raise BoresightError(f"--until: {metric} is no metric of this campaign: choose one of {', '.join(metrics)}")
     if statistic not in STATISTICS:

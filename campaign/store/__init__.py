@@ -4,8 +4,9 @@ Everything that a report needs is here, and nothing is counted twice: a block's 
 before its rows, and only a block whose rows are complete counts as done.
 """
 
-from campaign.store.columns import TABLES, Column
 from campaign.store.folder import RunFolder
 from campaign.store.lock import RunLock
+from reports.schema.column import Column
+from reports.schema.tables import TABLES
 
 __all__ = ["TABLES", "Column", "RunFolder", "RunLock"]

@@ -15,7 +15,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field
 
-from campaign.store.columns import FORMAT_VERSION, TABLES, layout, schema
+from reports.run.data import refuse_older
+from reports.schema.tables import TABLES, layout, schema
 from scenarios import checksums
 from scenarios.atomic import write_atomically, write_text
 from scenarios.checksums import refuse_damaged
@@ -89,12 +90,7 @@ def _check_version(manifest: Mapping[str, Any], path: Path) -> None:
         raise BoresightError(
             f"{path}: not a manifest of boresight, which has a {missing[0]}: choose another folder with --out"
         )
-    stored = manifest.get("format", "unknown")
-    if stored != FORMAT_VERSION:
-        raise BoresightError(
-            f"{path.parent}: stored in format {stored}, and this version of boresight reads {FORMAT_VERSION}: run the"
-            " campaign again, into another folder (--out)"
-        )
+    refuse_older(manifest, path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,9 +134,9 @@ def blocks(scenarios: Sequence[str], trials: int, size: int) -> Iterator[Block]:
                 yield Block(scenario, first, min(first + size, trials), first // size)
 
 
-def _parquet(table: str, records: Records) -> bytes:
+def _parquet(table: str, records: Records, kind: str) -> bytes:
     """Write a table as Parquet."""
-    found = pa.Table.from_pylist([dict(record) for record in records], schema=schema(table))
+    found = pa.Table.from_pylist([dict(record) for record in records], schema=schema(table, kind))
     sink = pa.BufferOutputStream()
     pq.write_table(found, sink)
     return bytes(sink.getvalue())
@@ -192,9 +188,9 @@ class RunFolder:
             else:
                 leftover.unlink(missing_ok=True)
 
-    def write_block(self, block: Block, tables: Mapping[str, Records]) -> None:
-        """Store a block: its detail tables first, then all checksums, its rows last: rows stand for the whole block."""
-        contents = {name: _parquet(name, tables[name]) for name in tables if tables[name]}
+    def write_block(self, block: Block, tables: Mapping[str, Records], kind: str) -> None:
+        """Store a block of a kind of trial: detail tables, then all checksums, then rows, which stand for the whole."""
+        contents = {name: _parquet(name, tables[name], kind) for name in tables if tables[name]}
         for name in tables:
             if name in contents and name != "rows":
                 self._write(f"{name}/{block.file_name}", contents[name])

@@ -9,10 +9,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.compare.craters import DETECTION, MATCHING
-from reports.compare.metrics import BORESIGHT, LATERAL, Metric
+from reports.compare.metrics import Metric
 from reports.compare.trials import CONDITIONS
 from reports.figures.designs import Points
+from reports.schema.common import BORESIGHT, LATERAL
+from reports.schema.kinds.crater_detection import DETECTION
+from reports.schema.kinds.crater_matching import MATCHING
 from reports.statistics.intervals import FloatArray
 from reports.statistics.measured import MEDIAN, measure, share_of
 

@@ -9,15 +9,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from reports.run.data import TRIAL_KEY, RunData, in_order_of
+from reports.schema.kinds.crater_detection import CENTRE_ERROR, COMMON_CENTRE_ERROR, FALSE_ALARMS, MISSED
+from reports.schema.kinds.crater_matching import MATCHING, WRONG
 
-MISSED, FALSE_ALARMS, CENTRE_ERROR, WRONG = "missed_share", "false_alarm_share", "centre_error_px", "wrong_share"
-COMMON_CENTRE_ERROR = "common_centre_error_px"
-DETECTION = (MISSED, FALSE_ALARMS, CENTRE_ERROR, COMMON_CENTRE_ERROR)
-"""Of an image: detectable craters that were not found, detections that are no crater, %, and the median error, px, of
-the centres of the detectable craters that this method found, and of those that every method of the run found: a method
-that leaves the difficult ones out must not look more accurate for it."""
-MATCHING = (MISSED, WRONG)
-"""Of a pair of images: craters in both that were not matched, and matches that are wrong, %."""
 THERE = "n_there"
 """Craters that there were to be found, or matched."""
 
@@ -29,12 +23,12 @@ def crater_numbers(run: RunData) -> Mapping[str, pd.DataFrame]:
     is NaN: that of false alarms where no detection is false or of a detectable crater, that of missed craters where
     there are none.
     """
-    if not run.crater_matches.empty:
-        matched = run.crater_matches
+    if not run.table("crater_matches").empty:
+        matched = run.table("crater_matches")
         made, common = matched["n_correct"] + matched["n_wrong"], matched["n_common"]
         shares = {MISSED: _percent(matched["n_missed"], common), WRONG: _percent(matched["n_wrong"], made)}
         return dict.fromkeys(MATCHING, matched.assign(**shares, **{THERE: common}))
-    if not run.crater_images.empty:
+    if not run.table("crater_images").empty:
         counts = detection_counts(run)
         missed, false = counts[THERE] - counts["n_hits"], counts["n_false"]
         shares = {MISSED: _percent(missed, counts[THERE]), FALSE_ALARMS: _percent(false, false + counts["n_hits"])}
@@ -52,9 +46,11 @@ def detection_counts(run: RunData) -> pd.DataFrame:
         A row for each row of the run: `TRIAL_KEY`, `THERE` (detectable craters), ``n_kept`` (detections), ``n_hits``
         (detectable craters found), ``n_false`` (detections that are no crater) and `CENTRE_ERROR` of the hits.
     """
-    found = run.detections[run.detections["kept"].astype(bool)]
+    found = run.table("detections")[run.table("detections")["kept"].astype(bool)]
     hits = found[found["detectable"].astype(bool)]
-    rows = run.rows[TRIAL_KEY].merge(run.crater_images[["scenario", "trial", "n_detectable"]], on=["scenario", "trial"])
+    rows = run.rows[TRIAL_KEY].merge(
+        run.table("crater_images")[["scenario", "trial", "n_detectable"]], on=["scenario", "trial"]
+    )
     tables = {"n_kept": found, "n_hits": hits, "n_false": found[found["crater"] < 0]}
     counted = {name: _count(rows, table) for name, table in tables.items()}
     centre = in_order_of(rows, hits.groupby(TRIAL_KEY)[CENTRE_ERROR].median())
@@ -63,7 +59,7 @@ def detection_counts(run: RunData) -> pd.DataFrame:
 
 def _common_centres(run: RunData) -> pd.DataFrame:
     """Return `TRIAL_KEY`, `THERE` (detectable craters that all methods found) and `COMMON_CENTRE_ERROR` of them."""
-    found = run.detections
+    found = run.table("detections")
     hits = found[found["kept"].astype(bool) & found["detectable"].astype(bool)]
     methods = run.rows.groupby("scenario")["estimator"].nunique()
     finders = hits.groupby(["scenario", "trial", "crater"])["estimator"].transform("nunique")

@@ -73,7 +73,7 @@ def _split(found: RunComparison, subjects: Mapping[str, Subject]) -> Split | Non
     estimating = {label: one for label, one in subjects.items() if one.estimator != CONTROL and one.n_ok}
     if not estimating:
         return None
-    if all(run.epochs.empty for run in found.runs):
+    if all(run.table("epochs").empty for run in found.runs):
         return split_of_trials({label: found.of(one) for label, one in estimating.items()}, found.metric)
     tables = {label: frames_of_subject(found, one) for label, one in estimating.items()}
     return split_of_frames(tables) if all(len(table) for table in tables.values()) else None
@@ -84,9 +84,9 @@ def frames_of_subject(found: RunComparison, subject: Subject) -> pd.DataFrame:
     trials = found.of(subject)
     parts = []
     for run in found.runs:
-        if {"true_x_m", "radial_m"} <= set(run.epochs.columns):
+        if {"true_x_m", "radial_m"} <= set(run.table("epochs").columns):
             own = trials.loc[trials["run"] == run.folder.name, [*TRIAL_KEY, "cluster"]]
-            parts.append(run.epochs.merge(own, on=TRIAL_KEY))
+            parts.append(run.table("epochs").merge(own, on=TRIAL_KEY))
     return frames_of(pd.concat(parts, ignore_index=True)) if parts else pd.DataFrame()
 
 

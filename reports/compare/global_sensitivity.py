@@ -90,7 +90,7 @@ def outcome(run: RunData, metric: Metric, statistic: Statistic, scenario: str, e
 
 def same_results(run: RunData, one: str, other: str, estimator: str) -> bool:
     """Whether an estimator gives the same results in two scenarios, bit for bit, whatever its trials are like."""
-    tables = [table for table in (getattr(run, name) for name in _RESULTS) if len(table)]
+    tables = [table for table in (run.rows if name == "rows" else run.table(name) for name in _RESULTS) if len(table)]
     return all(_results(table, one, estimator).equals(_results(table, other, estimator)) for table in tables)
 
 

@@ -10,10 +10,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from reports.compare.factors import ESTIMATOR, NAMED, RUN, difference, draws, level, remainder, short_levels
-from reports.compare.metrics import BORESIGHT, COMPONENTS, LATERAL, Metric, metric_values, nothing_to_find, prior_values
+from reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
 from reports.run.clusters import clusters_of
-from reports.run.data import POSE_COLUMNS, RunData
+from reports.run.data import RunData
 from reports.run.success import succeeded
+from reports.schema.common import BORESIGHT, COMPONENTS, LATERAL, POSE_COLUMNS
 from reports.schema.records import CONTROL
 from scenarios.errors import BoresightError
 

@@ -15,7 +15,8 @@ from reports.kinds.kind import ReportKind
 from reports.run.data import RunData
 from reports.schema.grid import NO_VALUE, Grid, value_of
 from reports.schema.named_figure import NamedFigure, file_stem
-from reports.schema.records import Record, unit_of
+from reports.schema.records import Record
+from reports.schema.tables import unit_of
 from reports.statistics.measured import MEDIAN, P95, measure, measure_share
 from reports.verdicts.tables import comparison_grid
 
@@ -103,10 +104,10 @@ _BY_CRATERS = (
 
 def matching_records(run: RunData) -> list[Record]:
     """Measure recall, share of wrong matches and time of each matcher, scenario and part of the pairs of images."""
-    if run.crater_matches.empty:
+    if run.table("crater_matches").empty:
         return []
-    timed = run.timings[run.timings["stage"] == MATCHING]
-    table = run.crater_matches.merge(timed, on=["trial", "scenario", "estimator"], how="left")
+    timed = run.table("timings")[run.table("timings")["stage"] == MATCHING]
+    table = run.table("crater_matches").merge(timed, on=["trial", "scenario", "estimator"], how="left")
     found: list[Record] = []
     for (scenario, estimator), own in table.groupby(["scenario", "estimator"], sort=False):
         found += _offset(str(scenario), str(estimator), own)
@@ -129,7 +130,7 @@ def _offset(scenario: str, estimator: str, pairs: pd.DataFrame) -> Iterator[Reco
 def matching_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
     """Tabulate each scenario: a line for each cell of angles, or range of craters, and matcher."""
     found = []
-    for scenario, own in run.crater_matches.groupby("scenario", sort=False):
+    for scenario, own in run.table("crater_matches").groupby("scenario", sort=False):
         found.append(_grid(str(scenario), own, records, _cells(run, own)))
         counted = _by_craters(run, own)
         if counted:
@@ -139,7 +140,7 @@ def matching_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
 
 def matching_brief(records: Sequence[Record], run: RunData) -> list[Grid]:
     """Tabulate what fits a terminal: three cells of angles of each scenario, or the scenarios of a grid."""
-    each = run.crater_matches.groupby("scenario", sort=False)
+    each = run.table("crater_matches").groupby("scenario", sort=False)
     if run.manifest.grid is None:
         cells = [_Cell(_DRAWN, sun) for sun in _BRIEF_SUNS]
         found = [_grid(str(scenario), own, records, [c for c in cells if len(c.of(own))]) for scenario, own in each]
@@ -166,7 +167,7 @@ def matching_figures(records: Sequence[Record], run: RunData) -> Iterator[NamedF
             f"Recall and share of wrong matches by {label}.",
         )  # fmt: skip
         return
-    for scenario in dict.fromkeys(run.crater_matches["scenario"]):
+    for scenario in dict.fromkeys(run.table("crater_matches")["scenario"]):
         cells = [_Cell(_DRAWN, sun) for sun in _SUNS if sun != (0.0, 30.0)]
         curves = _curves(records, [(scenario, _span(cell.sun), cell.stage) for cell in cells])
         caption = f"Matching by the angle between the directions of the Sun, views {_span(_DRAWN)} apart, {scenario}."

@@ -14,7 +14,8 @@ from reports.run.clusters import clusters_of
 from reports.run.data import TRIAL_KEY, RunData, select
 from reports.schema.grid import Grid, value_of_ended
 from reports.schema.named_figure import NamedFigure, file_stem
-from reports.schema.records import Record, find, unit_of
+from reports.schema.records import Record, find
+from reports.schema.tables import unit_of
 from reports.statistics.measured import MEAN, MEDIAN, measure
 
 NAVIGATION = "navigation"
@@ -30,7 +31,7 @@ _NOTE = (
 def navigation_records(run: RunData) -> list[Record]:
     """Measure what the chains come to, under the stage ``navigation``."""
     records: list[Record] = []
-    if run.navigation.empty:
+    if run.table("navigation").empty:
         return records
     table = _measured(run)
     for scenario, estimator in run.pairs():
@@ -58,10 +59,10 @@ _MEASURES = (
 
 def _measured(run: RunData) -> pd.DataFrame:
     """Work out the measures of each trial and chain."""
-    table = run.navigation.set_index(TRIAL_KEY)
-    images = run.navigated_images.groupby(TRIAL_KEY)["n_detections"]
-    landmarks = run.navigated_landmarks.groupby(TRIAL_KEY)
-    worked = run.timings[~run.timings["stage"].isin(["imaging", "scoring"])]
+    table = run.table("navigation").set_index(TRIAL_KEY)
+    images = run.table("navigated_images").groupby(TRIAL_KEY)["n_detections"]
+    landmarks = run.table("navigated_landmarks").groupby(TRIAL_KEY)
+    worked = run.table("timings")[~run.table("timings")["stage"].isin(["imaging", "scoring"])]
     matches = table["n_correct"] + table["n_wrong"]
     hits = landmarks["hits"].sum().reindex(table.index)
     return pd.DataFrame(
@@ -89,7 +90,7 @@ def _percent(part: pd.Series, whole: pd.Series) -> pd.Series:
 
 def navigation_grid(records: Sequence[Record], run: RunData) -> Grid | None:
     """Tabulate the chain up to the data base; None without one."""
-    if run.navigation.empty:
+    if run.table("navigation").empty:
         return None
     heads = {
         "rounds": "rounds", "images_taken": "images", "craters_per_image": "craters an image",
@@ -109,16 +110,16 @@ def navigation_grid(records: Sequence[Record], run: RunData) -> Grid | None:
 def navigation_figures(run: RunData) -> Iterator[NamedFigure]:
     """Draw the counts and the spans of the first trial of each scenario and chain."""
     for scenario, estimator in run.pairs():
-        if len(select(run.navigated_images, scenario, estimator)):
+        if len(select(run.table("navigated_images"), scenario, estimator)):
             yield counts_figure(run, scenario, estimator)
-        if len(select(run.navigated_landmarks, scenario, estimator)):
+        if len(select(run.table("navigated_landmarks"), scenario, estimator)):
             yield _spans_figure(run, scenario, estimator)
 
 
 def counts_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
     """Draw how many craters images have and how many images landmarks, in the first trial."""
-    images = _first(select(run.navigated_images, scenario, estimator))
-    landmarks = _first(select(run.navigated_landmarks, scenario, estimator))
+    images = _first(select(run.table("navigated_images"), scenario, estimator))
+    landmarks = _first(select(run.table("navigated_landmarks"), scenario, estimator))
     title = f"Craters of images and images of landmarks, {scenario}, {estimator}, first trial"
     return NamedFigure(
         file_stem("crater_counts", scenario, estimator),
@@ -133,7 +134,7 @@ def _spans_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
     title = f"Landmarks over time, {scenario}, {estimator}, first trial"
     return NamedFigure(
         file_stem("landmark_spans", scenario, estimator),
-        draw_landmark_spans(_first(select(run.navigated_landmarks, scenario, estimator)), title),
+        draw_landmark_spans(_first(select(run.table("navigated_landmarks"), scenario, estimator)), title),
         f"{title}: from the first to the last image that shows each landmark of the data base.",
         "A horizontal line for each landmark over the days of the arc.",
     )

@@ -33,11 +33,11 @@ def survey_brief(records: Sequence[Record]) -> list[Grid]:
 
 def survey_figures(run: RunData, comparison: Comparison | None) -> Iterator[NamedFigure]:
     """Draw, for each scenario, similar images, craters an image and hits of a crater, in the first arc."""
-    for scenario in dict.fromkeys(run.surveyed_images["scenario"]):
-        first = run.surveyed_images["trial"].min()
+    for scenario in dict.fromkeys(run.table("surveyed_images")["scenario"]):
+        first = run.table("surveyed_images")["trial"].min()
         images, craters = (
             table[(table["scenario"] == scenario) & (table["trial"] == first)]
-            for table in (run.surveyed_images, run.surveyed_craters)
+            for table in (run.table("surveyed_images"), run.table("surveyed_craters"))
         )
         one = images["estimator"].iloc[0]
         images, craters = images[images["estimator"] == one], craters[craters["estimator"] == one]

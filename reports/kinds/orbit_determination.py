@@ -15,7 +15,8 @@ from reports.run.data import RunData, select
 from reports.schema.grid import Grid, value_of_ended
 from reports.schema.labels import count_of
 from reports.schema.named_figure import NamedFigure, file_stem
-from reports.schema.records import Record, find, unit_of
+from reports.schema.records import Record, find
+from reports.schema.tables import unit_of
 from reports.statistics.consistency import consistency_grid
 from reports.statistics.measured import MEAN, MEDIAN, RMS, Statistic, measure
 from reports.statistics.weighed import AT_EPOCH
@@ -39,10 +40,10 @@ _NOTE = (
 def orbit_records(run: RunData) -> list[Record]:
     """Measure what the trials come to, under the stage ``orbit``."""
     records: list[Record] = []
-    if run.orbits.empty:
+    if run.table("orbits").empty:
         return records
     for scenario, estimator in run.pairs():
-        table = select(run.orbits, scenario, estimator)
+        table = select(run.table("orbits"), scenario, estimator)
         n = len(select(run.rows, scenario, estimator))
         for names, statistics in ((_ERRORS, (MEDIAN, RMS, P90)), (_RATIOS, (MEAN,)), (_SHARES, (MEDIAN, RMS))):
             for name in names:
@@ -110,9 +111,9 @@ def _grid(records: Sequence[Record], run: RunData) -> Grid:
 def orbit_figures(run: RunData) -> Iterator[NamedFigure]:
     """Draw residuals and errors over time; of a grid, those of the scenarios that it varies."""
     for scenario in reference_scenarios(run):
-        errors = run.orbit_errors[run.orbit_errors["scenario"] == scenario]
+        errors = run.table("orbit_errors")[run.table("orbit_errors")["scenario"] == scenario]
         for estimator in dict.fromkeys(errors["estimator"]):
-            if len(select(run.residuals, scenario, estimator)):
+            if len(select(run.table("residuals"), scenario, estimator)):
                 yield residual_figure(run, scenario, estimator)
         if len(errors):
             title = f"Position error in inertial space, {scenario}"
@@ -131,7 +132,7 @@ def residual_figure(run: RunData, scenario: str, estimator: str) -> NamedFigure:
     title = f"Optical data residuals, {scenario}, {estimator}, first trial"
     return NamedFigure(
         file_stem("residuals", scenario, estimator),
-        draw_residuals(select(run.residuals, scenario, estimator), title),
+        draw_residuals(select(run.table("residuals"), scenario, estimator), title),
         f"{title}: seen less predicted of the sightings that were not edited (figure 10 of Cheng et al. 2003).",
         "Residuals of columns and rows in pixels against time.",
     )

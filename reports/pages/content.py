@@ -47,7 +47,7 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
             " true camera's axes. Failed trials have no error: statistics after a stage are over the trials that"
             " reached it, beside their number, and the line 'failures at prior' counts every trial."
         )
-    elif not run.epochs.empty:
+    elif not run.table("epochs").empty:
         yield (
             "Position error is that of the camera about the body, in inertial axes. A trial that failed has no error"
             " from the frame on at which it ended: statistics after a revolution are over the trials that came so far,"
@@ -61,7 +61,7 @@ def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
     if comparison is not None:
         yield f"Published values: {comparison.source}. {comparison.conditions}"
         yield f"Bounds of the verdicts: {comparison.bounds}"
-    absent = [name for name in ("stages", "landmarks", "timings") if getattr(run, name).empty]
+    absent = [name for name in ("stages", "landmarks", "timings") if run.table(name).empty]
     if posed and absent:
         yield f"Not stored in this run, so left out: {', '.join(absent)}."
     yield from run.manifest.notes

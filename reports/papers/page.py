@@ -15,9 +15,10 @@ from reports.pages.content import beside_published
 from reports.pages.templates import embedded, filled
 from reports.published import Comparison
 from reports.schema.grid import NO_VALUE, Grid, counts, value_of
-from reports.schema.labels import measure_label, stage_label
+from reports.schema.labels import stage_label
 from reports.schema.named_figure import NamedFigure
 from reports.schema.records import Record
+from reports.schema.tables import measure_label
 from reports.verdicts.comparison import VERDICT_RULE, ComparedClaim, ComparedValue, Verdict
 from reports.verdicts.tables import ordered_values, verdict_of, verdict_of_claim
 

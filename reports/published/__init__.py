@@ -9,7 +9,8 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from reports.schema.records import DERIVED, DIAGNOSTICS, RATIO, REDUCTION, UNITS, unit_of
+from reports.schema.records import DERIVED, DIAGNOSTICS, RATIO, REDUCTION
+from reports.schema.tables import measures, unit_of
 from scenarios.errors import BoresightError
 from scenarios.load.yaml_text import parse_yaml
 from scenarios.reading import held_to
@@ -78,8 +79,8 @@ class PublishedValue(_Model):
 
     @model_validator(mode="after")
     def _known(self) -> Self:
-        if self.measure not in UNITS and self.stage not in (DIAGNOSTICS, DERIVED):
-            raise ValueError(f"measure {self.measure!r} is not one of {', '.join(UNITS)}")
+        if self.measure not in measures() and self.stage not in (DIAGNOSTICS, DERIVED):
+            raise ValueError(f"measure {self.measure!r} is not one of {', '.join(sorted(measures()))}")
         if self.at_most is not None and (self.relation != "above" or self.at_most <= self.value):
             raise ValueError(f"at_most {self.at_most:g} bounds what is above {self.printed}, and lies above that")
         if (self.stage in (REDUCTION, RATIO)) != bool(self.against):

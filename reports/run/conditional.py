@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from reports.run.data import RunData
 from reports.schema.grid import Grid
+from reports.schema.tables import kind_schema
 
 _INTERVAL = re.compile(r"\[\S+, \S+\]")
 
@@ -31,18 +32,8 @@ def of_what_was_drawn(grids: Iterable[Grid], run: RunData) -> Iterator[Grid]:
 
 def database_line(run: RunData) -> str:
     """Say what the data bases of a run mean for its intervals; '' where it has none."""
-    if run.databases > 1 and run.manifest.experiment == "crater-detection":
-        return (
-            f"The world of craters was drawn {run.databases} times; trials have them in turn. Intervals take the world"
-            " for what is independent (Student's t over them), so that they tell of other worlds too."
-        )
     if run.databases > 1:
-        return (
-            f"Each estimator's data base was drawn {run.databases} times, with the errors of the shape on board where"
-            " it has some, and with another world of craters where there is one; trials have them in turn. Intervals"
-            " and tests take the data base for what is independent (Student's t over them), so that they tell of"
-            " other data bases too."
-        )
+        return kind_schema(run.manifest.experiment).databases_note.format(n=run.databases)
     once = drawn_once(run)
     return (
         f"Intervals are of {once}: another one would give other errors, and they do not tell of that." if once else ""

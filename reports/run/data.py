@@ -14,116 +14,18 @@ import pandas as pd
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from reports.schema.column import names
+from reports.schema.tables import ALL_ROW_COLUMNS, FORMAT_VERSION, TABLES, columns_of, layout
 from scenarios.checksums import refuse_damaged
 from scenarios.errors import BoresightError
 from scenarios.known import Known, known_on_board
-from scenarios.parquet import Layout, read_frame
+from scenarios.parquet import read_frame
 from scenarios.reading import held_to, plain_json, unreadable
 from scenarios.spec.scenario import ScenarioSpec
 
+_NOT_REPORTED = ("said", "tracebacks")
 TRIAL_KEY = ["scenario", "estimator", "trial"]
 """Columns that tell the row of a trial and method from all others."""
-
-POSE_COLUMNS = (
-    "position_error_m",
-    "attitude_error_deg",
-    "position_error_x_m",
-    "position_error_y_m",
-    "position_error_z_m",
-)
-_KEY = ("scenario", "estimator", "trial")
-_TEXTS = frozenset({"scenario", "estimator", "status", "reason", "stage", "reference", "name", "kind"})
-_ELLIPSE = ("u_px", "v_px", "major_px", "minor_px", "angle_deg")
-_COLUMNS: Mapping[str, tuple[str, ...]] = {
-    "rows": (*_KEY, "status", "reason", *(f"prior_{name}" for name in POSE_COLUMNS), *POSE_COLUMNS),
-    "stages": (*_KEY, "stage", *POSE_COLUMNS),
-    "references": (*_KEY, "reference", *POSE_COLUMNS),
-    "landmarks": (*_KEY, "landmark", "error_m", "chi_square"),
-    "diagnostics": (*_KEY, "name", "value"),
-    "timings": (*_KEY, "stage", "seconds"),
-    "vision": (
-        *_KEY,
-        "frame",
-        "n_features",
-        "repeatability",
-        "n_matches",
-        "right_share",
-        "n_kept",
-        "kept_right_share",
-        "n_tracks",
-        "n_wrong",
-        "error_px",
-        "sigma_px",
-    ),
-    "crater_matches": (
-        *_KEY,
-        "view_deg",
-        "sun_deg",
-        "n_common",
-        "n_correct",
-        "n_wrong",
-        "n_missed",
-        "epipolar_offset_px",
-    ),
-    "crater_images": ("scenario", "trial", "phase_deg", "n_craters", "n_detectable", "n_clean"),
-    "craters": (
-        "scenario",
-        "trial",
-        "crater",
-        *_ELLIPSE,
-        "degradation",
-        "incidence_deg",
-        "detectable",
-        "clean",
-    ),
-    "detections": (
-        *_KEY,
-        "rank",
-        "confidence",
-        "kept",
-        *_ELLIPSE,
-        "crater",
-        "duplicate",
-        "detectable",
-        "clean",
-        "centre_error_px",
-        "major_error_px",
-        "minor_error_px",
-    ),
-    "orbits": (
-        *_KEY,
-        "epoch_error_m",
-        "epoch_nees",
-        "arc_median_m",
-        "arc_rms_m",
-        "arc_nees",
-        "predicted_error_m",
-        "residual_rms_px",
-        "wrong_left_share",
-        "right_edited_share",
-        "gm_error",
-        "solar_pressure_error",
-    ),
-    "orbit_errors": (*_KEY, "time_days", "predicted", "position_error_m", "position_sigma_m"),
-    "residuals": (*_KEY, "time_days", "u_px", "v_px", "used"),
-    "navigation": (
-        *_KEY,
-        "rounds",
-        "n_images",
-        "n_detections",
-        "n_false",
-        "n_pairs",
-        "n_correct",
-        "n_wrong",
-        "n_common",
-        "n_landmarks",
-    ),
-    "navigated_images": (*_KEY, "n_detections", "n_numbered"),
-    "navigated_landmarks": (*_KEY, "hits", "n_other", "first_days", "last_days"),
-    "surveyed_images": (*_KEY, "image", "n_detections", "n_similar"),
-    "surveyed_craters": (*_KEY, "crater", "hits"),
-    "epochs": (*_KEY, "frame", "anomaly_deg", "position_error_m", "landmark_rmse_m", "settled_landmark_rmse_m"),
-}
 
 
 class Product(BaseModel):
@@ -233,47 +135,18 @@ class RunData:
     rows
         One row per trial and estimator; ``image`` is '' where the image was rendered, ``n_landmarks`` is
         NaN where the estimator does not count landmarks, ``database`` where it has no data base.
-    stages, references, landmarks, diagnostics, timings
-        Detail tables: errors after each stage, errors against further reference poses, recognised
-        landmarks, numbers that estimators report, wall times.
-    epochs
-        Of sequences: the errors of every frame.
-    vision
-        Of sequences of images: what the vision layer found in every frame.
-    crater_matches
-        Of pairs of images: how many craters were matched.
-    crater_images, craters, detections
-        Of images of craters: what each is like, the true craters in it, and what every detector found.
-    orbits, orbit_errors, residuals
-        Of orbit determination: what each trial comes to, errors over time, and residuals of the first trial.
-    navigation, navigated_images, navigated_landmarks
-        Of crater navigation: what each trial comes to before the orbit, its images, and the landmarks of its data base.
-    surveyed_images, surveyed_craters
-        Of arcs of planned images: what each image shows, and how often each crater is seen.
+    tables
+        The other tables of the run by their names (`reports.schema.tables.TABLES`); see `table`.
     """
 
     folder: Path
     manifest: Manifest
     rows: pd.DataFrame
-    stages: pd.DataFrame
-    references: pd.DataFrame
-    landmarks: pd.DataFrame
-    diagnostics: pd.DataFrame
-    timings: pd.DataFrame
-    epochs: pd.DataFrame = field(default_factory=pd.DataFrame)
-    vision: pd.DataFrame = field(default_factory=pd.DataFrame)
-    crater_matches: pd.DataFrame = field(default_factory=pd.DataFrame)
-    crater_images: pd.DataFrame = field(default_factory=pd.DataFrame)
-    craters: pd.DataFrame = field(default_factory=pd.DataFrame)
-    detections: pd.DataFrame = field(default_factory=pd.DataFrame)
-    orbits: pd.DataFrame = field(default_factory=pd.DataFrame)
-    orbit_errors: pd.DataFrame = field(default_factory=pd.DataFrame)
-    residuals: pd.DataFrame = field(default_factory=pd.DataFrame)
-    navigation: pd.DataFrame = field(default_factory=pd.DataFrame)
-    navigated_images: pd.DataFrame = field(default_factory=pd.DataFrame)
-    navigated_landmarks: pd.DataFrame = field(default_factory=pd.DataFrame)
-    surveyed_images: pd.DataFrame = field(default_factory=pd.DataFrame)
-    surveyed_craters: pd.DataFrame = field(default_factory=pd.DataFrame)
+    tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+
+    def table(self, name: str) -> pd.DataFrame:
+        """Return a table of the run; one that was not stored is empty, with its columns."""
+        return self.tables[name] if name in self.tables else pd.DataFrame(columns=list(names(columns_of(name))))
 
     @cached_property
     def image_of_trial(self) -> pd.Series:
@@ -283,7 +156,7 @@ class RunData:
     @cached_property
     def databases(self) -> int:
         """Count the data bases that an estimator had, trial by trial in turn."""
-        return len(self.rows["database"].dropna().unique()) if "database" in self.rows else 0
+        return len(self.rows["database"].dropna().unique())
 
     @cached_property
     def database_of_trial(self) -> pd.Series:
@@ -340,45 +213,60 @@ def read_run(folder: str | PathLike[str]) -> RunData:
     folder = Path(folder)
     manifest = _read_manifest(folder / "manifest.json")
     refuse_damaged(folder)
-    tables = {name: _read_table(folder / name, columns, manifest) for name, columns in _COLUMNS.items()}
+    kind = manifest.experiment
+    tables = {name: _read_table(folder / name, kind) for name in TABLES if name not in _NOT_REPORTED}
     rows = tables.pop("rows")
     if rows.empty:
         raise BoresightError(f"{folder}/rows: no finished trial is stored; continue the run first")
     unknown = sorted(set(rows["scenario"]) - manifest.scenarios.keys())
     if unknown:
         raise BoresightError(f"{folder}/rows: are of the scenario {unknown[0]}, which the manifest does not name")
-    image = rows["image"].fillna("").astype(str) if "image" in rows else ""
-    n_landmarks = rows["n_landmarks"].astype(float) if "n_landmarks" in rows else float("nan")
-    database = rows["database"].astype(float) if "database" in rows else float("nan")
-    rows = rows.assign(image=image, n_landmarks=n_landmarks, database=database, reason=rows["reason"].fillna(""))
-    return RunData(folder, manifest, rows, **tables)
+    return RunData(folder, manifest, _with_all_columns(rows), tables)
+
+
+def _with_all_columns(rows: pd.DataFrame) -> pd.DataFrame:
+    """Give rows the columns of all kinds of trial: NaN, or '' for texts, where this kind has none."""
+    rows = rows.reindex(columns=[*rows, *(name for name in names(ALL_ROW_COLUMNS) if name not in rows)])
+    whole = {name: rows[name].astype(float) for name in ("n_landmarks", "database")}
+    texts = {name: rows[name].astype(object).where(rows[name].notna(), "").astype(str) for name in ("image", "reason")}
+    return rows.assign(**whole, **texts)
+
+
+def refuse_older(manifest: object, path: Path) -> None:
+    """Refuse a run that another version of boresight stored in another way.
+
+    Raises
+    ------
+    BoresightError
+        If its format is not the one that this version reads.
+    """
+    stored = manifest.get("format", "unknown") if isinstance(manifest, Mapping) else FORMAT_VERSION
+    if stored != FORMAT_VERSION:
+        raise BoresightError(
+            f"{path.parent}: stored in format {stored}, and this version of boresight reads {FORMAT_VERSION}: run the"
+            " campaign again, into another folder (--out)"
+        )
 
 
 def _read_manifest(path: Path) -> Manifest:
     try:
-        return held_to(Manifest, plain_json(path))
+        found = plain_json(path)
+        refuse_older(found, path)
+        return held_to(Manifest, found)
     except FileNotFoundError:
         raise BoresightError(f"{path}: not found; is {path.parent} the folder of a run?") from None
     except (OSError, ValueError) as error:
         raise unreadable(path, "a manifest", error) from error
 
 
-def _read_table(folder: Path, columns: tuple[str, ...], manifest: Manifest) -> pd.DataFrame:
+def _read_table(folder: Path, experiment: str) -> pd.DataFrame:
     """Read a Parquet folder, in an order that does not depend on how its parts were written."""
+    columns = names(columns_of(folder.name, experiment))
     if not folder.is_dir() or not any(folder.glob("*.parquet")):
         return pd.DataFrame(columns=list(columns))
-    keys = tuple(name for name in ("trial", "scenario", "estimator") if name in columns)
-    table = read_frame(folder, Layout(keys, _is_text))
+    table = read_frame(folder, layout(folder.name, experiment))
     missing = [name for name in columns if name not in table.columns]
     if missing:
-        made = manifest.commit or f"version {manifest.versions.get('boresight', 'unknown')}"
-        raise BoresightError(
-            f"{folder}: columns {', '.join(missing)} are missing; the run was stored by boresight {made}:"
-            f" read it with that, or run it again: boresight run {manifest.name}"
-        )
-    return table.sort_values(list(keys), kind="stable").reset_index(drop=True)
-
-
-def _is_text(column: str) -> bool | None:
-    """Tell whether a column holds texts; ``image`` is a name in rows, a number elsewhere."""
-    return None if column == "image" else column in _TEXTS
+        raise BoresightError(f"{folder}: columns {', '.join(missing)} are missing: run the campaign again, into another folder (--out)")
+    keys = [name for name in ("trial", "scenario", "estimator") if name in columns]
+    return table.sort_values(keys, kind="stable").reset_index(drop=True)

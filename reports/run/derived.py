@@ -7,7 +7,8 @@ import math
 from pydantic import ValidationError
 
 from reports.run.data import RunData
-from reports.schema.records import DERIVED, Record, unit_of
+from reports.schema.records import DERIVED, Record
+from reports.schema.tables import unit_of
 from scenarios.spec.camera import CameraSpec
 
 
@@ -25,7 +26,7 @@ def derived_records(run: RunData, radius_m: float) -> tuple[Record, ...]:
         except (AttributeError, ValidationError):
             continue
         rows = run.rows[run.rows["scenario"] == name]
-        if len(rows) and "range_m" in rows:
+        if rows["range_m"].notna().any():
             records += _of_a_pixel(str(name), camera.pixel_angle_rad, float(rows["range_m"].median()), radius_m)
     return tuple(records)
 

@@ -21,7 +21,7 @@ def unsolved(run: RunData) -> tuple[pd.DataFrame, bool]:
     Reasons that differ in numbers alone are one, with n for the number, and of sequences those of all frames.
     """
     failed = run.rows[run.rows["status"] != "ok"]
-    reason = failed["reason"] if run.epochs.empty else failed["reason"].str.replace(_FRAME, "", regex=True)
+    reason = failed["reason"] if run.table("epochs").empty else failed["reason"].str.replace(_FRAME, "", regex=True)
     alike = reason.str.replace(_NUMBER, "n", regex=True)
     merged = reason.groupby(alike).transform("nunique") > 1
     return failed.assign(reason=reason.where(~merged, alike)), bool(merged.any())

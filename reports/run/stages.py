@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import pandas as pd
 
-from reports.run.data import POSE_COLUMNS, RunData, select
+from reports.run.data import RunData, select
+from reports.schema.common import POSE_COLUMNS
 from reports.schema.records import CONTROL
 
 
 def final_stage(run: RunData, scenario: str, estimator: str) -> str:
     """Name the last stage that the estimator reports; its errors are those of the rows."""
-    names = select(run.stages, scenario, estimator)["stage"].unique()
+    names = select(run.table("stages"), scenario, estimator)["stage"].unique()
     return str(names[-1]) if len(names) and names[-1] != CONTROL else "final"
 
 
@@ -22,7 +23,7 @@ def errors_by_stage(run: RunData, scenario: str, estimator: str) -> dict[str, pd
     """
     rows = select(run.rows, scenario, estimator)
     prior = rows[["trial"]].assign(**{name: rows[f"prior_{name}"] for name in POSE_COLUMNS})
-    stages = select(run.stages, scenario, estimator)
+    stages = select(run.table("stages"), scenario, estimator)
     last = final_stage(run, scenario, estimator)
     between = [name for name in stages["stage"].unique() if name not in (CONTROL, last)]
     columns = ["trial", *POSE_COLUMNS]

@@ -58,7 +58,7 @@ def consistency_records(run: RunData) -> list[Record]:
     """Hold every covariance and every bound against the errors; nothing of estimators that give neither."""
     records: list[Record] = []
     kinds = list(weighed_errors(run))
-    posed = set(run.posed_pairs()) if NEES in run.rows else set()
+    posed = set(run.posed_pairs())
     for scenario, estimator in run.pairs():
         own = select(run.rows, scenario, estimator)
         rows = own[own["status"] == "ok"]

@@ -10,10 +10,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from reports.run.clusters import clusters_of, groups, rows_by_group
-from reports.run.data import POSE_COLUMNS, RunData, select
+from reports.run.data import RunData, select
 from reports.run.stages import errors_by_stage, final_stage
 from reports.run.success import succeeded
-from reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, SEQUENCE, Record, unit_of
+from reports.schema.common import POSE_COLUMNS
+from reports.schema.kinds.sequence import SEQUENCE_COLUMNS
+from reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, SEQUENCE, Record
+from reports.schema.tables import unit_of
 from reports.statistics.measured import (
     DEVIATION,
     MEAN,
@@ -29,14 +32,6 @@ from reports.statistics.measured import (
     share_of,
 )
 
-SEQUENCE_COLUMNS = (
-    "error_after_1_m",
-    "error_after_2_m",
-    "landmark_rmse_m",
-    "settled_landmark_rmse_m",
-    "final_landmark_rmse_m",
-    "mean_position_nees",
-)
 MIN_LANDMARKS = 4
 """Landmarks that fix a pose."""
 _REDUCTIONS = {"position_reduction_m": POSE_COLUMNS[0], "attitude_reduction_deg": POSE_COLUMNS[1]}
@@ -135,7 +130,7 @@ def reference_measures(run: RunData) -> list[Record]:
     """Measure final pose errors against each further reference pose; those against the truth are measured elsewhere."""
     records = []
     for scenario, estimator in run.pairs():
-        table = select(run.references, scenario, estimator)
+        table = select(run.table("references"), scenario, estimator)
         n = len(select(run.rows, scenario, estimator))
         # An estimator's errors against the truth are measured from its stages; the control has no stages.
         known = set() if estimator == CONTROL else {run.truth_name(scenario)}
@@ -161,7 +156,7 @@ def improvement_measures(run: RunData) -> list[Record]:
         prior = ok.assign(**{name: ok[f"prior_{name}"] for name in _REDUCTIONS.values()})
         subject = _Subject(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
         records += _reductions(run, subject, prior, ok)
-        mine, control = (select(run.references, scenario, name) for name in (estimator, CONTROL))
+        mine, control = (select(run.table("references"), scenario, name) for name in (estimator, CONTROL))
         for reference in sorted(set(mine["reference"]) - {run.truth_name(scenario)}):
             final, before = (table[table["reference"] == reference] for table in (mine, control))
             records += _reductions(run, replace(subject, reference=str(reference)), before, final)
@@ -191,7 +186,7 @@ def landmark_measures(run: RunData) -> list[Record]:
             records += subject.records("n_landmarks", ok["n_landmarks"], clusters_of(run, ok), (MEDIAN, MEAN))
             enough = (rows["n_landmarks"].fillna(0.0) >= MIN_LANDMARKS).to_numpy()
             records.append(subject.share("four_landmarks_share", enough, clusters_of(run, rows)))
-        marks = select(run.landmarks, scenario, estimator)
+        marks = select(run.table("landmarks"), scenario, estimator)
         if len(marks):
             subject, count = _Subject(scenario, estimator, stage, len(marks)), Measured(*3 * (len(marks),))
             records.append(subject.record("landmark_observations", "count", count, len(marks)))
@@ -223,7 +218,7 @@ def diagnostic_measures(run: RunData) -> list[Record]:
     """Measure each number that an estimator reports of its trials, under the stage ``diagnostics``."""
     records = []
     for group, members in groups(run):
-        own = run.diagnostics[run.diagnostics["scenario"].isin(members)]
+        own = run.table("diagnostics")[run.table("diagnostics")["scenario"].isin(members)]
         for (estimator, name), table in own.groupby(["estimator", "name"], sort=False):
             n = int((run.rows["scenario"].isin(members) & (run.rows["estimator"] == estimator)).sum())
             subject = _Subject(group, str(estimator), DIAGNOSTICS, n)
@@ -234,7 +229,7 @@ def diagnostic_measures(run: RunData) -> list[Record]:
 def sequence_measures(run: RunData) -> list[Record]:
     """Measure what the trials of sequences come to, under the stage ``sequence``."""
     records: list[Record] = []
-    if run.epochs.empty:
+    if run.table("epochs").empty:
         return records
     for group, estimator, rows in rows_by_group(run):
         subject, clusters = _Subject(group, estimator, SEQUENCE, len(rows)), clusters_of(run, rows)
@@ -251,7 +246,7 @@ def timing_measures(run: RunData) -> list[Record]:
     """Measure the wall time of each stage of a trial."""
     records = []
     for group, members in groups(run):
-        own = run.timings[run.timings["scenario"].isin(members)]
+        own = run.table("timings")[run.table("timings")["scenario"].isin(members)]
         for (estimator, stage), times in own.groupby(["estimator", "stage"], sort=False):
             total = times.groupby(["scenario", "trial"], sort=False)[["seconds"]].sum().reset_index()
             subject = _Subject(group, str(estimator), str(stage), len(total))

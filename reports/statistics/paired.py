@@ -19,7 +19,8 @@ from reports.run.clusters import clusters_of
 from reports.run.data import RunData, select
 from reports.run.success import succeeded
 from reports.schema.grid import Grid, counts, value_of
-from reports.schema.records import CONTROL, Record, find, unit_of
+from reports.schema.records import CONTROL, Record, find
+from reports.schema.tables import unit_of
 from reports.statistics.intervals import wilson
 from reports.statistics.measured import MEDIAN, Measured, measure, share_of, widened
 

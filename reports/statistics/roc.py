@@ -82,7 +82,7 @@ def detections(run: RunData) -> Iterator[Detection]:
             ABOVE_PRIOR: error > rows["prior_position_error_m"].to_numpy(),
             ABOVE_MEDIANS: error > 3.0 * np.median(error),
         }
-        numbers = select(run.diagnostics, scenario, estimator)
+        numbers = select(run.table("diagnostics"), scenario, estimator)
         for name in numbers["name"].unique():
             values = numbers[numbers["name"] == name].set_index("trial")["value"]
             yield from _of_score(run, rows, str(name), values.reindex(rows["trial"]).to_numpy(), classes)

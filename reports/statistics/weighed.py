@@ -79,22 +79,22 @@ def weighed_errors(run: RunData) -> Iterator[Weighed]:
 
     An innovation that a gate refused is no part of the mean that an estimator reports, which is a little small for it.
     """
-    if NEES in run.rows and run.orbits.empty:  # Rows of orbits repeat what the table of orbits has.
+    if run.table("orbits").empty:  # Rows of orbits repeat what the table of orbits has.
         rows = run.rows[(run.rows["status"] == "ok") & run.rows[NEES].notna()]
         yield from _some(NEES, POSE_DEGREES, rows.assign(ratio=rows[NEES], degrees=POSE_DEGREES))
-    if NEES in run.epochs:
-        known = run.epochs[run.epochs[NEES].notna()]
+    if not run.table("epochs").empty:
+        known = run.table("epochs")[run.table("epochs")[NEES].notna()]
         known = known.assign(ratio=known[NEES], degrees=POSITION_DEGREES)
-        last = float(run.epochs["anomaly_deg"].max())
+        last = float(run.table("epochs")["anomaly_deg"].max())
         for k in range(1, int((last + _SAME_FRAME_DEG) // _TURN_DEG) + 1):
             at = known[(known["anomaly_deg"] - k * _TURN_DEG).abs() < _SAME_FRAME_DEG]
             yield from _some(f"{_AFTER}{k}", POSITION_DEGREES, at)
-    if _EPOCH in run.orbits:
+    if _EPOCH in run.table("orbits"):
         # The table has it over the number of degrees of freedom, so that 1 is expected.
-        solved = run.orbits[run.orbits[_EPOCH].notna()]
+        solved = run.table("orbits")[run.table("orbits")[_EPOCH].notna()]
         squares = solved.assign(ratio=STATE_DEGREES * solved[_EPOCH], degrees=STATE_DEGREES)
         yield from _some(AT_EPOCH, STATE_DEGREES, squares)
-    told = run.diagnostics[run.diagnostics["name"].isin([NIS, _NIS_DEGREES])]
+    told = run.table("diagnostics")[run.table("diagnostics")["name"].isin([NIS, _NIS_DEGREES])]
     wide = told.pivot_table(index=TRIAL_KEY, columns="name", values="value").reset_index()
     if {NIS, _NIS_DEGREES} <= set(wide):
         whole = wide.dropna().rename(columns={NIS: "ratio", _NIS_DEGREES: "degrees"})

@@ -9,8 +9,9 @@ from reports.run.known import short_line
 from reports.run.reasons import unsolved
 from reports.run.success import MEANING
 from reports.schema.grid import NO_VALUE, Grid, counts, value_of
-from reports.schema.labels import MEASURES, measure_label, stage_label
+from reports.schema.labels import stage_label
 from reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
+from reports.schema.tables import measure_label, measures
 from reports.statistics.measured import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE
 from scenarios.known import correlated
 
@@ -100,8 +101,8 @@ def reference_grid(records: Sequence[Record], run: RunData) -> Grid | None:
 
 def detail_grid(records: Sequence[Record]) -> Grid | None:
     """Tabulate improvement trial by trial, landmarks and data base; None if nothing of it was measured."""
-    names = [name for name in MEASURES if not name.startswith(("position_error", "attitude_error", "seconds"))]
-    chosen = [r for r in records if r.measure in names and r.stage != DIAGNOSTICS]
+    listed = {name for name, measure in measures().items() if measure.detail}
+    chosen = [r for r in records if r.measure in listed and r.stage != DIAGNOSTICS]
     heads = ("scenario", "estimator", "quantity", "statistic", "value [95 %]", "unit", "ok")
 
     def cells(r: Record) -> tuple[str, ...]:

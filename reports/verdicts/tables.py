@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from reports.run.data import POSE_COLUMNS
+from reports.schema.common import POSE_COLUMNS
 from reports.schema.grid import NO_VALUE, Grid, counts, value_of, value_of_ended
-from reports.schema.labels import measure_label, stage_label
+from reports.schema.labels import stage_label
 from reports.schema.records import RATIO, REDUCTION, SEQUENCE, Record
+from reports.schema.tables import measure_label
 from reports.verdicts.comparison import VERDICT_RULE, ComparedClaim, ComparedValue, Verdict
 
 _OF_RUNS = frozenset({SEQUENCE, REDUCTION, RATIO, "orbit"})

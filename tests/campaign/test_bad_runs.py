@@ -67,7 +67,7 @@ DAMAGES = {
     "an empty manifest": (lambda run: (run / "manifest.json").write_text(""), [MANIFEST, AGAIN], True),
     "a binary manifest": (lambda run: (run / "manifest.json").write_bytes(b"\x80\x81"), [MANIFEST, AGAIN], True),
     "no seed": (rewritten(seed=None), ["not a manifest of boresight, which has a seed"], True),
-    "an older format": (rewritten(format=1), ["run: stored in format 1, and this version of", "reads 2", AGAIN], True),
+    "an older format": (rewritten(format=1), ["run: stored in format 1, and this version of", "reads 3", AGAIN], True),
     "no format": (rewritten(format=None), ["stored in format unknown", AGAIN], True),
     "a later format": (rewritten(format=9), ["stored in format 9", AGAIN], True),
     "no rows": (lambda run: shutil.rmtree(run / "rows"), ["no finished trial is stored; continue the run"], False),
@@ -77,7 +77,7 @@ DAMAGES = {
     "half a table, unchecked": (
         cut("stages", checked=False), ["stages: not readable as a stored table", AGAIN], False,
     ),
-    "older columns": (older_columns, ["prior_position_error_m are missing", "run it again: boresight run"], False),
+    "older columns": (older_columns, ["prior_position_error_m are missing", AGAIN], False),
 }  # fmt: skip
 
 

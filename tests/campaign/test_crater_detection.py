@@ -153,7 +153,7 @@ def test_tables_agree_with_each_other(done: Path) -> None:
 def test_report_counts_by_hand(done: Path) -> None:
     data = read_run(done)
     records = crater_records(data)
-    every, craters = data.detections, data.craters
+    every, craters = data.table("detections"), data.table("craters")
     found = every[every["confidence"] >= 0.3]
     assert 10 < len(found) < len(every)
     assert (every["kept"] == (every["confidence"] >= 0.3)).all()

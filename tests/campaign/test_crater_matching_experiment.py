@@ -132,7 +132,7 @@ def test_a_run_is_stored_and_reported_with_shares_of_its_counts(campaign_file, t
     out = tmp_path / "run"
     assert main(["run", str(campaign_file), "--out", str(out), "--jobs", "1", "--worst", "0"]) == 0
     run = read_run(out)
-    table = run.crater_matches[run.crater_matches["estimator"] == "vote"]
+    table = run.table("crater_matches")[run.table("crater_matches")["estimator"] == "vote"]
     records = matching_records(run)
     near = [r for r in records if r.estimator == "vote" and r.stage == "matching, views 0 to 20 deg, Suns 0 to 30 deg"]
     recall, wrong = (next(r for r in near if r.measure == name) for name in (RECALL, WRONG))

@@ -10,12 +10,12 @@ from campaign.kinds.crater_navigation.score import match_counts, told_apart
 from campaign.kinds.crater_navigation.sights import DrawnSights
 from campaign.kinds.crater_navigation.taken import NavigationTrial
 from campaign.kinds.crater_navigation.trial import CraterNavigationTrials
-from campaign.store.columns import TABLES
 from estimators.craters.contract import CraterDetections, CraterMatches
 from estimators.craters.database.numbering import Numbering, PairMatches
 from estimators.craters.navigation.rounds import CraterNavigation, NavigationOptions, Round
 from estimators.craters.navigation.stages import Stages
 from estimators.orbit.contract import OrbitEstimate
+from reports.schema.tables import TABLES
 from scenarios.craters.pairs import population
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError

@@ -12,7 +12,7 @@ from orbit_worlds import orbit_world
 
 from campaign.kinds.crater_navigation.sights import DrawnSights
 from campaign.kinds.image_survey.trial import FEW, ImageSurvey, coverage
-from campaign.store.columns import TABLES
+from reports.schema.tables import TABLES
 from scenarios.craters.pairs import population
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError

@@ -10,9 +10,9 @@ from orbit_worlds import orbit_world
 from campaign.kinds.orbit_determination.score import check_orbit, drawable, orbit_errors, orbit_summary, wrong_sightings
 from campaign.kinds.orbit_determination.trial import OrbitTrials
 from campaign.runs.resolve import resolve
-from campaign.store.columns import TABLES
 from estimators.orbit.batch_filter import BatchFilter
 from estimators.orbit.contract import Orbit, OrbitEstimate
+from reports.schema.tables import TABLES
 from scenarios.errors import BoresightError
 from scenarios.load import load_scenario
 from scenarios.orbits.draw import draw_orbit

@@ -23,11 +23,11 @@ from campaign.papers.page import drawn, gather, paper_called, paper_campaigns
 from campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
 from campaign.runs.resolve import resolve
 from campaign.store import RunFolder
-from campaign.store.columns import FORMAT_VERSION
 from estimators.landmark.build import DatabaseOptions
 from renderers.mitsuba3 import choose_variant
 from reports.published import load_published
 from reports.schema.named_figure import NamedFigure
+from reports.schema.tables import FORMAT_VERSION
 from scenarios.errors import BoresightError
 
 PAPER = paper_called("rowell2015")

@@ -28,10 +28,10 @@ from campaign.imaging.world import open_world
 from campaign.kinds.single_image.trial import SingleImage
 from campaign.papers.gather import newest_finished, run_folders
 from campaign.runs.resolve import reload, resolve
-from campaign.store import TABLES, RunFolder
+from campaign.store import RunFolder
 from campaign.trial.pose_score import pose_error
 from renderers.mitsuba3 import choose_variant
-from reports.statistics.measures import SEQUENCE_COLUMNS
+from reports.schema.tables import columns_of
 from scenarios.load import canonical_json, load_scenario
 
 OF_IMAGES = {"rows", "stages", "landmarks", "diagnostics"}
@@ -44,7 +44,7 @@ def test_rows_are_one_for_each_trial_and_estimator(tiny_run):
     expected = list(itertools.product(range(TRIALS), ["scene"], ["prior", "landmark-harris"]))
     assert list(rows[["trial", "scenario", "estimator"]].itertuples(index=False, name=None)) == expected
     assert list(rows["database"].fillna(-1)) == [-1, 0] * TRIALS, "the prior has none"
-    others = ["database", "position_bound_m", "attitude_bound_deg", *SEQUENCE_COLUMNS]
+    others = ["database", "position_bound_m", "attitude_bound_deg"]
     numbers = rows.select_dtypes("number").drop(columns=others)
     assert np.isfinite(numbers).all(axis=None), "this campaign has no failures, and no estimator with a bound"
     assert set(rows["status"]) == {"ok"}
@@ -54,7 +54,7 @@ def test_stored_columns_are_the_documented_ones(tiny_run):
     for name in (*RESULTS, "timings"):
         if name not in OF_OTHERS:
             stored = pd.read_parquet(tiny_run.folder / name)
-            assert list(stored.columns) == [column.name for column in TABLES[name]], name
+            assert list(stored.columns) == [column.name for column in columns_of(name, "single-image")], name
             assert len(stored), name
     assert not any((tiny_run.folder / name).exists() for name in OF_OTHERS)
     assert not (tiny_run.folder / "tracebacks").exists()

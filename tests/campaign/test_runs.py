@@ -65,7 +65,7 @@ def test_the_order_of_the_blocks_does_not_matter(tiny_run, tmp_path):
     bench = Bench(tiny_run.folder, jobs=1, keep_images=False)
     folder = RunFolder(tmp_path)
     for block in reversed(list(blocks(["scene"], TRIALS, KIND.block_trials))):
-        folder.write_block(block, run_block(campaign, block, bench))
+        folder.write_block(block, run_block(campaign, block, bench), campaign.spec.experiment)
     assert_same_results(tiny_run.folder, tmp_path)
 
 

@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 
 from campaign.store import TABLES, RunFolder, RunLock
-from campaign.store.columns import schema
 from campaign.store.folder import Block, BlockState, blocks
 from campaign.trial.pose_score import pose_error
+from reports.schema.tables import columns_of, schema
 from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
 from scenarios.geometry import look_at
@@ -51,17 +51,17 @@ def test_scenarios_take_turns_in_rounds():
 def test_a_stored_block_reads_back_in_the_order_of_trials(tmp_path):
     folder = RunFolder(tmp_path)
     for block in reversed(list(blocks(["a"], 25, 10))):
-        folder.write_block(block, {"rows": [record(t) for t in range(block.first, block.last)]})
+        folder.write_block(block, {"rows": [record(t) for t in range(block.first, block.last)]}, "single-image")
     rows = pd.read_parquet(tmp_path / "rows")
     assert rows["trial"].tolist() == list(range(25))
-    assert list(rows.columns) == [c.name for c in TABLES["rows"]]
+    assert list(rows.columns) == [c.name for c in columns_of("rows", "single-image")]
 
 
 def test_a_trial_is_found_in_the_one_file_that_holds_it(tmp_path):
     folder, methods = RunFolder(tmp_path), ("prior", "other")
     for block in blocks(["a", "a-0000001"], 35, 10):
         rows = [record(t, m) | {"scenario": block.scenario} for t in range(block.first, block.last) for m in methods]
-        folder.write_block(block, {"rows": rows})
+        folder.write_block(block, {"rows": rows}, "single-image")
     (tmp_path / "rows" / "a-0000001.parquet").unlink()  # a detail table has no file where a block has nothing for it
     for scenario in ("a", "a-0000001"):
         for trial in range(36):
@@ -76,10 +76,10 @@ def test_a_trial_is_found_in_the_one_file_that_holds_it(tmp_path):
 def test_a_block_is_whole_only_when_its_rows_are(tmp_path):
     folder, block = RunFolder(tmp_path), Block("a", 0, 10, 0)
     assert folder.state(block, 1) is BlockState.ABSENT
-    folder.write_block(Block("a", 0, 5, 0), {"rows": [record(t) for t in range(5)]})
+    folder.write_block(Block("a", 0, 5, 0), {"rows": [record(t) for t in range(5)]}, "single-image")
     assert folder.state(block, 1) is BlockState.SHORT
     assert folder.state(Block("a", 0, 5, 0), 1) is BlockState.WHOLE
-    folder.write_block(block, {"rows": [record(t) for t in range(10)]})
+    folder.write_block(block, {"rows": [record(t) for t in range(10)]}, "single-image")
     assert folder.state(block, 1) is BlockState.WHOLE
     assert folder.state(Block("a", 0, 5, 0), 1) is BlockState.WHOLE, "more trials than asked for are kept"
 
@@ -90,7 +90,8 @@ def stored(tmp_path):
     folder, block = RunFolder(tmp_path), Block("a", 0, 10, 0)
     key = {"scenario": "a", "estimator": "prior"}
     timings = [{"trial": t, **key, "stage": "image", "seconds": 0.1} for t in range(10)]
-    folder.write_block(block, {"rows": [record(t) for t in range(10)], "timings": timings, "stages": []})
+    rows = [record(t) for t in range(10)]
+    folder.write_block(block, {"rows": rows, "timings": timings, "stages": []}, "single-image")
     return folder, block
 
 
@@ -159,6 +160,7 @@ def test_missing_values_are_nan_and_not_infinite(tmp_path):
                 {**{k: v for k, v in record(0).items() if k not in ERROR_KEYS}, "status": "failed", "reason": "dark"}
             ]
         },
+        "single-image",
     )
     row = folder.table("rows").iloc[0]
     assert np.isnan(row["position_error_m"])

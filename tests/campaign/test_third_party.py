@@ -11,7 +11,6 @@ from tiny_campaign import RESULTS, SCENE, boresight, compute, files, run, write_
 
 from campaign.cli import main
 from campaign.store import RunFolder
-from reports.statistics.measures import SEQUENCE_COLUMNS
 
 TRIALS = 12
 # One estimator for each way to break the contract; `answer` gets the prior pose and returns what `estimate` returns.
@@ -210,7 +209,7 @@ def test_rubbish_is_an_error_with_a_traceback_and_the_others_go_on(package, tmp_
     numbers = rows.select_dtypes("number")
     assert not np.isinf(numbers).any(axis=None)
     doubtful = [column for column in numbers if column.endswith(("_sigma_m", "_sigma_deg", "_bound_m", "_bound_deg"))]
-    given = numbers.drop(columns=["nees", "database", *doubtful, *SEQUENCE_COLUMNS])
+    given = numbers.drop(columns=["nees", "database", *doubtful])
     # An estimator may have no covariance and no data base.
     assert given[rows["status"] == "ok"].notna().all(axis=None)
     assert not {"stages", "landmarks"} & {path.name for path in out.iterdir()}, (

@@ -8,6 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+
+from reports.schema.tables import FORMAT_VERSION, columns_of
 
 KIND_OF = {
     "epochs": "sequence",
@@ -59,11 +62,17 @@ class RunBuilder:
                 self.add("stages", **key, stage=stage, **pose_error(*error))
 
     def write(self, **manifest) -> Path:
+        kind = next((kind for table, kind in KIND_OF.items() if table in self.tables), "single-image")
         for name, rows in self.tables.items():
             (self.folder / name).mkdir(parents=True, exist_ok=True)
-            pd.DataFrame(rows).to_parquet(self.folder / name / "block-0.parquet")
+            table = pd.DataFrame(rows)
+            for column in columns_of(name, kind):
+                if column.name not in table:
+                    table[column.name] = "" if column.type == pa.string() else np.nan
+            table.to_parquet(self.folder / name / "block-0.parquet")
         trials = len({row["trial"] for row in self.tables.get("rows", [])})
         whole = {
+            "format": FORMAT_VERSION,
             "name": "rowell2015-simulated",
             "title": "Landmarks on <Itokawa>",
             "seed": 7,
@@ -74,7 +83,6 @@ class RunBuilder:
             "machine": {"cores": 2},
             "credits": [],
         }
-        kind = next((kind for table, kind in KIND_OF.items() if table in self.tables), "single-image")
         whole = whole | manifest
         whole["campaign"] = {"experiment": kind, **whole.get("campaign", {})}
         self.folder.mkdir(parents=True, exist_ok=True)

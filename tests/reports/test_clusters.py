@@ -12,9 +12,10 @@ from reports.pages.build import write_report
 from reports.pages.console import console_table
 from reports.run.clusters import image_set, pools
 from reports.run.data import read_run
+from reports.schema.kinds.sequence import SEQUENCE_COLUMNS
 from reports.schema.records import RATIO, SEQUENCE, find
 from reports.statistics.measured import MEAN, measure, measure_deviation
-from reports.statistics.measures import SEQUENCE_COLUMNS, measure_run
+from reports.statistics.measures import measure_run
 from reports.statistics.paired import BETTER, SIGN_TEST
 
 STARTS = 6

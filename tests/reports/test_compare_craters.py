@@ -8,8 +8,9 @@ import pytest
 from stored_runs import SCENARIO, RunBuilder, pose_error
 
 from reports.compare import compare_runs, write_comparison
-from reports.compare.metrics import metric_names, names_before_a_run
+from reports.compare.metrics import metric_names
 from reports.run.data import read_run
+from reports.schema.tables import kind_schema
 
 ELLIPSE = dict.fromkeys(("u_px", "v_px", "major_px", "minor_px", "angle_deg"), 20.0)
 ERRORS = ("centre_error_px", "major_error_px", "minor_error_px")
@@ -114,7 +115,7 @@ def test_counts_are_neither_better_nor_worse(tmp_path):
             if count is not None:
                 builder.add("diagnostics", **key, name="candidates", value=9000.0)
                 builder.add("diagnostics", **key, name="landmarks", value=float(count))
-    found = compare_runs([builder.write(estimators=["base", "strict"])])
+    found = compare_runs([builder.write(estimators=["base", "strict"], campaign={"experiment": "landmark-database"})])
     assert found.metric.name == "landmarks"
     (contrast,) = found.contrasts
     assert contrast.median.value == -110.0
@@ -137,6 +138,6 @@ def test_counts_are_neither_better_nor_worse(tmp_path):
     ],
 )
 def test_the_metrics_known_before_a_run_are_those_of_its_kind(experiment, first):
-    names = names_before_a_run(experiment)
+    names = kind_schema(experiment).metrics
     assert names[0] == first
     assert ("position_error_m" in names) == (experiment == "single-image")

@@ -24,9 +24,9 @@ def run_of(errors):
             {"scenario": s, "estimator": e, "trial": np.arange(len(v)), "error_after_1_m": v, "error_after_2_m": np.nan}
         )
         for (s, e), v in errors.items()
-    ).assign(image="")
+    ).assign(image="", database=np.nan)
     manifest = SimpleNamespace(scenarios={s: {"name": s} for s, _ in errors}, grid=None)
-    return RunData(Path("run"), manifest, rows, *[pd.DataFrame()] * 5, epochs=rows)
+    return RunData(Path("run"), manifest, rows, {"epochs": rows})
 
 
 def means(run):

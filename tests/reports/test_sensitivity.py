@@ -54,7 +54,7 @@ def run_with(*products):
             for estimator, folder, facets in products
         ],
     )  # fmt: skip
-    return RunData(Path(), manifest, *(pd.DataFrame() for _ in range(6)))
+    return RunData(Path(), manifest, pd.DataFrame())
 
 
 def test_estimators_with_one_data_base_are_no_variants_of_it():

@@ -63,6 +63,6 @@ def stages_of(
 
 
 def _richest(run: RunData, scenario: str) -> list[int]:
-    images = run.crater_images[run.crater_images["scenario"] == scenario]
+    images = run.table("crater_images")[run.table("crater_images")["scenario"] == scenario]
     ordered = images.sort_values(["n_detectable", "trial"], ascending=[False, True])
     return [int(trial) for trial in ordered["trial"].head(_EXAMPLES)]

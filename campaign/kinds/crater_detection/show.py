@@ -29,9 +29,11 @@ def look_at_detections(scene: Scene) -> Look:
     ground = experiment.world.ground
     if ground is None:
         raise BoresightError(f"{run.folder}: --look: the scenario {scene.scenario} has no craters")
-    there = run.craters[(run.craters["scenario"] == scene.scenario) & run.craters["detectable"].astype(bool)]
+    there = run.table("craters")[
+        (run.table("craters")["scenario"] == scene.scenario) & run.table("craters")["detectable"].astype(bool)
+    ]
     there = there[there["trial"].isin(rows["trial"])]
-    found = select(run.detections, scene.scenario, scene.label)
+    found = select(run.table("detections"), scene.scenario, scene.label)
     found = found[found["trial"].isin(rows["trial"])]
     found = found[found["kept"].astype(bool) & found["detectable"].astype(bool) & (found["crater"] >= 0)]
     chances = there.groupby("crater").size()

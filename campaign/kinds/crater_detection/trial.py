@@ -16,7 +16,6 @@ from campaign.pool.guard import Call
 from campaign.products import MissingProduct, Shelf
 from campaign.products.databases import of_database, with_world
 from campaign.resolved import ResolvedCampaign
-from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
 from campaign.trial.crater_score import NONE, check_detections, ellipse_errors, match_detections
 from campaign.trial.in_turn import InTurn
 from campaign.trial.kept_images import ImageSink, image_sink
@@ -26,6 +25,7 @@ from campaign.trial.work import GaveUpError, Work
 from estimators.craters.contract import CraterDetections, CraterDetector
 from estimators.craters.registry import crater_detector_class
 from renderers.mitsuba3 import TiledRenderer
+from reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 from scenarios.craters import CraterTruth, crater_truth, cratered_surface
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Ellipses

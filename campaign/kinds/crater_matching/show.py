@@ -122,7 +122,7 @@ def matching_example(
     campaign: ResolvedCampaign, folder: RunFolder, run: RunData, scenario: str, label: str
 ) -> NamedFigure | None:
     """Draw the pair in which a matcher finds its median number of craters; None where it never finds one."""
-    trial = _typical(select(run.crater_matches, scenario, label))
+    trial = _typical(select(run.table("crater_matches"), scenario, label))
     drawn = None if trial is None else draw_pair_case(recompute(campaign, folder, Case(scenario, label, trial)))
     if drawn is None:
         return None

@@ -154,7 +154,7 @@ def _matches(shown: EstimatedImage, found: Recognised, what: str, lines: list[st
 def look_at_images(scene: Scene) -> Look:
     """Show the landmarks of the first data base and the cameras of all its trials."""
     experiment, run = scene.opened(SingleImage), scene.run
-    tables = (select(table, scene.scenario, scene.label) for table in (run.rows, run.landmarks))
+    tables = (select(table, scene.scenario, scene.label) for table in (run.rows, run.table("landmarks")))
     rows, recognised = (table[table["trial"] % scene.campaign.spec.databases == 0] for table in tables)
     views = {int(t): experiment.world.source.view(experiment.seed, int(t)) for t in rows["trial"]}
     body = coarsened(experiment.world.body.mesh, MOST_FACES)

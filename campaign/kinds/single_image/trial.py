@@ -18,7 +18,6 @@ from campaign.pool.guard import Call
 from campaign.products import BuiltProduct, MissingProduct, Shelf
 from campaign.products.databases import with_world
 from campaign.resolved import ResolvedCampaign
-from campaign.store.columns import FRESH_IMAGE, STORED_IMAGE
 from campaign.trial.in_turn import InTurn
 from campaign.trial.kept_images import ImageSink, image_sink
 from campaign.trial.kind import Bench, Record, Records, Witness, add_records
@@ -27,6 +26,7 @@ from campaign.trial.pose_score import consistency, pose_columns, pose_error
 from campaign.trial.work import Work
 from estimators.contract import Estimate, Estimator, Table
 from estimators.registry import estimator_class
+from reports.schema.common import FRESH_IMAGE, STORED_IMAGE
 from scenarios.beliefs import believed_camera
 from scenarios.draw import estimator_generator
 from scenarios.geometry import Pose

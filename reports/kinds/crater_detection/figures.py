@@ -83,8 +83,10 @@ def _span(low: float, high: float) -> str:
 
 def example_figure(run: RunData, scenario: str, estimator: str, trial: int, image: NDArray[np.float32]) -> NamedFigure:
     """Draw one image of a stored run with its craters and a detector's: figures 2 and 3 of Cheng et al. (2003)."""
-    truth = run.craters[(run.craters["scenario"] == scenario) & (run.craters["trial"] == trial)]
-    found = run.detections
+    truth = run.table("craters")[
+        (run.table("craters")["scenario"] == scenario) & (run.table("craters")["trial"] == trial)
+    ]
+    found = run.table("detections")
     found = found[(found["scenario"] == scenario) & (found["estimator"] == estimator) & (found["trial"] == trial)]
     found = found[found["kept"].to_numpy(dtype=bool)]
     detectable, matched = (values.to_numpy(dtype=np.bool_) for values in (truth["detectable"], found["crater"] >= 0))

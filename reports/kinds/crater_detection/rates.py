@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from reports.run.clusters import clusters_of
 from reports.run.data import RunData, select
 from reports.schema.grid import NO_VALUE, Grid, value_of
-from reports.schema.records import Record, unit_of
+from reports.schema.records import Record
+from reports.schema.tables import measure_heading, unit_of
 from reports.statistics.intervals import is_told
 from reports.statistics.measured import MEDIAN, RMS, measure, measure_share
 
@@ -30,22 +31,6 @@ FALSE_SHARES = (0.01, 0.02, 0.05, 0.1, 0.2)
 _DIAMETERS_PX = (12.0, 16.0, 24.0, 36.0, 60.0, np.inf)
 _DEGRADATIONS = (0.0, 0.15, 0.3, 0.45, 0.6)
 _INCIDENCES_DEG = (20.0, 35.0, 45.0, 55.0, 65.0, 75.0)
-_LABELS = {
-    "detection_share": "detectable craters found, %",
-    "clean_detection_share": "clean craters found, %",
-    "false_alarm_share": "false alarms among detections of detectable craters and false ones, %",
-    "listed_false_alarm_share": "false alarms among all detections, any listed crater counting as right, %",
-    "beyond_detectable_share": "detections that are of no detectable crater, %",
-    "duplicate_share": "duplicates among the detections, %",
-    "detections_per_image": "detections in an image",
-    "best_false_alarm_share": f"false alarms among these of the {BEST} most confident of an image, %",
-    "best_within_1px_share": f"centres within 1 px among those of these {BEST} that are matched, %",
-    "best_centre_error_px": f"centre error of these {BEST}, px",
-    "centre_error_px": "centre error of detectable craters, px",
-    "axes_error_px": "error of a semi-axis of detectable craters, px",
-    "clean_centre_error_px": "centre error of clean craters, px",
-    "clean_axes_error_px": "error of a semi-axis of clean craters, px",
-}
 _BRIEF_SHARES = ("detection_share", "clean_detection_share", "false_alarm_share")
 _NOTE = (
     "Over the detections that reach the detector's threshold (`confidence_min`), which was chosen on images of another"
@@ -86,8 +71,8 @@ def shown(run: RunData) -> Iterator[Shown]:
         images = rows[["scenario", "trial"]].sort_values("trial")
         unit = clusters_of(run, images)
         images = images.assign(unit=unit, world=unit if run.databases > 1 else "")
-        found = select(run.detections, scenario, estimator).merge(images, on=["scenario", "trial"])
-        here = run.craters.merge(images, on=["scenario", "trial"])
+        found = select(run.table("detections"), scenario, estimator).merge(images, on=["scenario", "trial"])
+        here = run.table("craters").merge(images, on=["scenario", "trial"])
         matched = found.loc[found["crater"] >= 0, ["trial", "crater", "confidence", "kept"]]
         craters = here.merge(matched, on=["trial", "crater"], how="left")
         craters["kept"] = craters["kept"].eq(True)
@@ -96,7 +81,7 @@ def shown(run: RunData) -> Iterator[Shown]:
 
 def crater_records(run: RunData) -> list[Record]:
     """Measure every detector; images on which it failed count with what is there and nothing found."""
-    return [record for one in (shown(run) if not run.craters.empty else ()) for record in _records(one)]
+    return [record for one in (shown(run) if not run.table("craters").empty else ()) for record in _records(one)]
 
 
 def _records(one: Shown) -> Iterator[Record]:
@@ -163,7 +148,7 @@ def _record(
 def crater_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
     """Tabulate rates and errors, rates by what craters are like, and the curve over confidence; [] without craters."""
     lines = tuple(
-        (r.scenario, r.estimator, _LABELS[r.measure], r.statistic, value_of(r, interval=True), str(r.n))
+        (r.scenario, r.estimator, measure_heading(r.measure), r.statistic, value_of(r, interval=True), str(r.n))
         for r in records
         if r.stage == DETECTION
     )
@@ -315,7 +300,7 @@ def _cell(rate: tuple[float | None, float | None, float | None]) -> str:
 def _image_grid(run: RunData) -> Grid:
     """Tell what the images are like."""
     rows = []
-    for scenario, images in run.crater_images.groupby("scenario", sort=False):
+    for scenario, images in run.table("crater_images").groupby("scenario", sort=False):
         for name, label in (
             ("phase_deg", "phase, deg"),
             ("n_craters", "craters of 150 m or more in sight"),

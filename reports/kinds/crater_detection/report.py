@@ -112,5 +112,5 @@ REPORT = ReportKind(
     records=lambda run, comparison: crater_records(run),
     tables=tables,
     brief=lambda content: crater_brief(content.records),
-    figures=lambda content: () if content.run.craters.empty else crater_figures(content.run),
+    figures=lambda content: () if content.run.table("craters").empty else crater_figures(content.run),
 )

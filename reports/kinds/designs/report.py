@@ -16,9 +16,10 @@ from reports.kinds.designs.tables import ATTITUDE, POSITION, DesignData, Outcome
 from reports.kinds.kind import Content, ReportKind
 from reports.run.data import DesignAxis, RunData
 from reports.schema.grid import Grid, number
-from reports.schema.labels import measure_label, stage_label
+from reports.schema.labels import stage_label
 from reports.schema.named_figure import NamedFigure, file_stem
-from reports.schema.records import CONTROL, SEQUENCE, unit_of
+from reports.schema.records import CONTROL, SEQUENCE
+from reports.schema.tables import measure_label, unit_of
 from reports.statistics.measured import Measured
 
 
@@ -28,7 +29,7 @@ def design_figures(run: RunData) -> Iterator[NamedFigure]:
     if design is None:
         return
     data = DesignData(run, design)
-    if not run.epochs.empty:
+    if not run.table("epochs").empty:
         if design.design == "one-at-a-time":
             for base, names in data.bases().items():
                 yield from _sequences(data, base, names)

@@ -19,11 +19,12 @@ from reports.run.data import Design, RunData, select
 from reports.run.stages import errors_by_stage, final_stage
 from reports.run.success import MEANING, succeeded
 from reports.schema.grid import NO_VALUE, Grid, of_ended
-from reports.schema.labels import measure_label, stage_label
-from reports.schema.records import CONTROL, SEQUENCE, unit_of
+from reports.schema.kinds.sequence import SEQUENCE_COLUMNS
+from reports.schema.labels import stage_label
+from reports.schema.records import CONTROL, SEQUENCE
+from reports.schema.tables import measure_label, unit_of
 from reports.statistics.main_effects import main_effects
 from reports.statistics.measured import MEAN, MEDIAN, Measured, measure
-from reports.statistics.measures import SEQUENCE_COLUMNS
 from reports.tables.cells import interval
 
 POSITION, ATTITUDE, CENTROID = "position_error_m", "attitude_error_deg", "centroid_offset_px"
@@ -58,7 +59,7 @@ def outcomes(run: RunData) -> list[Outcome]:
     The attitude is none of an estimator that leaves it as it was, such as centroiding alone. Of sequences, list the
     errors after whole revolutions that they are long enough for.
     """
-    if not run.epochs.empty:
+    if not run.table("epochs").empty:
         names = dict.fromkeys(name for _, name in run.pairs())
         reached = [name for name in REVOLUTION_ERRORS if run.rows[name].notna().any()]
         return [Outcome(estimator, SEQUENCE, name) for estimator in names for name in reached or [POSITION]]
@@ -77,7 +78,7 @@ def outcomes(run: RunData) -> list[Outcome]:
 
 
 def _reports(run: RunData, estimator: str, name: str) -> bool:
-    told = run.diagnostics
+    told = run.table("diagnostics")
     return bool(((told["estimator"] == estimator) & (told["name"] == name)).any())
 
 
@@ -139,7 +140,7 @@ class DesignData:
         return pd.Series(dtype=float) if table is None else table.set_index("trial")[outcome.measure]
 
     def _reported(self, scenario: str, outcome: Outcome) -> pd.Series:
-        told = select(self.run.diagnostics, scenario, outcome.estimator)
+        told = select(self.run.table("diagnostics"), scenario, outcome.estimator)
         return told[told["name"] == outcome.measure].set_index("trial")["value"]
 
     def trials(self, scenario: str, outcome: Outcome) -> int:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from reports.published import Comparison, PublishedValue
 from reports.run.clusters import clusters_of, groups, pooled_scenarios
 from reports.run.data import RunData, select
-from reports.schema.records import RATIO, REDUCTION, Record, unit_of
+from reports.schema.records import RATIO, REDUCTION, Record
+from reports.schema.tables import unit_of
 from reports.statistics.measured import MEAN, Measured, cluster_interval
 from reports.statistics.paired import BETTER, SIGN_TEST, sign_test
 
@@ -109,7 +110,7 @@ def ratio_records(run: RunData) -> Iterator[Record]:
     Sign tests stand beside it, in which what is independent counts once, by the sign of its median difference.
     Scenarios that are pooled have none by themselves: the starts on one set of images say nothing of another.
     """
-    if run.epochs.empty:
+    if run.table("epochs").empty:
         return
     pooled = pooled_scenarios(run)
     for name, members in groups(run):
@@ -126,9 +127,9 @@ def ratio_records(run: RunData) -> Iterator[Record]:
 
 def cycle_ratio_records(run: RunData) -> Iterator[Record]:
     """Set the mean cycle time of every estimator of sequences over that of every other one, on the same trials."""
-    if run.epochs.empty:
+    if run.table("epochs").empty:
         return
-    pooled, cycles = pooled_scenarios(run), run.timings[run.timings["stage"] == _CYCLE]
+    pooled, cycles = pooled_scenarios(run), run.table("timings")[run.table("timings")["stage"] == _CYCLE]
     for name, members in groups(run):
         own = cycles[cycles["scenario"].isin(members)]
         if name in pooled or own.empty:

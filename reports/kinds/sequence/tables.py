@@ -17,9 +17,10 @@ from reports.kinds.sequence.vision import vision_grid
 from reports.run.clusters import clusters_of, pooled_scenarios, pools
 from reports.run.data import RunData, select
 from reports.schema.grid import NO_VALUE, Grid, counts, number, of_ended, value_of, value_of_ended
-from reports.schema.labels import as_title, count_of, measure_label
+from reports.schema.labels import as_title, count_of
 from reports.schema.named_figure import NamedFigure, file_stem
 from reports.schema.records import RATIO, SEQUENCE, Record, find
+from reports.schema.tables import measure_label
 from reports.statistics.consistency import consistency_grid
 from reports.statistics.measured import DEVIATION, MEAN, MEDIAN, P95, RMS
 from reports.statistics.paired import BETTER, SIGN_TEST
@@ -136,7 +137,9 @@ def _mean_and_deviation(records: Sequence[Record], line: Record) -> str:
 
 def sequence_figures(run: RunData) -> Iterator[NamedFigure]:
     """Draw the errors along the frames of each scenario, and where scenarios or estimators are a series, over it."""
-    for scenario in dict.fromkeys(run.epochs["scenario"]):  # where no frame was estimated there is nothing to draw
+    for scenario in dict.fromkeys(
+        run.table("epochs")["scenario"]
+    ):  # where no frame was estimated there is nothing to draw
         labels = [name for where, name in run.pairs() if where == scenario]
         yield NamedFigure(file_stem(f"traces_{scenario}"), *trace_figure(run, scenario, labels))
     series = revolution_series(run)
@@ -148,7 +151,7 @@ def trace_figure(
     run: RunData, scenario: str, labels: Sequence[str], panels: Sequence[str] = (POSITION, LANDMARKS)
 ) -> tuple[Figure, str, str]:
     """Draw the errors of some estimators along the frames: the figure, its caption and its description."""
-    here = run.epochs[run.epochs["scenario"] == scenario]
+    here = run.table("epochs")[run.table("epochs")["scenario"] == scenario]
     title = f"Errors along the orbit, {scenario}"
     trials = here["trial"].nunique()
     return (
@@ -161,7 +164,7 @@ def trace_figure(
 
 def start_figure(run: RunData, scenario: str, estimator: str) -> tuple[Figure, str, str]:
     """Draw the errors of every trial along the frames: the figure, its caption and its description."""
-    epochs = select(run.epochs, scenario, estimator)
+    epochs = select(run.table("epochs"), scenario, estimator)
     title = f"Position error from {count_of(epochs['trial'].nunique(), 'start')}, {estimator}"
     return (
         draw_starts(epochs, title),

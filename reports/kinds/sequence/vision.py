@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from reports.run.clusters import clusters_of, groups
 from reports.run.data import RunData
 from reports.schema.grid import Grid, counts, value_of
-from reports.schema.records import Record, unit_of
+from reports.schema.records import Record
+from reports.schema.tables import measure_heading, unit_of
 from reports.statistics.measured import MEAN, MEDIAN, measure
 
 VISION = "vision"
@@ -30,19 +31,6 @@ _MEASURES = {
     "error_px": "track_error_px",
     "sigma_px": "track_sigma_px",
 }
-_LABELS = {
-    "features_per_image": "features found in an image",
-    "repeatability_share": "features of the frame before, in sight here, found again, %",
-    "matches_per_image": "matches of descriptors",
-    "right_share": "right ones among the matches, %",
-    "kept_per_image": "matches that agree with one motion",
-    "kept_right_share": "right ones among those that agree, %",
-    "track_survival_share": "tracks of the frame before that go on, %",
-    "tracks_per_image": "tracks seen in a frame",
-    "wrong_per_image": "tracks more than 3 px off",
-    "track_error_px": "RMS error of a coordinate of the others, px",
-    "track_sigma_px": "what estimators are told of it, px",
-}
 _NOTE = (
     "Mean over the frames of a trial, then over trials. The starts on one set of images are not independent of each"
     " other: intervals are over sets, and one set by itself has none."
@@ -50,27 +38,22 @@ _NOTE = (
 
 
 def vision_records(run: RunData) -> list[Record]:
-    """Measure the vision layer of each scenario and estimator: means over the frames of each trial.
-
-    Runs of before the column ``survival`` tell the others.
-    """
+    """Measure the vision layer of each scenario and estimator: means over the frames of each trial."""
     records: list[Record] = []
-    if run.vision.empty:
+    if run.table("vision").empty:
         return records
     for group, members in groups(run):
-        shown = run.vision[run.vision["scenario"].isin(members)]
+        shown = run.table("vision")[run.table("vision")["scenario"].isin(members)]
         for estimator in dict.fromkeys(shown["estimator"]):
             frames = shown[shown["estimator"] == estimator]
-            trials = frames.groupby(["scenario", "trial"], as_index=False)[
-                [column for column in _MEASURES if column in frames]
-            ].mean()
+            trials = frames.groupby(["scenario", "trial"], as_index=False)[[*_MEASURES]].mean()
             records += _records(group, str(estimator), trials, clusters_of(run, trials))
     return records
 
 
 def _records(group: str, estimator: str, trials: pd.DataFrame, clusters: NDArray[np.generic]) -> Iterator[Record]:
     """Yield mean and median of every measure over ``trials``, a row for each."""
-    for column, name in ((column, name) for column, name in _MEASURES.items() if column in trials):
+    for column, name in _MEASURES.items():
         values = trials[column].to_numpy(dtype=np.float64) * (100.0 if name.endswith("_share") else 1.0)
         known = np.isfinite(values)
         statistics = (MEAN, MEDIAN)
@@ -91,7 +74,7 @@ def vision_grid(records: Sequence[Record]) -> Grid | None:
         (
             group[0].scenario,
             ", ".join(line.estimator for line in group),
-            _LABELS[group[0].measure],
+            measure_heading(group[0].measure),
             value_of(group[0], interval=True),
             counts(group[0]),
         )

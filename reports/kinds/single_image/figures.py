@@ -77,7 +77,7 @@ def landmark_figures(content: Content, scenario: str, estimator: str) -> Iterato
     """Draw the errors of recognised landmarks, and their number an image, where there are any."""
     run = content.run
     credit_lines = run.manifest.credits
-    marks = select(run.landmarks, scenario, estimator)
+    marks = select(run.table("landmarks"), scenario, estimator)
     error, chi_square = (_finite(marks[name]) for name in ("error_m", "chi_square"))
     if len(error) and len(chi_square):
         title = f"Landmark recognition error, {scenario}, {estimator}"
@@ -168,7 +168,7 @@ def _trade_figures(content: Content, scenario: str) -> Iterator[NamedFigure]:
 
 def centroid_offsets(run: RunData, estimator: str) -> dict[str, FloatArray]:
     """Collect the offsets (n, 2) of the brightness centroid that an estimator reports, px, scenario by scenario."""
-    numbers = run.diagnostics[run.diagnostics["estimator"] == estimator]
+    numbers = run.table("diagnostics")[run.table("diagnostics")["estimator"] == estimator]
     axes = numbers[numbers["name"].isin(["centroid_du_px", "centroid_dv_px"])]
     wide = axes.pivot_table(index=["scenario", "trial"], columns="name", values="value")
     return {
@@ -179,7 +179,9 @@ def centroid_offsets(run: RunData, estimator: str) -> dict[str, FloatArray]:
 
 def _centroid_figures(content: Content) -> Iterator[NamedFigure]:
     run = content.run
-    for estimator in dict.fromkeys(run.diagnostics.loc[run.diagnostics["name"] == "centroid_du_px", "estimator"]):
+    for estimator in dict.fromkeys(
+        run.table("diagnostics").loc[run.table("diagnostics")["name"] == "centroid_du_px", "estimator"]
+    ):
         title = f"Offset of the brightness centroid, observed minus rendered, {estimator}"
         yield NamedFigure(
             file_stem("centroid_offsets", str(estimator)),

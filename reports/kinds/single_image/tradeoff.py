@@ -114,7 +114,7 @@ def _seconds(run: RunData, ok: pd.DataFrame) -> Measured:
     """Median over the trials with an estimate; one that stops early would look fast."""
     if ok.empty:
         return Measured(None)
-    times = select(run.timings, str(ok["scenario"].iloc[0]), str(ok["estimator"].iloc[0]))
+    times = select(run.table("timings"), str(ok["scenario"].iloc[0]), str(ok["estimator"].iloc[0]))
     own = times[~times["stage"].isin(_IMAGE_STAGES) & times["trial"].isin(ok["trial"])]
     total = own.groupby(["scenario", "trial"], sort=False)[["seconds"]].sum().reset_index()
     return measure(total["seconds"].to_numpy(dtype=np.float64), clusters_of(run, total), (MEDIAN,))[0]

@@ -19,13 +19,13 @@ from campaign.runs.manifest import make_manifest
 from campaign.runs.newest import newest_first
 from campaign.runs.request import RunRequest
 from campaign.runs.resolve import resolve
-from campaign.store.columns import schema
 from campaign.store.folder import Block, RunFolder
 from hostile import recipes
 from hostile.target import Target
 from reports.run.clusters import clusters_of, pools
 from reports.run.data import read_run
 from reports.run.known import known_lines
+from reports.schema.tables import schema
 from scenarios.checksums import checksum_text
 from scenarios.errors import BoresightError
 
@@ -72,7 +72,7 @@ def _stored() -> Mapping[str, bytes]:
             {**{key: row[key] for key in ("trial", "scenario", "estimator")}, "stage": "x", "seconds": 0.5}
             for row in rows
         ]
-        run.write_block(_BLOCK, {"rows": rows, "timings": times})
+        run.write_block(_BLOCK, {"rows": rows, "timings": times}, "sequence")
         return {path.relative_to(run.path).as_posix(): path.read_bytes() for path in run.path.rglob("*.*")}
 
 
@@ -84,10 +84,10 @@ def _rows() -> pa.Table:
         "status": ["ok", "failed"],
     }
     columns = []
-    for field in schema("rows"):
+    for field in schema("rows", "sequence"):
         numbers, texts = ([2, None], [1.5, None])[pa.types.is_floating(field.type)], ["", "why"]
         columns.append(pa.array(known.get(field.name, texts if field.type == pa.string() else numbers), field.type))
-    return pa.table(columns, schema=schema("rows"))
+    return pa.table(columns, schema=schema("rows", "sequence"))
 
 
 def _manifest(content: bytes, folder: Path) -> object:

@@ -1,0 +1,7 @@
+"""Columns of the building of data bases of landmarks."""
+
+from __future__ import annotations
+
+from reports.schema.column import KindSchema
+
+SCHEMA = KindSchema(metrics=("landmarks", "facets", "candidates", "kept_clusters"))

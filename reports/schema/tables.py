@@ -1,0 +1,93 @@
+"""The documented columns of every stored table, and units and labels of every measure.
+
+Raise FORMAT_VERSION when a column is renamed, moved, or changes its meaning.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Iterator
+from functools import cache
+from importlib import import_module
+from itertools import chain
+
+import pyarrow as pa
+
+from reports.schema import common
+from reports.schema import kinds as _kinds
+from reports.schema.column import Columns, KindSchema, Measure, names, unit_by_suffix
+from scenarios.parquet import Layout
+
+FORMAT_VERSION = 3
+_USUAL = "single_image"
+_SCHEMAS: dict[str, KindSchema] = {
+    found.name: import_module(f"{_kinds.__name__}.{found.name}").SCHEMA
+    for found in pkgutil.iter_modules(_kinds.__path__)
+}
+ALL_ROW_COLUMNS: Columns = tuple(
+    {column.name: column for column in chain(common.COMMON_ROW, *(kind.row for kind in _SCHEMAS.values()))}.values()
+)
+TABLES: dict[str, Columns] = {
+    "rows": ALL_ROW_COLUMNS,
+    **{name: columns for kind in _SCHEMAS.values() for name, columns in kind.tables.items()},
+    **common.TABLES,
+}
+"""Columns of each table; of ``rows`` those of all kinds of trial, of which a run has those of its own."""
+
+
+def kind_schema(experiment: str) -> KindSchema:
+    """Return what a kind of trial stores and reports; one without columns of its own has those of single images."""
+    return _SCHEMAS.get(experiment.replace("-", "_"), _SCHEMAS[_USUAL])
+
+
+def columns_of(table: str, experiment: str = "") -> Columns:
+    """Return the columns of a table in a run of a kind of trial; without a kind, those of all kinds."""
+    if table == "rows" and experiment:
+        return (*common.COMMON_ROW, *kind_schema(experiment).row)
+    return TABLES[table]
+
+
+def schema(table: str, experiment: str = "") -> pa.Schema:
+    """Return the Arrow schema of a table in a run of a kind of trial, with the meanings as field metadata."""
+    fields = [pa.field(c.name, c.type, metadata={"meaning": c.meaning}) for c in columns_of(table, experiment)]
+    return pa.schema(fields, metadata={"boresight_table": table, "boresight_format": str(FORMAT_VERSION)})
+
+
+def layout(table: str, experiment: str = "") -> Layout:
+    """Return what a reader of a table requires: its key, and text where the columns are text."""
+    texts = {c.name: c.type == pa.string() for c in columns_of(table, experiment)}
+    keys = {*names(common.KEY), *({"status"} if table == "rows" else ())}
+    return Layout(tuple(name for name in texts if name in keys), texts.get)
+
+
+@cache
+def measures() -> dict[str, Measure]:
+    """Return every measure that reports print, by its name."""
+    found: Iterator[Measure] = chain(
+        common.MEASURES, *(kind.measures for kind in _SCHEMAS.values()), *(columns for columns in TABLES.values())
+    )
+    return {measure.name: measure for measure in reversed([one for one in found if one.printed])}
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a measure, or of a number that an estimator reports, by the end of its name."""
+    known = measures().get(name)
+    return unit_by_suffix(name) if known is None or known.unit is None else known.unit
+
+
+def measure_label(name: str) -> str:
+    """Return the words for a measure, without its unit."""
+    known = measures().get(name)
+    return (known and known.label) or name.removesuffix(f"_{unit_of(name)}").replace("_", " ")
+
+
+def measure_heading(name: str) -> str:
+    """Return the words for a measure with its unit, as for an axis."""
+    unit = unit_of(name)
+    return f"{measure_label(name)}, {unit}" if unit else measure_label(name)
+
+
+def is_error(name: str) -> bool:
+    """Whether a measure is an error: smaller is better."""
+    known = measures().get(name)
+    return known is not None and known.error
