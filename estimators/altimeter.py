@@ -27,7 +27,7 @@ _SETTLED_M = 1e-3
 
 
 @runtime_checkable
-class OnLandmarks(Protocol):
+class HasLandmarkDatabase(Protocol):
     """What a base must have beside the contract: the data base whose mesh the range is measured against."""
 
     @property
@@ -51,7 +51,7 @@ class AltimeterOptions(SpecModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fusion:
+class RangeUpdate:
     """A pose with a range taken into account.
 
     Parameters
@@ -66,7 +66,7 @@ class Fusion:
         Standard deviation of the range's error and the mesh's, along the boresight.
     inflation
         Factor on the covariance that the pose came with.
-    contradiction
+    normalised_innovation
         Size of the innovation in standard deviations, by what the pose and the range believed of themselves.
     """
 
@@ -76,12 +76,12 @@ class Fusion:
     innovation_m: float
     sigma_m: float
     inflation: float
-    contradiction: float
+    normalised_innovation: float
 
 
 def fuse_range(
     prior: tuple[Pose, FloatArray], reading: RangeReading, mesh: TriangleMesh, height_sigma_m: float, adaptive: bool
-) -> Fusion | None:
+) -> RangeUpdate | None:
     """Find the pose that agrees best with its estimate and with a range: iterated Kalman update of one measurement.
 
     The range's variance is R = sigma^2 + (height_sigma / cos i)^2. An estimate from wrongly matched landmarks believes
@@ -122,14 +122,14 @@ def fuse_range(
             break
         at = there
     updated = grown - np.outer(at.gain(grown), at.gradient @ grown)
-    return Fusion(
+    return RangeUpdate(
         T_cam_body=pose,
         covariance=0.5 * (updated + updated.T),
         information=np.outer(at.gradient, at.gradient) / at.variance_m2,
         innovation_m=first.innovation_m,
         sigma_m=float(np.sqrt(first.variance_m2)),
         inflation=inflation,
-        contradiction=abs(first.innovation_m) / float(np.sqrt(projected_m2 + first.variance_m2)),
+        normalised_innovation=abs(first.innovation_m) / float(np.sqrt(projected_m2 + first.variance_m2)),
     )
 
 
@@ -178,7 +178,7 @@ class AltimeterEstimator:
         if parsed.base == cls.name:
             raise BoresightError(f"estimator {cls.name}: base: it cannot be its own: the range would count twice")
         base = estimator_class(parsed.base).from_options(parsed.options, assets)
-        if not isinstance(base, OnLandmarks):
+        if not isinstance(base, HasLandmarkDatabase):
             raise BoresightError(
                 f"estimator {cls.name}: base: {parsed.base} has no landmark data base to measure a range against:"
                 " choose an estimator on landmarks"
@@ -203,13 +203,13 @@ class AltimeterEstimator:
             timings_s={**estimate.timings_s, **clock.seconds},
         )
 
-    def _fused(self, pose: Pose, covariance: FloatArray, reading: RangeReading | None) -> Fusion | None:
+    def _fused(self, pose: Pose, covariance: FloatArray, reading: RangeReading | None) -> RangeUpdate | None:
         if reading is None:
             return None
         return fuse_range((pose, covariance), reading, self._mesh, self._height_sigma_m, self._adaptive)
 
 
-def _with_range(estimate: Estimate, fused: Fusion) -> Estimate:
+def _with_range(estimate: Estimate, fused: RangeUpdate) -> Estimate:
     """Put the fused pose in place of the base's, and add the range's information to that of its observations."""
     bound = estimate.bound
     if bound is not None:
@@ -217,13 +217,13 @@ def _with_range(estimate: Estimate, fused: Fusion) -> Estimate:
     return replace(estimate, pose=fused.T_cam_body, covariance=fused.covariance, bound=bound)
 
 
-def _diagnostics(fused: Fusion | None) -> dict[str, float | int | str]:
+def _diagnostics(fused: RangeUpdate | None) -> dict[str, float | int | str]:
     if fused is None:
         return {"range_used": 0}
     return {
         "range_used": 1,
         "range_innovation_m": fused.innovation_m,
-        "range_contradiction": fused.contradiction,
+        "range_contradiction": fused.normalised_innovation,
         "range_sigma_m": fused.sigma_m,
         "range_inflation": fused.inflation,
     }

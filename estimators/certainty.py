@@ -11,7 +11,7 @@ FloatArray = NDArray[np.float64]
 _LEAST_SIGMAS = np.array([1e-9] * 3 + [1e-6] * 3)
 
 
-def invertible(covariance: FloatArray) -> FloatArray:
+def floor_variances(covariance: FloatArray) -> FloatArray:
     """Return a prior's covariance (6, 6) of [rotation_rad, translation_m] so that it has an inverse.
 
     A scenario may leave a component without error: its variance is 0. It becomes that of 1e-9 rad or 1e-6 m, which

@@ -25,7 +25,7 @@ from campaign.papers.gather import FinishedRun
 from campaign.papers.kinds import Paper, PaperFigure, Runs
 from campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
 from campaign.products.landmark_database import KIND as DATABASE
-from estimators.landmark.build import BuiltDatabase, DatabaseOptions
+from estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild
 from reports.figures import (
     draw_alignment_panels,
     draw_centroid_offsets,
@@ -70,7 +70,7 @@ class _Rebuilt:
     """The data base of a run's first trial, made again, and a view of its body."""
 
     world: World
-    built: BuiltDatabase
+    built: LandmarkDatabaseBuild
     view: View
     name: str
 

@@ -8,8 +8,8 @@ from scipy.spatial import Delaunay
 
 from campaign.imaging.world import World
 from campaign.products.landmark_candidates import candidates_of
-from estimators.landmark.build import BuiltDatabase, DatabaseOptions, build_database
-from estimators.landmark.clustering import Cluster
+from estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild, build_database
+from estimators.landmark.clustering import PointCluster
 from estimators.landmark.database import LandmarkDatabase
 from reports.figures import ClusterView, SurfaceView
 from scenarios.geometry import TriangleMesh, View, look_at
@@ -22,7 +22,7 @@ _NEAR_M = 3.0
 _NORMAL_SHARE = 0.06
 
 
-def built_again(world: World, options: DatabaseOptions, jobs: int, variant: str) -> BuiltDatabase:
+def built_again(world: World, options: DatabaseOptions, jobs: int, variant: str) -> LandmarkDatabaseBuild:
     """Make a data base again, with what it was made of; its candidates come from the cache where they are in it."""
     return build_database(candidates_of(world.scenario, options, jobs, variant).by_image, options)
 
@@ -40,7 +40,7 @@ def broadside_view(world: World, range_m: float) -> View:
     return View(world.camera.pinhole, turned, turned.inverse().rotate(sun_dir_cam))
 
 
-def cluster_view(world: World, built: BuiltDatabase, view: View) -> ClusterView:
+def cluster_view(world: World, built: LandmarkDatabaseBuild, view: View) -> ClusterView:
     """Project the points of seed and merged clusters that the camera can see, and render the body."""
     uv_px = view.camera.project(view.T_cam_body.transform(built.points_m))
     seen_m = world.renderer.surface(view, uv_px).points_body_m
@@ -50,7 +50,7 @@ def cluster_view(world: World, built: BuiltDatabase, view: View) -> ClusterView:
     return ClusterView(uv_px[seeds], seed_of[seeds], uv_px[merged], merged_of[merged], world.renderer.render(view))
 
 
-def _cluster_of(points: int, clusters: list[Cluster]) -> NDArray[np.intp]:
+def _cluster_of(points: int, clusters: list[PointCluster]) -> NDArray[np.intp]:
     """Return the number of each point's cluster; -1 for none."""
     cluster_of = np.full(points, -1, dtype=np.intp)
     for number, cluster in enumerate(clusters):

@@ -44,7 +44,7 @@ def reduced_image(image: Image, reduction: int) -> Image:
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def band(image: Image, level: LevelOptions) -> Image:
+def band_pass(image: Image, level: LevelOptions) -> Image:
     """Blur an image and take out what is smoother than the level's background."""
     smooth = cv2.GaussianBlur(image, (0, 0), level.blur_px) if level.blur_px > 0.0 else image
     if level.background_px > 0.0:
@@ -53,7 +53,7 @@ def band(image: Image, level: LevelOptions) -> Image:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+class LevelFit:
     """A pose with its information.
 
     Parameters
@@ -79,7 +79,7 @@ class Fit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PriorTerm:
+class PosePrior:
     """The Gaussian prior: its mean, and the inverse (6, 6) of its covariance."""
 
     mean: Pose
@@ -92,9 +92,9 @@ class PriorTerm:
 
 
 def fit_level(
-    observed: Image, start: Pose, view: MeshView, prior: PriorTerm, size_m: float, level: LevelOptions,
+    observed: Image, start: Pose, view: MeshView, prior: PosePrior, size_m: float, level: LevelOptions,
     options: RegistrationOptions,
-) -> Fit:  # fmt: skip
+) -> LevelFit:  # fmt: skip
     """Fit the pose at one level of the pyramid.
 
     The observed image is taken as gain x rendering; the gain is a seventh parameter, so that the unit of the image has
@@ -116,7 +116,7 @@ def fit_level(
     camera = reduced_camera(view.camera, level.reduction)
     reduced = MeshView(camera, view.renderer, view.sun_dir_cam)
     gradient = available_gradient(options.gradient, view.renderer)
-    target = band(reduced_image(observed, level.reduction), level)
+    target = band_pass(reduced_image(observed, level.reduction), level)
     steps = parameter_steps(start, camera.pixel_angle_rad, size_m, options.difference_px)
     pose, fit, jacobian, moved_px = start, None, None, 0.0
     sound: NDArray[np.bool_] = np.ones(target.shape, dtype=np.bool_)
@@ -124,23 +124,23 @@ def fit_level(
         if jacobian is None or moved_px > _STALE_PX:
             image, derivatives = linearised(reduced, pose, gradient, steps)
             sound = np.asarray(np.isfinite(derivatives).all(axis=0))
-            jacobian, moved_px = [band(_finite(derivative), level) for derivative in derivatives], 0.0
+            jacobian, moved_px = [band_pass(_finite(derivative), level) for derivative in derivatives], 0.0
         else:
             image = reduced.render(pose)
         usable = sound & np.isfinite(image)
-        rendered = band(_finite(image), level)
+        rendered = band_pass(_finite(image), level)
         if not rendered.any():
-            return Fit(pose, prior.information, float("nan"), count)
+            return LevelFit(pose, prior.information, float("nan"), count)
         lit = _compared(target, rendered)
         compared = lit & usable
         if not compared.any():
-            return Fit(pose, prior.information, float("nan"), count, 1.0)
+            return LevelFit(pose, prior.information, float("nan"), count, 1.0)
         normal, vector, correlation = _normal_equations(target, rendered, jacobian, compared, options)
         normal += prior.information
         vector -= prior.information @ prior.error(pose)
         step = _solve(normal, vector)
         pose = pose.perturbed(step[:3], step[3:])
-        fit = Fit(pose, normal, correlation, count, float(1.0 - compared.sum() / lit.sum()))
+        fit = LevelFit(pose, normal, correlation, count, float(1.0 - compared.sum() / lit.sum()))
         step_px = float(np.abs(step / steps).max()) * options.difference_px
         moved_px += step_px
         if step_px < options.tolerance_px:

@@ -14,7 +14,7 @@ from estimators.dense.options import PhotometricOptions
 from estimators.dense.registration import Registration, register
 from estimators.image import image_fault
 from estimators.landmark.centroid import MeshView
-from estimators.landmark.recognizer import borrow_database
+from estimators.landmark.recognizer import landmark_database
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
@@ -88,4 +88,4 @@ class PhotometricEstimator:
 
 
 def _landmark_mesh(options: PhotometricOptions, assets: Assets) -> TriangleMesh:
-    return borrow_database(options.database, assets, PhotometricEstimator.name).mesh()
+    return landmark_database(options.database, assets, PhotometricEstimator.name).mesh()

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.certainty import invertible
-from estimators.dense.gauss_newton import Fit, PriorTerm, fit_level, inverse
+from estimators.certainty import floor_variances
+from estimators.dense.gauss_newton import LevelFit, PosePrior, fit_level, inverse
 from estimators.dense.options import RegistrationOptions
 from estimators.landmark.alignment import correlation_pair
 from estimators.landmark.centroid import Alignment, MeshView, align_translation
@@ -34,7 +34,7 @@ class Registration:
     """
 
     shift: Alignment
-    fits: tuple[Fit, ...] = ()
+    fits: tuple[LevelFit, ...] = ()
     failure: str = ""
 
     @property
@@ -72,18 +72,18 @@ def register(
     shift = align_translation(observed, start, view, correlation_pair, options.alignment_loop, clock)
     if shift.failure:
         return Registration(shift, failure=shift.failure)
-    prior = PriorTerm(start, inverse(invertible(frame.prior_covariance)))
-    fits: list[Fit] = []
+    prior = PosePrior(start, inverse(floor_variances(frame.prior_covariance)))
+    fits: list[LevelFit] = []
     for level in options.levels:
         with clock(STAGE):
             begin = fits[-1].T_cam_body if fits else shift.T_cam_body
             fits.append(fit_level(observed, begin, view, prior, size_m, level, options))
         if not np.isfinite(fits[-1].correlation):
             break
-    return Registration(shift, tuple(fits), _verdict(fits[-1].correlation, options.correlation_min))
+    return Registration(shift, tuple(fits), _failure(fits[-1].correlation, options.correlation_min))
 
 
-def _verdict(correlation: float, least: float) -> str:
+def _failure(correlation: float, least: float) -> str:
     if not np.isfinite(correlation):
         return "the rendered mesh went out of view or into the dark"
     if correlation >= least:

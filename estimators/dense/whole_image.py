@@ -20,8 +20,8 @@ from estimators.landmark.recognizer import (
     LandmarkRecognizer,
     MeshAligner,
     RecognitionOptions,
-    borrow_database,
-    borrow_judge,
+    landmark_database,
+    shape_renderer,
 )
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
@@ -62,16 +62,16 @@ class WholeImageRecognizer(LandmarkRecognizer):
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its landmark data base."""
         parsed = parse_options(WholeImageOptions, options, cls.name)
-        database = borrow_database(parsed.database, assets, cls.name)
+        database = landmark_database(parsed.database, assets, cls.name)
         mesh = database.mesh()
         size_m = float(np.median(np.linalg.norm(mesh.vertices_m, axis=1)))
         renderer = assets.mesh_renderer(mesh, _SAMPLES_PER_PIXEL)
         available_gradient(parsed.registration.gradient, renderer)
-        judge = borrow_judge(parsed, assets)
-        return cls(database, renderer, parsed, registering(parsed.registration, size_m), judge)
+        shape = shape_renderer(parsed, assets)
+        return cls(database, renderer, parsed, registration_aligner(parsed.registration, size_m), shape)
 
 
-def registering(options: RegistrationOptions, size_m: float) -> MeshAligner:
+def registration_aligner(options: RegistrationOptions, size_m: float) -> MeshAligner:
     """Shift and turn a mesh of radius ``size_m`` until its rendering is the image."""
 
     def align(observed: NDArray[np.float32], frame: Frame, view: MeshView, clock: Stopwatch) -> Alignment:

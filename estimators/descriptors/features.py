@@ -30,7 +30,7 @@ class FeatureOptions(SpecModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Features:
+class DescribedFeatures:
     """Features of one image.
 
     Parameters
@@ -48,16 +48,16 @@ class Features:
         return len(self.uv_px)
 
 
-def find_features(image: NDArray[np.float32], kind: Kind, options: FeatureOptions) -> Features:
+def find_features(image: NDArray[np.float32], kind: Kind, options: FeatureOptions) -> DescribedFeatures:
     """Find and describe features; the image is brought to a fixed range first, so its unit does not matter."""
     signal = extract_signal(image).image
     grey = np.clip(np.rint(_BRIGHT_LEVEL * signal), 0, 255).astype(np.uint8)
     keypoints, described = _detector(kind, options).detectAndCompute(grey, None)
     if described is None or len(keypoints) == 0:
-        return Features(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES[kind]), dtype=np.uint8))
+        return DescribedFeatures(np.empty((0, 2)), np.empty((0, DESCRIPTOR_BYTES[kind]), dtype=np.uint8))
     strongest = np.argsort([-point.response for point in keypoints], kind="stable")[: options.count]
     uv_px = pixel_from_opencv(np.array([point.pt for point in keypoints], dtype=np.float64))
-    return Features(uv_px[strongest], np.asarray(described).astype(np.uint8)[strongest])
+    return DescribedFeatures(uv_px[strongest], np.asarray(described).astype(np.uint8)[strongest])
 
 
 def _detector(kind: Kind, options: FeatureOptions) -> cv2.Feature2D:

@@ -15,12 +15,12 @@ from scipy.stats import chi2
 from estimators.contract import Assets, Estimate, Stage
 from estimators.descriptors.build import DescriptorOptions, DescriptorViewOptions
 from estimators.descriptors.database import DescriptorDatabase
-from estimators.descriptors.features import FeatureOptions, Features, Kind, find_features, match_features
+from estimators.descriptors.features import DescribedFeatures, FeatureOptions, Kind, find_features, match_features
 from estimators.image import image_fault
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
-from estimators.landmark.pose.posterior import Posterior, Prior, solve_map
+from estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.pose.stack import shared_pixels
+from estimators.landmark.pose.stack import window_overlap
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
@@ -34,7 +34,7 @@ FloatArray = NDArray[np.float64]
 PRODUCT = "descriptors"
 _CONFIDENCE = 0.999
 _POSE_UNKNOWNS = 6
-_IGNORANCE = 1e6  # factor on a covariance that says nothing any more
+_UNINFORMATIVE = 1e6  # factor on a covariance that says nothing any more
 
 
 class DescriptorNavigatorOptions(SpecModel):
@@ -55,7 +55,7 @@ class DescriptorNavigatorOptions(SpecModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Matched:
+class PointMatches:
     """Features of an image with points of the body: (M, 2) and (M, 3)."""
 
     uv_px: FloatArray
@@ -64,9 +64,9 @@ class Matched:
     def __len__(self) -> int:
         return len(self.uv_px)
 
-    def subset(self, rows: NDArray[np.generic]) -> Matched:
+    def subset(self, rows: NDArray[np.generic]) -> PointMatches:
         """Keep some rows."""
-        return Matched(self.uv_px[rows], self.points_m[rows])
+        return PointMatches(self.uv_px[rows], self.points_m[rows])
 
     def problem(self, camera: Camera, pixel_sigma: float) -> PoseProblem:
         """Pose them as a problem with the same noise for all."""
@@ -129,16 +129,16 @@ class DescriptorNavigator:
             if isinstance(consensus, str):
                 return consensus
             pose, inliers = consensus
-            prior = Prior(frame.prior_T_cam_body, frame.prior_covariance)
+            prior = GaussianPose(frame.prior_T_cam_body, frame.prior_covariance)
             problem = inliers.problem(camera, options.pixel_sigma)
             half_px = options.patch_px / 2.0
-            shared = shared_pixels(inliers.uv_px - half_px, inliers.uv_px + half_px)
-            probability = chance(problem, pose, prior, shared)
+            shared = window_overlap(inliers.uv_px - half_px, inliers.uv_px + half_px)
+            probability = consistency_probability(problem, pose, prior, shared)
             if not probability >= options.prior_probability:  # of a solution far beyond reason it is no number
                 return f"the solution contradicts the prior: probability {probability:.1g}"
             return pose, solve_map(problem, prior, pose, shared)
 
-    def _match(self, features: Features, frame: Frame, camera: Camera) -> Matched:
+    def _match(self, features: DescribedFeatures, frame: Frame, camera: Camera) -> PointMatches:
         """Match with the nearest views; of several matches of a feature the one of least distance counts."""
         options, prior = self._options, frame.prior_T_cam_body
         position = prior.camera_position_m
@@ -153,24 +153,24 @@ class DescriptorNavigator:
             points.append(view.points_m[known])
             distances.append(distance)
         row, distance, point = np.concatenate(rows), np.concatenate(distances), np.concatenate(points)
-        near = near_prediction(Matched(features.uv_px[row], point), camera, frame, options.prior_sigma)
+        near = near_prediction(PointMatches(features.uv_px[row], point), camera, frame, options.prior_sigma)
         row, distance, point = row[near], distance[near], point[near]
         order = np.argsort(distance, kind="stable")
         _, first = np.unique(row[order], return_index=True)
-        return Matched(features.uv_px[row[order[first]]], point[order[first]])
+        return PointMatches(features.uv_px[row[order[first]]], point[order[first]])
 
 
-def chance(problem: PoseProblem, consensus: Pose, prior: Prior, shared: FloatArray) -> float:
+def consistency_probability(problem: PoseProblem, consensus: Pose, prior: GaussianPose, shared: FloatArray) -> float:
     """Probability of a solution as far from the prior as that of the observations alone.
 
     The difference of the two has the covariance of both together.
     """
-    alone = solve_map(problem, Prior(prior.T_cam_body, _IGNORANCE * prior.covariance), consensus, shared)
+    alone = solve_map(problem, GaussianPose(prior.T_cam_body, _UNINFORMATIVE * prior.covariance), consensus, shared)
     offset = prior.offset(alone.T_cam_body)
     return float(chi2.sf(offset @ np.linalg.solve(prior.covariance + alone.covariance, offset), _POSE_UNKNOWNS))
 
 
-def near_prediction(matched: Matched, camera: Camera, frame: Frame, sigmas: float) -> NDArray[np.bool_]:
+def near_prediction(matched: PointMatches, camera: Camera, frame: Frame, sigmas: float) -> NDArray[np.bool_]:
     """Tell which matches (M,) lie within some standard deviations of where the prior predicts their points."""
     if len(matched) < MIN_LANDMARKS:
         return np.ones(len(matched), dtype=np.bool_)
@@ -184,8 +184,8 @@ def near_prediction(matched: Matched, camera: Camera, frame: Frame, sigmas: floa
 
 
 def find_consensus(
-    matched: Matched, camera: Camera, options: DescriptorNavigatorOptions, seed: int
-) -> tuple[Pose, Matched] | str:
+    matched: PointMatches, camera: Camera, options: DescriptorNavigatorOptions, seed: int
+) -> tuple[Pose, PointMatches] | str:
     """Find the pose with most inliers by OpenCV's USAC with MAGSAC++ (Barath et al. 2020), or say why there is none."""
     if len(matched) < MIN_LANDMARKS:
         return f"{len(matched)} features matched, {MIN_LANDMARKS} needed"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from estimators.contract import NoProductError
-from estimators.landmark.clustering import Cluster, ClusterOptions, ClusterStages, cluster_stages
+from estimators.landmark.clustering import ClusterOptions, ClusterStages, PointCluster, cluster_stages
 from estimators.landmark.corners import CornerOptions, detect_corners
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.hull import concave_hull
@@ -46,7 +46,7 @@ class DatabaseOptions(CandidateOptions):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BuiltDatabase:
+class LandmarkDatabaseBuild:
     """A data base and what it was made of.
 
     Parameters
@@ -94,7 +94,7 @@ def database_from_candidates(candidates: Sequence[FloatArray], options: Database
     return build_database(candidates, options).database
 
 
-def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -> BuiltDatabase:
+def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -> LandmarkDatabaseBuild:
     """Cluster the candidates of all images and span the mesh (sections 2.3 and 2.4).
 
     An image counts once for a landmark, however many of its corners fell into the cluster. Clusters seen in fewer than
@@ -143,11 +143,11 @@ def build_database(candidates: Sequence[FloatArray], options: DatabaseOptions) -
             "dropped_by_mesh": len(hull.dropped),
         },
     )
-    return BuiltDatabase(points_m, stages, database)
+    return LandmarkDatabaseBuild(points_m, stages, database)
 
 
-def _seen_in(image_of: NDArray[np.intp], min_observations: int) -> Callable[[Cluster], bool]:
-    def enough(cluster: Cluster) -> bool:
+def _seen_in(image_of: NDArray[np.intp], min_observations: int) -> Callable[[PointCluster], bool]:
+    def enough(cluster: PointCluster) -> bool:
         return len(np.unique(image_of[cluster.members])) >= min_observations
 
     return enough

@@ -12,7 +12,7 @@ from estimators.contract import Assets, Estimate, ImageRenderer, Stage
 from estimators.image import image_fault
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.centroid import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
-from estimators.landmark.recognizer import borrow_database
+from estimators.landmark.recognizer import landmark_database
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
@@ -42,7 +42,7 @@ class CentroidAligner:
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its landmark data base."""
         parsed = parse_options(CentroidOptions, options, cls.name)
-        database = borrow_database(parsed.database, assets, cls.name)
+        database = landmark_database(parsed.database, assets, cls.name)
         return cls(assets.mesh_renderer(database.mesh()), parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:

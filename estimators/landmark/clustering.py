@@ -28,7 +28,7 @@ class ClusterOptions(SpecModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cluster:
+class PointCluster:
     """Points that mark one surface feature.
 
     Parameters
@@ -46,7 +46,7 @@ class Cluster:
     covariance_m2: FloatArray
 
     @classmethod
-    def of(cls, points_m: FloatArray, members: IndexArray, sigma_floor_m: float) -> Cluster:
+    def of(cls, points_m: FloatArray, members: IndexArray, sigma_floor_m: float) -> PointCluster:
         """Centroid and dispersion of some rows of the cloud."""
         ordered = np.sort(members)
         chosen = points_m[ordered]
@@ -87,7 +87,7 @@ def seed_clusters(points_m: FloatArray, radius_m: float) -> list[IndexArray]:
     return clusters
 
 
-def grow_clusters(points_m: FloatArray, seeds: list[IndexArray], options: ClusterOptions) -> list[Cluster]:
+def grow_clusters(points_m: FloatArray, seeds: list[IndexArray], options: ClusterOptions) -> list[PointCluster]:
     """Let each seed take free points by the distance weighted with its dispersion, until it is stable.
 
     Seeds of fewer than four points have no dispersion: they dissolve, and their points are the free ones. The
@@ -100,16 +100,16 @@ def grow_clusters(points_m: FloatArray, seeds: list[IndexArray], options: Cluste
         free[seed] = False
     clusters = []
     for seed in sorted(dense, key=len, reverse=True):
-        cluster = Cluster.of(points_m, seed, options.sigma_floor_m)
+        cluster = PointCluster.of(points_m, seed, options.sigma_floor_m)
         while (added := _within_reach(points_m, tree, free, cluster, options.growth_sigma)).size:
             free[added] = False
-            cluster = Cluster.of(points_m, np.concatenate([cluster.members, added]), options.sigma_floor_m)
+            cluster = PointCluster.of(points_m, np.concatenate([cluster.members, added]), options.sigma_floor_m)
         clusters.append(cluster)
     return clusters
 
 
 def _within_reach(
-    points_m: FloatArray, tree: cKDTree, free: NDArray[np.bool_], cluster: Cluster, sigma: float
+    points_m: FloatArray, tree: cKDTree, free: NDArray[np.bool_], cluster: PointCluster, sigma: float
 ) -> IndexArray:
     reach_m = sigma * float(np.sqrt(np.linalg.eigvalsh(cluster.covariance_m2)[-1]))
     near = np.asarray(tree.query_ball_point(cluster.mean_m, reach_m, return_sorted=True), dtype=np.intp)
@@ -124,7 +124,7 @@ def _squared_distance(offsets_m: FloatArray, covariance_m2: FloatArray) -> Float
     return d2
 
 
-def refine_clusters(points_m: FloatArray, clusters: list[Cluster], options: ClusterOptions) -> list[Cluster]:
+def refine_clusters(points_m: FloatArray, clusters: list[PointCluster], options: ClusterOptions) -> list[PointCluster]:
     """Merge or prune clusters that lie within ``merge_sigma`` of each other, until none do.
 
     Two clusters merge where the traces of their dispersions sum to more than the trace of the merged cluster's;
@@ -137,7 +137,7 @@ def refine_clusters(points_m: FloatArray, clusters: list[Cluster], options: Clus
         clusters = refined
 
 
-def _refine_once(points_m: FloatArray, clusters: list[Cluster], options: ClusterOptions) -> list[Cluster]:
+def _refine_once(points_m: FloatArray, clusters: list[PointCluster], options: ClusterOptions) -> list[PointCluster]:
     if len(clusters) < 2:
         return list(clusters)
     ordered = sorted(clusters, key=lambda cluster: (-len(cluster.members), int(cluster.members[0])))
@@ -151,7 +151,7 @@ def _refine_once(points_m: FloatArray, clusters: list[Cluster], options: Cluster
         while (rival := pool.nearest_rival(cluster, options.merge_sigma)) is not None:
             pool.alive[rival] = False
             members = np.concatenate([cluster.members, ordered[rival].members])
-            merged = Cluster.of(points_m, members, options.sigma_floor_m)
+            merged = PointCluster.of(points_m, members, options.sigma_floor_m)
             if cluster.trace_m2 + ordered[rival].trace_m2 > merged.trace_m2:
                 cluster = merged
         kept.append(cluster)
@@ -161,14 +161,14 @@ def _refine_once(points_m: FloatArray, clusters: list[Cluster], options: Cluster
 class _Pool:
     """Clusters that still wait for their turn, searchable by distance."""
 
-    def __init__(self, clusters: list[Cluster]) -> None:
+    def __init__(self, clusters: list[PointCluster]) -> None:
         self.alive = np.ones(len(clusters), dtype=bool)
         self._means = np.stack([cluster.mean_m for cluster in clusters])
         self._covariances = np.stack([cluster.covariance_m2 for cluster in clusters])
         self._largest_variance = float(np.linalg.eigvalsh(self._covariances)[:, -1].max())
         self._tree = cKDTree(self._means)
 
-    def nearest_rival(self, cluster: Cluster, sigma: float) -> int | None:
+    def nearest_rival(self, cluster: PointCluster, sigma: float) -> int | None:
         """Index of the waiting cluster at the least distance weighted by both covariances, below ``sigma``."""
         largest = float(np.linalg.eigvalsh(cluster.covariance_m2)[-1]) + self._largest_variance
         reach_m = sigma * float(np.sqrt(largest))
@@ -195,12 +195,14 @@ class ClusterStages:
         After merging and pruning, sorted by the first member.
     """
 
-    grown: list[Cluster]
-    kept: list[Cluster]
-    refined: list[Cluster]
+    grown: list[PointCluster]
+    kept: list[PointCluster]
+    refined: list[PointCluster]
 
 
-def cluster_stages(points_m: FloatArray, options: ClusterOptions, keep: Callable[[Cluster], bool]) -> ClusterStages:
+def cluster_stages(
+    points_m: FloatArray, options: ClusterOptions, keep: Callable[[PointCluster], bool]
+) -> ClusterStages:
     """Run seeds, growth and refinement on a cloud of (N, 3) candidate points.
 
     Only clusters for which ``keep`` holds after growth take part in the refinement.

@@ -31,7 +31,7 @@ def centroid_residual_px(observed: Image, T_cam_body: Pose, view: MeshView) -> f
     return float(np.linalg.norm(brightness_centroid(observed) - brightness_centroid(signal.image)))
 
 
-def likeness(observed: Image, T_cam_body: Pose, view: MeshView) -> float:
+def image_correlation(observed: Image, T_cam_body: Pose, view: MeshView) -> float:
     """Correlation of the image with a shape rendered at a pose, over all pixels; -1 where nothing is to be seen of it.
 
     Both are signals with a background of 0, so that it tells of the outline and of light and shade at once. It needs
@@ -45,7 +45,7 @@ def likeness(observed: Image, T_cam_body: Pose, view: MeshView) -> float:
     return float(one @ other) / scale if scale > 0.0 else 0.0
 
 
-def inconsistency(residual_px: float | None, limit_px: float | None) -> str:
+def consistency_failure(residual_px: float | None, limit_px: float | None) -> str:
     """Say why a solution is not to be believed; empty where it is, or where no limit is set."""
     if limit_px is None or (residual_px is not None and residual_px <= limit_px):
         return ""

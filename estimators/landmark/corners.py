@@ -90,7 +90,7 @@ def detect_corners(image: NDArray[np.float32], options: CornerOptions) -> Corner
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Found:
+class _DetectedPeaks:
     """Rows and columns (M, 2) of peaks, the strongest first, their offsets (M, 2) in (u, v) and strengths (M,)."""
 
     peaks: NDArray[np.intp]
@@ -98,14 +98,14 @@ class _Found:
     strength: FloatArray
 
 
-def _corners(image: NDArray[np.float32], options: CornerOptions) -> _Found:
+def _corners(image: NDArray[np.float32], options: CornerOptions) -> _DetectedPeaks:
     response = harris_response(image, options)
     peaks = response_peaks(response, options)
     strength = response[peaks[:, 0], peaks[:, 1]].astype(np.float64)
-    return _Found(peaks, _parabola_offset(response, peaks), strength)
+    return _DetectedPeaks(peaks, _parabola_offset(response, peaks), strength)
 
 
-def _blobs(image: NDArray[np.float32], options: CornerOptions) -> _Found:
+def _blobs(image: NDArray[np.float32], options: CornerOptions) -> _DetectedPeaks:
     """Blobs of all scales; of those at one place the strongest."""
     blobs = fast_hessian(image)
     order = np.argsort(blobs.strength, kind="stable")
@@ -115,7 +115,7 @@ def _blobs(image: NDArray[np.float32], options: CornerOptions) -> _Found:
     strongest[rows, columns], number[rows, columns] = blobs.strength[order], order
     peaks = response_peaks(strongest, options)
     chosen = number[peaks[:, 0], peaks[:, 1]]
-    return _Found(peaks, blobs.offsets_px[chosen], blobs.strength[chosen])
+    return _DetectedPeaks(peaks, blobs.offsets_px[chosen], blobs.strength[chosen])
 
 
 def harris_response(image: NDArray[np.float32], options: CornerOptions) -> NDArray[np.float32]:

@@ -15,7 +15,7 @@ from estimators.image import image_fault
 from estimators.landmark.alignment import correlation_pair
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.centroid import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
-from estimators.landmark.consistency import centroid_residual_px, inconsistency, likeness
+from estimators.landmark.consistency import centroid_residual_px, consistency_failure, image_correlation
 from estimators.landmark.corners import CornerOptions, Corners, detect_corners
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.matched import MatchedFrame, matched_table
@@ -32,7 +32,7 @@ from scenarios.spec.base import SpecModel
 FloatArray = NDArray[np.float64]
 
 PRODUCT = "landmark-database"
-MEASURES = {"centroid": centroid_pair, "image": correlation_pair}
+POINT_PAIRS = {"centroid": centroid_pair, "image": correlation_pair}
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ class Recognition:
         Why there is no pose; empty when there is one.
     centroid_residual_px
         Distance of the brightness centroids of the image and of the mesh rendered at the solution; None without either.
-    likeness
+    correlations
         Of the onboard shape at the pose before the recognition and at its own; None where nobody asked.
     """
 
@@ -110,12 +110,12 @@ class Recognition:
     timings_s: Mapping[str, float]
     failure: str = ""
     centroid_residual_px: float | None = None
-    likeness: tuple[float, float] | None = None
+    correlations: tuple[float, float] | None = None
 
     @property
     def kept(self) -> bool:
         """Whether the recognition counts: at least as good a likeness as the pose before it, where that was asked."""
-        return self.likeness is None or self.likeness[1] >= self.likeness[0]
+        return self.correlations is None or self.correlations[1] >= self.correlations[0]
 
     @property
     def fit(self) -> PoseFit | None:
@@ -128,14 +128,14 @@ class Recognition:
         return self.alignment.T_cam_body if self.fit is None else self.fit.T_cam_body
 
 
-def shifting(options: LandmarkOptions) -> MeshAligner:
+def translation_aligner(options: LandmarkOptions) -> MeshAligner:
     """Shift the mesh across the line of sight until its centroid, or its whole image, lies on the observed one."""
 
     def align(observed: NDArray[np.float32], frame: Frame, view: MeshView, clock: Stopwatch) -> Alignment:
         prior = frame.prior_T_cam_body
         if options.alignment == "none":
             return Alignment(prior, ())
-        return align_translation(observed, prior, view, MEASURES[options.alignment], options.alignment_loop, clock)
+        return align_translation(observed, prior, view, POINT_PAIRS[options.alignment], options.alignment_loop, clock)
 
     return MeshAligner("centroid" if options.alignment == "centroid" else "alignment", align)
 
@@ -146,7 +146,7 @@ def recognise(
     database: LandmarkDatabase,
     options: RecognitionOptions,
     aligner: MeshAligner,
-    judge: MeshView | None = None,
+    shape_view: MeshView | None = None,
 ) -> Recognition:
     """Run all stages on one image.
 
@@ -162,7 +162,7 @@ def recognise(
         Of corners, matching and pose.
     aligner
         Finds the pose that landmarks are first predicted from.
-    judge
+    shape_view
         How the onboard shape is seen, where a recognition counts only if that makes it the better likeness.
 
     Raises
@@ -194,17 +194,17 @@ def recognise(
         residual_px = centroid_residual_px(observed.image, solution.fit.T_cam_body, view)
         likenesses = (
             None
-            if judge is None
+            if shape_view is None
             else (
-                likeness(observed.image, alignment.T_cam_body, judge),
-                likeness(observed.image, solution.fit.T_cam_body, judge),
+                image_correlation(observed.image, alignment.T_cam_body, shape_view),
+                image_correlation(observed.image, solution.fit.T_cam_body, shape_view),
             )
         )
-    failure = solution.failure or inconsistency(residual_px, options.consistency_max_px)
+    failure = solution.failure or consistency_failure(residual_px, options.consistency_max_px)
     return Recognition(prior, alignment, corners, solution, clock.seconds, failure, residual_px, likenesses)
 
 
-def borrow_database(options: DatabaseOptions, assets: Assets, borrower: str) -> LandmarkDatabase:
+def landmark_database(options: DatabaseOptions, assets: Assets, borrower: str) -> LandmarkDatabase:
     """Borrow the landmark data base of some options.
 
     Raises
@@ -218,7 +218,7 @@ def borrow_database(options: DatabaseOptions, assets: Assets, borrower: str) -> 
     return database
 
 
-def borrow_judge(options: RecognitionOptions, assets: Assets) -> ImageRenderer | None:
+def shape_renderer(options: RecognitionOptions, assets: Assets) -> ImageRenderer | None:
     """Borrow a renderer of the onboard shape where a recognition has to be the better likeness."""
     return None if options.keep == "always" else assets.mesh_renderer(assets.shape())
 
@@ -235,9 +235,9 @@ class LandmarkRecognizer:
         renderer: ImageRenderer,
         options: RecognitionOptions,
         aligner: MeshAligner,
-        judge: ImageRenderer | None = None,
+        shape_view: ImageRenderer | None = None,
     ) -> None:
-        self._judge = judge
+        self._shape_renderer = shape_view
         self._database = database
         self._renderer = renderer
         self._options = options
@@ -252,15 +252,15 @@ class LandmarkRecognizer:
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its landmark data base."""
         parsed = parse_options(LandmarkOptions, options, cls.name)
-        database = borrow_database(parsed.database, assets, cls.name)
-        judge = borrow_judge(parsed, assets)
-        return cls(database, assets.mesh_renderer(database.mesh()), parsed, shifting(parsed), judge)
+        database = landmark_database(parsed.database, assets, cls.name)
+        shape = shape_renderer(parsed, assets)
+        return cls(database, assets.mesh_renderer(database.mesh()), parsed, translation_aligner(parsed), shape)
 
     def recognise(self, frame: Frame, camera: Camera) -> Recognition:
         """Run on a frame and keep all intermediate results."""
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
-        judge = None if self._judge is None else replace(view, renderer=self._judge)
-        return recognise(frame, view, self._database, self._options, self._aligner, judge)
+        shape_view = None if self._shape_renderer is None else replace(view, renderer=self._shape_renderer)
+        return recognise(frame, view, self._database, self._options, self._aligner, shape_view)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate the pose; nothing is drawn at random."""
@@ -283,7 +283,7 @@ class LandmarkRecognizer:
         stages = [Stage(self._aligner.stage, result.alignment.T_cam_body)] if result.alignment.steps else []
         if result.solution is not None and result.solution.fit is not None:
             stages.append(Stage("recognition", result.solution.fit.T_cam_body))
-            if result.likeness is not None:
+            if result.correlations is not None:
                 stages.append(Stage("choice", result.T_cam_body))
         return tuple(stages)
 
@@ -300,9 +300,9 @@ def _diagnostics(result: Recognition) -> dict[str, float | int | str]:
         diagnostics["stable"] = int(result.solution.stable)
         if result.solution.fit is not None:
             diagnostics["chi2"] = result.solution.fit.chi2
-    if result.likeness is not None:
+    if result.correlations is not None:
         diagnostics["kept"] = int(result.kept)
-        diagnostics["likeness_before"], diagnostics["likeness"] = result.likeness
+        diagnostics["likeness_before"], diagnostics["likeness"] = result.correlations
     if result.centroid_residual_px is not None:
         diagnostics["centroid_residual_px"] = result.centroid_residual_px
     return diagnostics

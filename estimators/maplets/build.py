@@ -60,8 +60,8 @@ def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
     candidates = _cut(surface, places, options)
     strength = [relief(heights, options.spacing_m) for heights in candidates.heights_m]
     order = sorted(range(len(candidates)), key=lambda i: -strength[i])
-    taken = _thinned(candidates.centres_m, order, separation_m)
-    taken += _filling(candidates, taken, surface)
+    taken = _separated(candidates.centres_m, order, separation_m)
+    taken += _gap_fillers(candidates, taken, surface)
     chosen = candidates.subset(np.array(taken))
     if not len(chosen.mesh().faces):
         raise NoProductError(
@@ -140,7 +140,7 @@ def _provenance(options: MapletOptions, mesh: TriangleMesh, candidates: int) -> 
     }
 
 
-def _thinned(centres_m: FloatArray, order: list[int], separation_m: float) -> list[int]:
+def _separated(centres_m: FloatArray, order: list[int], separation_m: float) -> list[int]:
     taken: list[int] = []
     for index in order:
         if all(np.linalg.norm(centres_m[index] - centres_m[other]) >= separation_m for other in taken):
@@ -148,9 +148,9 @@ def _thinned(centres_m: FloatArray, order: list[int], separation_m: float) -> li
     return taken
 
 
-def _filling(candidates: MapletDatabase, taken: list[int], surface: Surface) -> list[int]:
+def _gap_fillers(candidates: MapletDatabase, taken: list[int], surface: Surface) -> list[int]:
     """Choose further candidates, each the one that shows most of what none shows yet, until nothing is to be gained."""
-    shown = [_shown(candidates, index, surface) for index in range(len(candidates))]
+    shown = [_facets_on(candidates, index, surface) for index in range(len(candidates))]
     bare = np.ones(len(surface.centroids_m), dtype=bool)
     for index in taken:
         bare[shown[index]] = False
@@ -166,7 +166,7 @@ def _filling(candidates: MapletDatabase, taken: list[int], surface: Surface) -> 
     return added
 
 
-def _shown(database: MapletDatabase, index: int, surface: Surface) -> NDArray[np.int64]:
+def _facets_on(database: MapletDatabase, index: int, surface: Surface) -> NDArray[np.int64]:
     """Facets whose middles lie on a maplet."""
     reach_m = np.sqrt(3.0) * database.half_m + database.spacing_m
     near = np.asarray(surface.tree.query_ball_point(database.centres_m[index], reach_m), dtype=np.int64)

@@ -68,7 +68,7 @@ def correlate_window(
     row, column = (int(i) for i in np.unravel_index(int(np.argmax(correlation)), correlation.shape))
     if not (0 < row < correlation.shape[0] - 1 and 0 < column < correlation.shape[1] - 1):
         return None
-    peak = _summit(correlation[row - 1 : row + 2, column - 1 : column + 2].astype(np.float64))
+    peak = _polynomial_peak(correlation[row - 1 : row + 2, column - 1 : column + 2].astype(np.float64))
     if peak is None:
         return None
     offset, height, curvature = peak
@@ -86,7 +86,7 @@ def _cut(observed: Image, corner: tuple[int, int], shape: tuple[int, ...], reach
     return np.ascontiguousarray(np.pad(inside, pad))
 
 
-def _summit(around: FloatArray) -> tuple[FloatArray, float, FloatArray] | None:
+def _polynomial_peak(around: FloatArray) -> tuple[FloatArray, float, FloatArray] | None:
     """Offset (2,), value and second derivatives (2, 2) at the top of the polynomial through 3 x 3 correlations."""
     constant, gx, gy, xx, xy, yy = _FIT @ around.ravel()
     curvature = np.array([[2.0 * xx, xy], [xy, 2.0 * yy]])

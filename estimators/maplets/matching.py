@@ -14,7 +14,7 @@ from estimators.contract import ImageRenderer
 from estimators.landmark.centroid import MeshView
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.pose.stack import shared_pixels
+from estimators.landmark.pose.stack import window_overlap
 from estimators.landmark.signal import KNOWN_SKY, extract_signal
 from estimators.maplets.correlation import Displacement, correlate_window
 from estimators.maplets.database import MapletDatabase
@@ -66,7 +66,7 @@ class MapletScene:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class MapletRendering:
     """One rendering of the data base.
 
     Parameters
@@ -101,7 +101,7 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class MapletMatches:
     """Maplets that were found.
 
     Parameters
@@ -131,13 +131,13 @@ class Found:
         return len(self.maplet)
 
 
-def take_picture(
+def render_maplets(
     scene: MapletScene, camera: Camera, T_cam_body: Pose, sun_dir_cam: FloatArray, options: MatchingOptions
-) -> Picture:
+) -> MapletRendering:
     """Render the data base and find what of it can be seen."""
     rendered = MeshView(camera, scene.renderer, sun_dir_cam).render(T_cam_body)
     database, vertices_m = scene.database, scene.vertices_m
-    return Picture(
+    return MapletRendering(
         database,
         camera,
         T_cam_body,
@@ -147,7 +147,9 @@ def take_picture(
     )
 
 
-def capture(observed: Image, seen: Picture, uncertainty: FloatArray, options: MatchingOptions) -> Found:
+def match_by_correlation(
+    observed: Image, seen: MapletRendering, uncertainty: FloatArray, options: MatchingOptions
+) -> MapletMatches:
     """Find maplets anywhere within the uncertainty (6, 6) of the pose, by correlation, to some tenths of a pixel."""
     reach = _reach_px(seen, uncertainty, options)
     usable = seen.on_body.astype(np.float32)
@@ -161,7 +163,7 @@ def capture(observed: Image, seen: Picture, uncertainty: FloatArray, options: Ma
     return _collect(seen, seen.on_body, search, options)
 
 
-def refine(observed: Image, seen: Picture, options: MatchingOptions) -> Found:
+def match_by_least_squares(observed: Image, seen: MapletRendering, options: MatchingOptions) -> MapletMatches:
     """Find maplets that are already within a pixel of their place, as exactly as the pictures allow."""
     pair = make_pair(observed, seen.signal, seen.on_body, options.blur_px, options.dark)
 
@@ -173,7 +175,7 @@ def refine(observed: Image, seen: Picture, options: MatchingOptions) -> Found:
     return _collect(seen, pair.usable, solve, options)
 
 
-def _reach_px(seen: Picture, uncertainty: FloatArray, options: MatchingOptions) -> NDArray[np.int64]:
+def _reach_px(seen: MapletRendering, uncertainty: FloatArray, options: MatchingOptions) -> NDArray[np.int64]:
     """(M, 2) reach of the search for each window, from the uncertainty of the pose."""
     n = len(seen.windows)
     if n < MIN_LANDMARKS:
@@ -186,11 +188,11 @@ def _reach_px(seen: Picture, uncertainty: FloatArray, options: MatchingOptions) 
 
 
 def _collect(
-    seen: Picture,
+    seen: MapletRendering,
     usable: NDArray[np.bool_],
     locate: Callable[[int, tuple[slice, slice]], Displacement | None],
     options: MatchingOptions,
-) -> Found:
+) -> MapletMatches:
     """Locate every window with enough usable pixels and keep those that are found."""
     kept: list[tuple[int, Displacement]] = []
     for index in range(len(seen.windows)):
@@ -205,11 +207,11 @@ def _collect(
         "nij,nj->ni", seen.point_jacobian[rows], seen.database.axes[seen.windows.maplet[rows], 2]
     )
     matched = np.array([found.covariance_px2 for _, found in kept]).reshape(-1, 2, 2)
-    return Found(
+    return MapletMatches(
         seen.windows.maplet[rows],
         seen.windows.uv_px[rows] + np.array([found.shift_px for _, found in kept]).reshape(-1, 2),
         matched + by_height[:, :, None] * by_height[:, None, :] + options.systematic_px**2 * np.eye(2),
         np.array([found.correlation for _, found in kept]),
-        shared_pixels(seen.windows.first[rows].astype(np.float64), seen.windows.last[rows].astype(np.float64)),
+        window_overlap(seen.windows.first[rows].astype(np.float64), seen.windows.last[rows].astype(np.float64)),
         options.height_sigma_m,
     )

@@ -15,14 +15,20 @@ from estimators.image import image_fault
 from estimators.landmark.alignment import correlation_pair
 from estimators.landmark.centroid import AlignmentOptions, MeshView, align_translation
 from estimators.landmark.matching import inverse_2x2
-from estimators.landmark.pose.posterior import Prior, solve_map
+from estimators.landmark.pose.posterior import GaussianPose, solve_map
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.maplets.build import MapletOptions
 from estimators.maplets.database import MapletDatabase
-from estimators.maplets.matching import MapletScene, MatchingOptions, capture, refine, take_picture
-from estimators.maplets.report import Fit, Recognition, maplet_table
+from estimators.maplets.matching import (
+    MapletScene,
+    MatchingOptions,
+    match_by_correlation,
+    match_by_least_squares,
+    render_maplets,
+)
+from estimators.maplets.report import MapletFit, MapletRecognition, maplet_table
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose
@@ -48,7 +54,7 @@ class MapletsOptions(SpecModel):
     max_rounds: int = Field(4, ge=1, le=100, description="Renderings for the refinement, after that for the capture")
 
 
-def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: MapletsOptions) -> Recognition:
+def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: MapletsOptions) -> MapletRecognition:
     """Run all stages on one image.
 
     Raises
@@ -59,8 +65,8 @@ def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: Maplets
     clock = Stopwatch()
     stages: list[Stage] = []
 
-    def failed(why: str) -> Recognition:
-        return Recognition(tuple(stages), (), clock.seconds, why)
+    def failed(why: str) -> MapletRecognition:
+        return MapletRecognition(tuple(stages), (), clock.seconds, why)
 
     fault = image_fault(frame, camera)
     if fault:
@@ -76,11 +82,11 @@ def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: Maplets
     if aligned.failure:
         return failed(aligned.failure)
     stages.append(Stage("alignment", aligned.T_cam_body))
-    return _rounds(observed.image, frame, aligned.T_cam_body, _Bench(camera, scene, options, clock), stages)
+    return _rounds(observed.image, frame, aligned.T_cam_body, _FitContext(camera, scene, options, clock), stages)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Bench:
+class _FitContext:
     """What all rounds share."""
 
     camera: Camera
@@ -88,23 +94,23 @@ class _Bench:
     options: MapletsOptions
     clock: Stopwatch
 
-    def fit(self, observed: Image, frame: Frame, pose: Pose, uncertainty: FloatArray | None) -> Fit | str:
+    def fit(self, observed: Image, frame: Frame, pose: Pose, uncertainty: FloatArray | None) -> MapletFit | str:
         """Render, correlate and solve once; without an ``uncertainty`` the maplets are refined where they are."""
         matching = self.options.matching
         with self.clock("mesh_rendering"):
-            seen = take_picture(self.scene, self.camera, pose, frame.sun_dir_cam, matching)
+            seen = render_maplets(self.scene, self.camera, pose, frame.sun_dir_cam, matching)
         with self.clock("correlation"):
             if uncertainty is None:
-                found = refine(observed, seen, matching)
+                found = match_by_least_squares(observed, seen, matching)
             else:
-                found = capture(observed, seen, uncertainty, matching)
+                found = match_by_correlation(observed, seen, uncertainty, matching)
         if len(found) < MIN_LANDMARKS:
             return f"{len(found)} of {len(seen.windows)} maplets found, {MIN_LANDMARKS} needed"
         with self.clock("recognition"):
             anchors_m = self.scene.database.anchors_m[found.maplet]
             problem = PoseProblem(anchors_m, found.uv_px, inverse_2x2(found.covariances_px2), self.camera)
-            prior = Prior(frame.prior_T_cam_body, frame.prior_covariance)
-            return Fit(found, solve_map(problem, prior, pose, found.shared))
+            prior = GaussianPose(frame.prior_T_cam_body, frame.prior_covariance)
+            return MapletFit(found, solve_map(problem, prior, pose, found.shared))
 
     def motion_px(self, before: Pose, after: Pose) -> float:
         """Return the largest motion of a maplet in the image between two poses."""
@@ -113,26 +119,26 @@ class _Bench:
         return float(np.nanmax(np.linalg.norm(motion, axis=1)))
 
 
-def _rounds(observed: Image, frame: Frame, start: Pose, bench: _Bench, stages: list[Stage]) -> Recognition:
+def _rounds(observed: Image, frame: Frame, start: Pose, context: _FitContext, stages: list[Stage]) -> MapletRecognition:
     """Capture, then refine until the pose holds still."""
     uncertainty = np.array(frame.prior_covariance)
     range_m = float(np.linalg.norm(start.translation_m))
-    aligned_m2 = (bench.options.alignment_sigma_px * bench.camera.pixel_angle_rad * range_m) ** 2
+    aligned_m2 = (context.options.alignment_sigma_px * context.camera.pixel_angle_rad * range_m) ** 2
     uncertainty[_ACROSS, _ACROSS] = np.diag(np.minimum(np.diag(uncertainty)[_ACROSS], aligned_m2))
-    fits: list[Fit] = []
+    fits: list[MapletFit] = []
     pose = start
-    for _ in range(1 + bench.options.max_rounds):
-        fit = bench.fit(observed, frame, pose, None if fits else uncertainty)
+    for _ in range(1 + context.options.max_rounds):
+        fit = context.fit(observed, frame, pose, None if fits else uncertainty)
         if isinstance(fit, str):
-            return Recognition(tuple(stages), tuple(fits), bench.clock.seconds, fit)
+            return MapletRecognition(tuple(stages), tuple(fits), context.clock.seconds, fit)
         before, pose = pose, fit.posterior.T_cam_body
         fits.append(fit)
         if len(fits) == 1:
             stages.append(Stage("correlation", pose))
-        elif bench.motion_px(before, pose) < bench.options.tolerance_px:
+        elif context.motion_px(before, pose) < context.options.tolerance_px:
             break
     stages.append(Stage("recognition", pose))
-    return Recognition(tuple(stages), tuple(fits), bench.clock.seconds)
+    return MapletRecognition(tuple(stages), tuple(fits), context.clock.seconds)
 
 
 class MapletNavigator:
@@ -156,7 +162,7 @@ class MapletNavigator:
         renderer = assets.mesh_renderer(mesh, parsed.samples_per_pixel)
         return cls(MapletScene(database, renderer, assets.mesh_renderer(mesh), mesh.vertices_m), parsed)
 
-    def recognise(self, frame: Frame, camera: Camera) -> Recognition:
+    def recognise(self, frame: Frame, camera: Camera) -> MapletRecognition:
         """Run on a frame and keep all intermediate results."""
         return recognise(frame, camera, self._scene, self._options)
 
@@ -180,7 +186,7 @@ class MapletNavigator:
         )
 
 
-def _diagnostics(result: Recognition) -> dict[str, float | int | str]:
+def _diagnostics(result: MapletRecognition) -> dict[str, float | int | str]:
     if not result.fits:
         return {}
     last = result.fits[-1]

@@ -26,7 +26,7 @@ _LEAST_PIXELS = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pair:
+class ImagePair:
     """Observed and rendered image, smoothed alike, ready for many windows.
 
     Parameters
@@ -46,7 +46,7 @@ class Pair:
     usable: BoolArray
 
 
-def make_pair(observed: Image, rendered: Image, on_body: BoolArray, blur_px: float, dark: float) -> Pair:
+def make_pair(observed: Image, rendered: Image, on_body: BoolArray, blur_px: float, dark: float) -> ImagePair:
     """Smooth both images, differentiate, and find the pixels that count.
 
     Parameters
@@ -64,10 +64,10 @@ def make_pair(observed: Image, rendered: Image, on_body: BoolArray, blur_px: flo
     near_shade = cv2.dilate(shade.astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) > 0
     smooth = [np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px), dtype=np.float32) for image in (observed, rendered)]
     dv, du = (np.asarray(slope, dtype=np.float32) for slope in np.gradient(smooth[1]))
-    return Pair(smooth[0], smooth[1], du, dv, on_body & ~near_shade)
+    return ImagePair(smooth[0], smooth[1], du, dv, on_body & ~near_shade)
 
 
-def refine_window(pair: Pair, window: tuple[slice, slice], noise_px2: float) -> Displacement | None:
+def refine_window(pair: ImagePair, window: tuple[slice, slice], noise_px2: float) -> Displacement | None:
     """Solve for the shift of a window, with gain, offset and a linear brightness trend as unknowns beside it.
 
     The rendered image is expanded to first order about no shift, so the shift should be well below a pixel; the next

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estimators.contract import Stage, Table
 from estimators.landmark.pose.posterior import Posterior
 from estimators.maplets.database import MapletDatabase
-from estimators.maplets.matching import Found
+from estimators.maplets.matching import MapletMatches
 from scenarios.geometry import Camera
 
 FloatArray = NDArray[np.float64]
@@ -21,23 +21,23 @@ _COVARIANCE_NAMES = ("sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+class MapletFit:
     """One round: the maplets that were found and the pose from them."""
 
-    found: Found
+    found: MapletMatches
     posterior: Posterior
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recognition:
+class MapletRecognition:
     """What came about between one image and its pose.
 
     Parameters
     ----------
     stages
-        Poses after the alignment, the capture and the refinement, as far as it came.
+        Poses after the alignment, the correlation and the refinement, as far as it came.
     fits
-        Rounds of correlating and solving: the capture, then the refinement.
+        Rounds of correlating and solving: the correlation, then the refinement.
     timings_s
         Wall time by stage.
     failure
@@ -45,12 +45,12 @@ class Recognition:
     """
 
     stages: tuple[Stage, ...]
-    fits: tuple[Fit, ...]
+    fits: tuple[MapletFit, ...]
     timings_s: Mapping[str, float]
     failure: str = ""
 
 
-def maplet_table(fit: Fit, database: MapletDatabase, camera: Camera) -> Table:
+def maplet_table(fit: MapletFit, database: MapletDatabase, camera: Camera) -> Table:
     """One row for each maplet that a round found.
 
     Columns: ``landmark`` (row of the data base), ``u_px, v_px`` (where its anchor was found), ``correlation``,
@@ -70,7 +70,7 @@ def maplet_table(fit: Fit, database: MapletDatabase, camera: Camera) -> Table:
     return table | {name: upper[:, axis] for axis, name in enumerate(_COVARIANCE_NAMES)}
 
 
-def surface_covariances(fit: Fit, database: MapletDatabase, camera: Camera) -> FloatArray:
+def surface_covariances(fit: MapletFit, database: MapletDatabase, camera: Camera) -> FloatArray:
     """Covariances (M, 3, 3), body frame, m^2, of the surface points that are seen where the anchors were found.
 
     A displacement in the image moves the point on the plane of its maplet: across the line of sight by its own size,

@@ -122,7 +122,7 @@ def test_a_contradicted_covariance_grows_until_the_innovation_fits():
     contradicts = fuse_range((pose, covariance), RangeReading(1020.0, 5.0), box, 1e-3, adaptive=True)
     assert agrees.inflation == 1.0
     assert contradicts.inflation == pytest.approx((20.0**2 - 5.0**2) / 1.0, rel=1e-4)
-    assert contradicts.contradiction == pytest.approx(20.0 / np.sqrt(1.0 + 5.0**2), rel=1e-4)
+    assert contradicts.normalised_innovation == pytest.approx(20.0 / np.sqrt(1.0 + 5.0**2), rel=1e-4)
     assert contradicts.T_cam_body.translation_m[2] == pytest.approx(1100 + 20.0 * (1 - 5.0**2 / 20.0**2), rel=1e-6)
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from estimators.certainty import invertible
-from estimators.landmark.pose.posterior import Prior, solve_map
+from estimators.certainty import floor_variances
+from estimators.landmark.pose.posterior import GaussianPose, solve_map
 from estimators.landmark.pose.problem import PoseProblem
 from scenarios.geometry import Camera, look_at
 
@@ -16,7 +16,7 @@ SIGMAS = np.array([0.012, 0.012, 0.012, 29.0, 29.0, 3.0])
 def test_a_covariance_with_an_inverse_is_left_alone():
     covariance = np.diag(SIGMAS**2)
     covariance[0, 3] = covariance[3, 0] = 0.01
-    assert invertible(covariance) is covariance
+    assert floor_variances(covariance) is covariance
 
 
 @pytest.mark.parametrize("sure_of", [[5], [0, 1, 2], [3, 4, 5]])
@@ -31,12 +31,12 @@ def test_what_is_known_without_error_stays_and_the_rest_is_as_if_it_were_no_unkn
         sigmas = SIGMAS.copy()
         sigmas[sure_of] *= factor
         error = np.where(np.isin(np.arange(6), sure_of), 0.0, 0.3 * SIGMAS)
-        prior = Prior(TRUE.perturbed(error[:3], error[3:]), np.diag(sigmas**2))
+        prior = GaussianPose(TRUE.perturbed(error[:3], error[3:]), np.diag(sigmas**2))
         solutions.append((prior, solve_map(problem, prior, prior.T_cam_body, np.eye(40))))
     (prior, exact), (_, nearly) = solutions
     np.testing.assert_allclose(prior.offset(exact.T_cam_body)[sure_of], 0.0, atol=1e-6)
     assert np.isfinite(exact.covariance).all()
-    difference = Prior(nearly.T_cam_body, nearly.covariance).offset(exact.T_cam_body)
+    difference = GaussianPose(nearly.T_cam_body, nearly.covariance).offset(exact.T_cam_body)
     assert (np.abs(difference) < 1e-3 * SIGMAS).all()
     free = np.setdiff1d(np.arange(6), sure_of)
     np.testing.assert_allclose(np.diag(exact.covariance)[free], np.diag(nearly.covariance)[free], rtol=0.01)

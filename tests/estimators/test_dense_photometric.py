@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.dense.gauss_newton import PriorTerm, band, inverse, reduced_camera, reduced_image
+from estimators.dense.gauss_newton import PosePrior, band_pass, inverse, reduced_camera, reduced_image
 from estimators.dense.linearisation import available_gradient
 from estimators.dense.options import LevelOptions, PhotometricOptions
 from estimators.dense.photometric import PhotometricEstimator
-from estimators.dense.whole_image import registering
+from estimators.dense.whole_image import registration_aligner
 from estimators.landmark.centroid import MeshView
 from estimators.landmark.stopwatch import Stopwatch
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
@@ -99,7 +99,7 @@ def test_the_mesh_is_brought_into_place_for_recognition(renderer, image, seed):
     """Shift and turn, and the point that the shift begins with for drawing."""
     start = frame(image, seed)
     clock = Stopwatch()
-    found = registering(OPTIONS, 200.0).align(image, start, MeshView(CAMERA, renderer, SUN_CAM), clock)
+    found = registration_aligner(OPTIONS, 200.0).align(image, start, MeshView(CAMERA, renderer, SUN_CAM), clock)
     assert not found.failure
     assert found.steps[0].T_cam_body is start.prior_T_cam_body
     assert errors(found.T_cam_body)[1] < min(0.15, 0.5 * errors(start.prior_T_cam_body)[1])
@@ -176,12 +176,12 @@ def test_reduction_averages_and_a_band_has_no_mean():
     image = np.random.default_rng(0).random((64, 64), dtype=np.float32)
     np.testing.assert_allclose(reduced_image(image, 4)[3, 5], image[12:16, 20:24].mean(), rtol=1e-6)
     flat = np.full((64, 64), 3.0, dtype=np.float32)
-    np.testing.assert_allclose(band(flat, LevelOptions(blur_px=1.0, background_px=4.0)), 0.0, atol=1e-5)
+    np.testing.assert_allclose(band_pass(flat, LevelOptions(blur_px=1.0, background_px=4.0)), 0.0, atol=1e-5)
 
 
 def test_the_prior_term_measures_what_perturbed_does():
     step = np.array([0.01, -0.02, 0.005, 3.0, -4.0, 1.0])
-    np.testing.assert_allclose(PriorTerm(TRUE, np.eye(6)).error(TRUE.perturbed(step[:3], step[3:])), step, atol=1e-12)
+    np.testing.assert_allclose(PosePrior(TRUE, np.eye(6)).error(TRUE.perturbed(step[:3], step[3:])), step, atol=1e-12)
     np.testing.assert_allclose(inverse(np.diag([1e8, 1e-3, 2.0])) @ np.diag([1e8, 1e-3, 2.0]), np.eye(3), atol=1e-12)
 
 
@@ -194,7 +194,7 @@ def test_what_the_prior_knows_without_error_stays(renderer, image, sure_of):
     prior = TRUE.perturbed(error[:3], error[3:])
     found = estimate(renderer, Frame(image, SUN_CAM, prior, np.diag(sigmas**2)))
     assert found.status == "ok"
-    moved = PriorTerm(prior, np.eye(6)).error(found.pose)
+    moved = PosePrior(prior, np.eye(6)).error(found.pose)
     np.testing.assert_allclose(moved[list(sure_of)], 0.0, atol=1e-6)
     assert np.isfinite(found.covariance).all()
     assert errors(found.pose)[0] < 2.5

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from estimators.landmark.robust.mixture import Mixture, PosePrior, Poses
 from estimators.landmark.robust.options import ConsensusOptions, MixtureOptions, SearchOptions
 from estimators.landmark.robust.sampling import sampled_hypotheses
-from estimators.landmark.robust.search import best_hypotheses, corner_map, refined, turns_within
+from estimators.landmark.robust.search import best_hypotheses, corner_map, refine_hypotheses, rotation_grid
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, look_at
@@ -43,7 +43,7 @@ def scene(seed: int, detected: float = 0.4, clutter: int = 120):
 def solve(mixture: Mixture, corners: np.ndarray, prior: PosePrior):
     search = SearchOptions()
     hypotheses = best_hypotheses(mixture, prior.mean, PRIOR_SIGMAS[0], corners, CAMERA, search)
-    return refined(mixture, hypotheses, SEEN.corner_sigma_px, search)
+    return refine_hypotheses(mixture, hypotheses, SEEN.corner_sigma_px, search)
 
 
 def one(pose) -> Poses:
@@ -104,10 +104,10 @@ def test_the_same_input_gives_the_same_bits():
 
 
 def test_turns_fill_the_ball_and_keep_to_their_number():
-    turns = turns_within(0.04, 0.007, 4000)
+    turns = rotation_grid(0.04, 0.007, 4000)
     assert np.linalg.norm(turns, axis=1).max() <= 0.04
     assert len(turns) == pytest.approx(4.0 / 3.0 * np.pi * (0.04 / 0.007) ** 3, rel=0.1)
-    assert len(turns_within(0.04, 0.0007, 500)) <= 500
+    assert len(rotation_grid(0.04, 0.0007, 500)) <= 500
 
 
 def test_the_corner_map_counts_every_corner():
@@ -128,7 +128,7 @@ def test_minimal_sets_lead_to_the_pose_that_the_whole_prior_does():
     for seed in range(6):
         mixture, corners, prior = scene(seed)
         hypotheses, search = sampled(mixture, corners, prior)
-        found = refined(mixture, hypotheses, SEEN.corner_sigma_px, search)
+        found = refine_hypotheses(mixture, hypotheses, SEEN.corner_sigma_px, search)
         expected = solve(mixture, corners, prior)
         difference = PosePrior(expected, np.eye(6)).errors(one(found))[0]
         assert (np.abs(difference) < 0.02 * PRIOR_SIGMAS).all()

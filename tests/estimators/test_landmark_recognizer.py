@@ -9,7 +9,7 @@ from estimators.contract import Estimate
 from estimators.dense.whole_image import WholeImageRecognizer
 from estimators.landmark.build import DatabaseOptions, database_from_candidates, extract_candidates
 from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.recognizer import PRODUCT, LandmarkOptions, LandmarkRecognizer, shifting
+from estimators.landmark.recognizer import PRODUCT, LandmarkOptions, LandmarkRecognizer, translation_aligner
 from estimators.landmark.signal import extract_signal
 from estimators.registry import estimator_class, estimator_names
 from renderers.mitsuba3 import MitsubaRenderer
@@ -354,8 +354,9 @@ def test_a_saved_data_base_recognises_the_same(world, tmp_path):
     again = LandmarkDatabase.load(tmp_path)
     _, frame = world.frame(1)
     options = LandmarkOptions(database=DATABASE)
-    first = LandmarkRecognizer(world.database, world.mesh_renderer(world.database.mesh()), options, shifting(options))
-    second = LandmarkRecognizer(again, world.mesh_renderer(again.mesh()), options, shifting(options))
+    aligner = translation_aligner(options)
+    first = LandmarkRecognizer(world.database, world.mesh_renderer(world.database.mesh()), options, aligner)
+    second = LandmarkRecognizer(again, world.mesh_renderer(again.mesh()), options, aligner)
     assert same(estimate(first, frame), estimate(second, frame))
 
 

@@ -16,7 +16,7 @@ from campaign.products.spread import IN_THIS_PROCESS
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness
 from estimators.contract import NoProductError
-from estimators.landmark.build import METHOD_VERSION, BuiltDatabase, DatabaseOptions, build_database
+from estimators.landmark.build import METHOD_VERSION, DatabaseOptions, LandmarkDatabaseBuild, build_database
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
@@ -101,7 +101,7 @@ def at_trial(options: DatabaseOptions, seed: int, trial: int) -> DatabaseOptions
     return options.model_copy(update={"seed": options.seed + seed + trial})
 
 
-def counts(built: BuiltDatabase, options: DatabaseOptions) -> dict[str, float]:
+def counts(built: LandmarkDatabaseBuild, options: DatabaseOptions) -> dict[str, float]:
     """Count what a data base was made of, and what it is."""
     clusters, database = built.clusters, built.database
     return {

@@ -34,7 +34,7 @@ class PoseOptions(SpecModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Round:
+class MatchingRound:
     """One round of matching and solving.
 
     Parameters
@@ -62,7 +62,7 @@ class Round:
 class PoseSolution:
     """All rounds, and the fit of the last; ``failure`` says why there is none."""
 
-    rounds: tuple[Round, ...]
+    rounds: tuple[MatchingRound, ...]
     stable: bool = False
     failure: str = ""
     fit: PoseFit | None = field(default=None)
@@ -102,7 +102,7 @@ def solve_pose(
     """
     mesh = database.mesh()
     pose = start
-    rounds: list[Round] = []
+    rounds: list[MatchingRound] = []
     for _ in range(options.max_rounds):
         projection = project_landmarks(database, camera, pose)
         visible = visible_landmarks(mesh, camera, pose)
@@ -111,7 +111,7 @@ def solve_pose(
         )
         if rounds and rounds[-1].fit is not None and matches.same_pairs(rounds[-1].matches):
             return PoseSolution(tuple(rounds), True, "", rounds[-1].fit)
-        rounds.append(Round(projection, visible, matches))
+        rounds.append(MatchingRound(projection, visible, matches))
         if len(matches) < MIN_LANDMARKS:
             return PoseSolution(tuple(rounds), False, f"{len(matches)} landmarks recognised, {MIN_LANDMARKS} needed")
         problem = PoseProblem(
@@ -121,7 +121,7 @@ def solve_pose(
             camera,
         )
         closed_form, fit = solve_matches(problem, pose, options)
-        rounds[-1] = Round(projection, visible, matches, closed_form, fit)
+        rounds[-1] = MatchingRound(projection, visible, matches, closed_form, fit)
         if fit is None:
             return PoseSolution(tuple(rounds), False, f"{len(matches)} recognised landmarks fix no pose")
         pose = fit.T_cam_body

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import exp1
 
-from estimators.certainty import invertible
+from estimators.certainty import floor_variances
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
 from estimators.landmark.pose.problem import PoseProblem
 from scenarios.geometry import Pose
@@ -26,7 +26,7 @@ _LEAST_SCALE2 = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prior:
+class GaussianPose:
     """A pose with the covariance (6, 6) of its error, [rotation_rad, translation_m] in camera axes."""
 
     T_cam_body: Pose
@@ -63,7 +63,7 @@ class Posterior:
     scale2: float
 
 
-def solve_map(problem: PoseProblem, prior: Prior, start: Pose, shared: FloatArray) -> Posterior:
+def solve_map(problem: PoseProblem, prior: GaussianPose, start: Pose, shared: FloatArray) -> Posterior:
     """Maximise the posterior under a Gaussian prior and Student's t for the observations.
 
     Iteratively reweighted Gauss-Newton: of nu degrees of freedom, an observation whose weighted square is x counts
@@ -83,7 +83,7 @@ def solve_map(problem: PoseProblem, prior: Prior, start: Pose, shared: FloatArra
     """
     redundancy = float(shared.sum()) / len(shared)
     independent = len(shared) / redundancy
-    pose, known = start, np.linalg.inv(invertible(prior.covariance))
+    pose, known = start, np.linalg.inv(floor_variances(prior.covariance))
     for _ in range(_MAX_STEPS):
         residuals = problem.residuals_px(pose)
         d2 = np.einsum("ni,nij,nj->n", residuals, problem.information_px2, residuals)

@@ -14,7 +14,7 @@ from scenarios.geometry import Camera, Pose
 FloatArray = NDArray[np.float64]
 
 
-def shared_pixels(first_px: FloatArray, last_px: FloatArray) -> FloatArray:
+def window_overlap(first_px: FloatArray, last_px: FloatArray) -> FloatArray:
     """Share (N, N) of the pixels that each two windows have in common, over the geometric mean of their areas.
 
     If what disturbs an observation is white noise in the pixels of its window, this is the correlation of the

@@ -10,19 +10,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.certainty import invertible
+from estimators.certainty import floor_variances
 from estimators.contract import Assets, Estimate, ImageRenderer, Stage
 from estimators.image import image_fault
 from estimators.landmark.centroid import Alignment, MeshView, align_translation
-from estimators.landmark.consistency import centroid_residual_px, inconsistency
+from estimators.landmark.consistency import centroid_residual_px, consistency_failure
 from estimators.landmark.corners import detect_corners
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.matched import MatchedFrame, matched_table
-from estimators.landmark.recognizer import MEASURES, borrow_database
-from estimators.landmark.robust.mixture import Mixture, PosePrior, Poses, Step
+from estimators.landmark.recognizer import POINT_PAIRS, landmark_database
+from estimators.landmark.robust.mixture import Mixture, MixtureEvaluation, PosePrior, Poses
 from estimators.landmark.robust.options import ConsensusOptions
 from estimators.landmark.robust.sampling import sampled_hypotheses
-from estimators.landmark.robust.search import best_hypotheses, refined
+from estimators.landmark.robust.search import best_hypotheses, refine_hypotheses
 from estimators.landmark.signal import extract_signal
 from estimators.landmark.stopwatch import Stopwatch
 from estimators.landmark.visibility import visible_landmarks
@@ -41,7 +41,7 @@ class _Solution:
 
     alignment: Alignment
     pose: Pose
-    step: Step
+    step: MixtureEvaluation
     visible: NDArray[np.intp]
     corners_px: FloatArray
     centroid_residual_px: float | None = None
@@ -75,7 +75,7 @@ class ConsensusRecognizer:
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its landmark data base."""
         parsed = parse_options(ConsensusOptions, options, cls.name)
-        database = borrow_database(parsed.database, assets, cls.name)
+        database = landmark_database(parsed.database, assets, cls.name)
         return cls(database, assets.mesh_renderer(database.mesh()), parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
@@ -107,7 +107,7 @@ class ConsensusRecognizer:
         if observed.empty:
             return "the image is black: nothing above its background"
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
-        measure = MEASURES[options.alignment]
+        measure = POINT_PAIRS[options.alignment]
         alignment = align_translation(observed.image, prior, view, measure, options.alignment_loop, clock)
         if alignment.failure:
             return alignment.failure
@@ -119,7 +119,7 @@ class ConsensusRecognizer:
             return solution
         with clock("consistency"):
             residual_px = centroid_residual_px(observed.image, solution.pose, view)
-        failure = inconsistency(residual_px, options.consistency_max_px)
+        failure = consistency_failure(residual_px, options.consistency_max_px)
         return failure or replace(solution, centroid_residual_px=residual_px)
 
     def _recognise(
@@ -130,7 +130,7 @@ class ConsensusRecognizer:
         if min(len(visible), len(corners_px)) < _FEWEST:
             return f"{len(visible)} landmarks in view and {len(corners_px)} corners, {_FEWEST} of each needed"
         sigma_px = options.mixture.corner_sigma_px
-        turn_sigma_rad = float(np.sqrt(np.diag(invertible(frame.prior_covariance))[:3].max()))
+        turn_sigma_rad = float(np.sqrt(np.diag(floor_variances(frame.prior_covariance))[:3].max()))
         prior = _prior_after_alignment(frame, start, camera, options)
         first = self._mixture(visible, corners_px, camera, prior)
         if options.search.hypotheses == "prior":
@@ -139,7 +139,7 @@ class ConsensusRecognizer:
             hypotheses = sampled_hypotheses(first, prior, start, corners_px, camera, options.search, rng)
         if not len(hypotheses):
             return "no three landmarks have a corner within their matching radius"
-        pose = refined(first, hypotheses, sigma_px, options.search)
+        pose = refine_hypotheses(first, hypotheses, sigma_px, options.search)
         # A turn of some degrees brings other landmarks into view.
         visible = np.flatnonzero(visible_landmarks(self._mesh, camera, pose))
         last = self._mixture(visible, corners_px, camera, prior)
@@ -163,7 +163,7 @@ def _prior_after_alignment(frame: Frame, aligned: Pose, camera: Camera, options:
     The prior's own information is kept: the aligned translation is a measurement of x and y with the error
     ``alignment_sigma_px``; along the boresight and in attitude the prior stands alone.
     """
-    prior_information = np.linalg.inv(invertible(frame.prior_covariance))
+    prior_information = np.linalg.inv(floor_variances(frame.prior_covariance))
     sigma_m = options.alignment_sigma_px * camera.pixel_angle_rad * float(np.linalg.norm(aligned.translation_m))
     measured = np.zeros((6, 6))
     measured[3, 3] = measured[4, 4] = sigma_m**-2

@@ -64,7 +64,7 @@ class PosePrior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class MixtureEvaluation:
     """What the mixture says at H poses.
 
     Parameters
@@ -123,7 +123,7 @@ class Mixture:
         seen: FloatArray = turned + poses.translations_m[:, None]
         return seen
 
-    def step(self, poses: Poses, corner_sigma_px: float) -> Step:
+    def step(self, poses: Poses, corner_sigma_px: float) -> MixtureEvaluation:
         """Evaluate the posterior and its Gauss-Newton approximation at each pose."""
         points = self._in_camera(poses)
         uv = self._camera.project(points)
@@ -146,7 +146,7 @@ class Mixture:
         weighted = information @ jacobian
         errors = self._prior.errors(poses)
         prior_pull = errors @ self._prior.information
-        return Step(
+        return MixtureEvaluation(
             np.log(total).sum(axis=1) - 0.5 * np.einsum("hp,hp->h", errors, prior_pull),
             np.einsum("hn,hnip,hniq->hpq", weight, jacobian, weighted, optimize=True) + self._prior.information,
             np.einsum("hnip,hni->hp", weighted, pull, optimize=True) - prior_pull,

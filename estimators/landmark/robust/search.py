@@ -14,7 +14,7 @@ from scenarios.geometry import Camera, Pose
 FloatArray = NDArray[np.float64]
 
 
-def turns_within(radius_rad: float, step_rad: float, most: int) -> FloatArray:
+def rotation_grid(radius_rad: float, step_rad: float, most: int) -> FloatArray:
     """Rotation vectors (H, 3) on a cubic grid in a ball; the step grows until there are at most ``most``."""
     while True:
         count = int(np.floor(radius_rad / step_rad))
@@ -44,7 +44,7 @@ def best_hypotheses(
     """
     size_m = float(np.median(np.linalg.norm(mixture.points_m, axis=1)))
     pixel_m = float(np.linalg.norm(start.translation_m)) * camera.pixel_angle_rad
-    turns = turns_within(options.reach_sigma * turn_sigma_rad, options.step_px * pixel_m / size_m, options.max_turns)
+    turns = rotation_grid(options.reach_sigma * turn_sigma_rad, options.step_px * pixel_m / size_m, options.max_turns)
     rotations = Rotation.from_rotvec(turns).as_matrix() @ start.rotation
     poses = Poses(rotations, np.repeat(start.translation_m[None], len(turns), axis=0))
     shifts = np.arange(-options.shift_px, options.shift_px + 1)
@@ -88,7 +88,7 @@ def _scores(
     )
 
 
-def refined(mixture: Mixture, hypotheses: Poses, corner_sigma_px: float, options: SearchOptions) -> Pose:
+def refine_hypotheses(mixture: Mixture, hypotheses: Poses, corner_sigma_px: float, options: SearchOptions) -> Pose:
     """Climb from each hypothesis while the corner error shrinks, and return the pose of the greatest posterior."""
     poses = hypotheses
     for sigma_px in options.anneal_px:
