@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal, Protocol, Self, runtime_checkable
 
@@ -14,6 +16,27 @@ from scenarios.geometry import Camera, Pose, TriangleMesh, View
 from scenarios.observation import Observation
 
 Table = Mapping[str, NDArray[np.generic]]
+
+
+class Stopwatch:
+    """Adds up the wall time spent under each name; one for each estimate, never shared."""
+
+    def __init__(self) -> None:
+        self._seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Time the body of a ``with`` statement."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._seconds[stage] = self._seconds.get(stage, 0.0) + time.perf_counter() - start
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Seconds by stage so far."""
+        return dict(self._seconds)
 
 
 class NoProductError(BoresightError):

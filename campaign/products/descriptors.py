@@ -7,8 +7,13 @@ from pathlib import Path
 
 from campaign.products.database_images import database_images
 from campaign.products.spread import over_images
-from estimators.descriptors.build import METHOD_VERSION, DescriptorOptions, view_features
-from estimators.descriptors.database import DescriptorDatabase, ViewFeatures
+from estimators.descriptors.database import (
+    METHOD_VERSION,
+    DescriptorDatabase,
+    DescriptorOptions,
+    ViewFeatures,
+    view_features,
+)
 from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
 

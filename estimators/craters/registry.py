@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from estimators.craters.contract import CraterDetector, CraterMatcher
-from estimators.third_party import Registry
+from estimators.registry import Registry
 
 _DETECTORS: Registry[CraterDetector] = Registry(
     own={

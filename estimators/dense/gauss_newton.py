@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from pydantic import Field
 
-from estimators.dense.linearisation import available_gradient, linearised, parameter_steps
-from estimators.dense.options import LevelOptions, RegistrationOptions
-from estimators.landmark.centroid import MeshView
+from estimators.contract import DifferentiableRenderer, ImageRenderer
+from estimators.landmark.alignment import AlignmentOptions, MeshView
+from estimators.landmark.pose.posterior import PosePrior
+from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose
+from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -23,6 +26,104 @@ _DARK = 1e-3
 _MARGIN_PX = 5
 # Derivatives are taken again where the body has moved farther than this since, in pixels of the level.
 _STALE_PX = 0.5
+
+Gradient = Literal["autodiff", "differences"]
+
+
+class LevelOptions(SpecModel):
+    """One level of the pyramid, from coarse to fine."""
+
+    reduction: Literal[1, 2, 4, 8, 16] = Field(1, description="Side of the square of pixels that are averaged into one")
+    blur_px: float = Field(1.0, ge=0, le=20, description="Blur of both images, in pixels of this level")
+    background_px: float = Field(
+        0.0, ge=0, le=100, description="What is smoother than this is taken out, in pixels of this level; 0 keeps all"
+    )
+    iterations: int = Field(6, ge=1, le=200, description="Steps at most")
+
+
+class RegistrationOptions(SpecModel):
+    """From the prior to the pose at which the rendering of a shape is the image."""
+
+    alignment_loop: AlignmentOptions = AlignmentOptions()
+    levels: tuple[LevelOptions, ...] = Field(
+        (
+            LevelOptions(reduction=4, blur_px=1.0, iterations=8),
+            LevelOptions(reduction=2, blur_px=0.7, background_px=3.0, iterations=4),
+            LevelOptions(reduction=1, blur_px=1.0, background_px=4.0, iterations=4),
+        ),
+        min_length=1,
+    )
+    gradient: Literal["autodiff", "differences"] | None = Field(
+        None,
+        description="Derivatives through the renderer, or from twelve renderings; left out: the first where the Mitsuba"
+        " variant has it",
+    )
+    difference_px: float = Field(
+        0.5, gt=0, le=10, description="Motion by which differences are taken, pixels of a level"
+    )
+    huber_sigma: float = Field(1.5, gt=0, description="Residuals beyond this many robust sigmas count linearly")
+    independent_px: float = Field(
+        100.0, gt=0, description="Pixels that go together as one: residuals are those of the model and not white noise"
+    )
+    tolerance_px: float = Field(0.01, gt=0, description="A level ends when a step moves the body by less than this")
+    correlation_min: float = Field(0.5, ge=-1, le=1, description="A worse final correlation is a failure")
+
+
+def available_gradient(wanted: Gradient | None, renderer: ImageRenderer) -> Gradient:
+    """Choose how images are differentiated: as is wanted, or else through the renderer where that is possible.
+
+    Raises
+    ------
+    BoresightError
+        If the renderer has no derivatives that were asked for.
+    """
+    able = isinstance(renderer, DifferentiableRenderer) and renderer.differentiable
+    if wanted == "autodiff" and not able:
+        raise BoresightError(
+            "gradient: autodiff: the Mitsuba variant in use gives no derivatives: leave the key out, or see"
+            " `boresight doctor`"
+        )
+    return wanted or ("autodiff" if able else "differences")
+
+
+def parameter_steps(pose: Pose, pixel_rad: float, size_m: float, motion_px: float) -> FloatArray:
+    """Return steps (6,) of the parameters that each move the body's edge in the image by about ``motion_px``."""
+    range_m = float(np.linalg.norm(pose.translation_m))
+    across_m = motion_px * pixel_rad * range_m
+    turn_rad = across_m / size_m
+    return np.array([turn_rad, turn_rad, turn_rad, across_m, across_m, across_m * range_m / size_m])
+
+
+def linearised(view: MeshView, pose: Pose, gradient: Gradient, steps: FloatArray) -> tuple[Image, Image]:
+    """Render (H, W), and differentiate by [rotation_rad, translation_m] of ``Pose.perturbed``, (6, H, W).
+
+    Parameters
+    ----------
+    view
+        How the shape is seen; the Sun stands still in the camera.
+    pose
+        Where.
+    gradient
+        See `available_gradient`.
+    steps
+        (6,) for differences.
+    """
+    renderer = view.renderer
+    if gradient == "autodiff" and isinstance(renderer, DifferentiableRenderer):
+        return renderer.render_with_derivatives(view.at(pose))
+    return view.render(pose), np.stack([_difference(view, pose, steps, axis) for axis in range(len(steps))])
+
+
+def _difference(view: MeshView, pose: Pose, steps: FloatArray, axis: int) -> Image:
+    """Central difference: it holds for silhouettes, cast shadows and facets alike.
+
+    One-sided differences would share the sampling noise of the image in the middle with the residual that they are
+    multiplied with, and pull every parameter to one side.
+    """
+    step = np.zeros(6)
+    step[axis] = steps[axis]
+    ahead, behind = view.render(pose.perturbed(step[:3], step[3:])), view.render(pose.perturbed(-step[:3], -step[3:]))
+    return np.asarray((ahead - behind) / np.float32(2.0 * steps[axis]), dtype=np.float32)
 
 
 def reduced_camera(camera: Camera, reduction: int) -> Camera:
@@ -78,19 +179,6 @@ class LevelFit:
     masked_share: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PosePrior:
-    """The Gaussian prior: its mean, and the inverse (6, 6) of its covariance."""
-
-    mean: Pose
-    information: FloatArray
-
-    def error(self, pose: Pose) -> FloatArray:
-        """Difference of a pose from the mean, (6,) [rotation_rad, translation_m]."""
-        turn = Rotation.from_matrix(pose.rotation @ self.mean.rotation.T).as_rotvec()
-        return np.concatenate([turn, pose.translation_m - self.mean.translation_m])
-
-
 def fit_level(
     observed: Image, start: Pose, view: MeshView, prior: PosePrior, size_m: float, level: LevelOptions,
     options: RegistrationOptions,
@@ -137,7 +225,7 @@ def fit_level(
             return LevelFit(pose, prior.information, float("nan"), count, 1.0)
         normal, vector, correlation = _normal_equations(target, rendered, jacobian, compared, options)
         normal += prior.information
-        vector -= prior.information @ prior.error(pose)
+        vector -= prior.information @ prior.offset(pose)
         step = _solve(normal, vector)
         pose = pose.perturbed(step[:3], step[3:])
         fit = LevelFit(pose, normal, correlation, count, float(1.0 - compared.sum() / lit.sum()))

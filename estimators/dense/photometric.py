@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
+from pydantic import Field
 
-from estimators.contract import Assets, Estimate, ImageRenderer, Stage
-from estimators.dense.gauss_newton import inverse
-from estimators.dense.linearisation import available_gradient
-from estimators.dense.options import PhotometricOptions
+from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch
+from estimators.dense.gauss_newton import RegistrationOptions, available_gradient, inverse
 from estimators.dense.registration import Registration, register
-from estimators.image import image_fault
-from estimators.landmark.centroid import MeshView
+from estimators.landmark.alignment import MeshView
+from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.recognizer import landmark_database
-from estimators.landmark.signal import extract_signal
-from estimators.landmark.stopwatch import Stopwatch
+from estimators.landmark.signal import extract_signal, image_fault
 from estimators.options import parse_options
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.observation import Frame, Observation
+
+
+class PhotometricOptions(RegistrationOptions):
+    """Options of ``photometric``."""
+
+    shape: Literal["onboard", "landmark-mesh"] = Field(
+        "onboard", description="The full shape that the spacecraft carries, or the mesh of its landmark data base"
+    )
+    database: DatabaseOptions = DatabaseOptions()
+    samples_per_pixel: Literal[1, 4, 9, 16] = Field(4, description="Samples of the renderings: a regular grid")
 
 
 class PhotometricEstimator:

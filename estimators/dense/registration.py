@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.certainty import floor_variances
-from estimators.dense.gauss_newton import LevelFit, PosePrior, fit_level, inverse
-from estimators.dense.options import RegistrationOptions
-from estimators.landmark.alignment import correlation_pair
-from estimators.landmark.centroid import Alignment, MeshView, align_translation
-from estimators.landmark.stopwatch import Stopwatch
+from estimators.contract import Stopwatch
+from estimators.dense.gauss_newton import LevelFit, RegistrationOptions, fit_level, inverse
+from estimators.landmark.alignment import Alignment, MeshView, align_translation, correlation_pair
+from estimators.landmark.pose.posterior import PosePrior
+from estimators.prior import floor_variances
 from scenarios.geometry import Pose
 from scenarios.observation import Frame
 

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import Assets
-from estimators.dense.linearisation import available_gradient
-from estimators.dense.options import LevelOptions, RegistrationOptions
+from estimators.contract import Assets, Stopwatch
+from estimators.dense.gauss_newton import LevelOptions, RegistrationOptions, available_gradient
 from estimators.dense.registration import STAGE, register
-from estimators.landmark.centroid import Alignment, MeshView
+from estimators.landmark.alignment import Alignment, MeshView
 from estimators.landmark.pose.outliers import PoseOptions
 from estimators.landmark.recognizer import (
     LandmarkRecognizer,
@@ -23,7 +22,6 @@ from estimators.landmark.recognizer import (
     landmark_database,
     shape_renderer,
 )
-from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
 from scenarios.observation import Frame
 

@@ -12,17 +12,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.stats import chi2
 
-from estimators.contract import Assets, Estimate, Stage
-from estimators.descriptors.build import DescriptorOptions, DescriptorViewOptions
-from estimators.descriptors.database import DescriptorDatabase
+from estimators.contract import Assets, Estimate, Stage, Stopwatch
+from estimators.descriptors.database import DescriptorDatabase, DescriptorOptions, DescriptorViewOptions
 from estimators.descriptors.features import DescribedFeatures, FeatureOptions, Kind, find_features, match_features
-from estimators.image import image_fault
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
-from estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map
+from estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map, window_overlap
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.pose.stack import window_overlap
-from estimators.landmark.signal import extract_signal
-from estimators.landmark.stopwatch import Stopwatch
+from estimators.landmark.signal import extract_signal, image_fault
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, pixel_to_opencv

@@ -8,13 +8,11 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Assets, Estimate, ImageRenderer, Stage
-from estimators.image import image_fault
+from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch
+from estimators.landmark.alignment import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
 from estimators.landmark.build import DatabaseOptions
-from estimators.landmark.centroid import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
 from estimators.landmark.recognizer import landmark_database
-from estimators.landmark.signal import extract_signal
-from estimators.landmark.stopwatch import Stopwatch
+from estimators.landmark.signal import extract_signal, image_fault
 from estimators.options import parse_options
 from scenarios.geometry import Camera
 from scenarios.observation import Frame, Observation

@@ -10,19 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Table
-from estimators.image import image_fault
-from estimators.landmark.alignment import correlation_pair
+from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch, Table
+from estimators.landmark.alignment import (
+    Alignment,
+    AlignmentOptions,
+    MeshView,
+    align_translation,
+    centroid_pair,
+    centroid_residual_px,
+    consistency_failure,
+    correlation_pair,
+    image_correlation,
+)
 from estimators.landmark.build import DatabaseOptions
-from estimators.landmark.centroid import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
-from estimators.landmark.consistency import centroid_residual_px, consistency_failure, image_correlation
 from estimators.landmark.corners import CornerOptions, Corners, detect_corners
 from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.matched import MatchedFrame, matched_table
+from estimators.landmark.matching import MatchedFrame, matched_table
 from estimators.landmark.pose.levenberg_marquardt import PoseFit
 from estimators.landmark.pose.outliers import PoseOptions, PoseSolution, solve_pose
-from estimators.landmark.signal import extract_signal
-from estimators.landmark.stopwatch import Stopwatch
+from estimators.landmark.signal import extract_signal, image_fault
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose

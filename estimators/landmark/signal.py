@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
+from scenarios.geometry import Camera
+from scenarios.observation import Frame
 
 KNOWN_SKY = (0.0, 0.0)
 """Level and noise of the background of a rendered image."""
@@ -17,6 +19,22 @@ _MIN_SIDE_PX = 16
 _MIN_SIGNAL_PX = 16
 _FULL_SCALE_PERCENTILE = 99.0
 _MAD_TO_SIGMA = 1.4826
+
+
+def image_fault(frame: Frame, camera: Camera) -> str:
+    """Say why the image of a frame tells nothing; '' where it can be looked at.
+
+    Raises
+    ------
+    BoresightError
+        If it is not of the camera's size: no estimate can be made of it, whatever it shows.
+    """
+    expected = (camera.height_px, camera.width_px)
+    if frame.image.shape != expected:
+        raise BoresightError(
+            f"the image has shape {frame.image.shape}, but the camera's is {expected}: hand in the camera's own image"
+        )
+    return "" if np.isfinite(frame.image).all() else "the image holds NaN or infinite pixels"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from estimators.contract import ImageRenderer
-from estimators.landmark.centroid import MeshView
+from estimators.landmark.alignment import MeshView
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
+from estimators.landmark.pose.posterior import window_overlap
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.pose.stack import window_overlap
 from estimators.landmark.signal import KNOWN_SKY, extract_signal
-from estimators.maplets.correlation import Displacement, correlate_window
 from estimators.maplets.database import MapletDatabase
-from estimators.maplets.refinement import make_pair, refine_window
+from estimators.maplets.refinement import Displacement, correlate_window, make_pair, refine_window
 from estimators.maplets.visibility import Windows, body_mask, visible_windows
 from scenarios.geometry import Camera, Pose
 from scenarios.spec.base import SpecModel

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from estimators.orbit.contract import OrbitEstimator
-from estimators.third_party import Registry
+from estimators.registry import Registry
 
 _ESTIMATORS: Registry[OrbitEstimator] = Registry(
     own={"batch-filter": "estimators.orbit.batch_filter:BatchFilter"},

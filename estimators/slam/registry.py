@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from estimators.registry import Registry
 from estimators.slam.contract import SequenceEstimator
-from estimators.third_party import Registry
 
 _ESTIMATORS: Registry[SequenceEstimator] = Registry(
     own={

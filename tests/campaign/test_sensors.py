@@ -9,7 +9,7 @@ from campaign.imaging.observe import observe
 from campaign.imaging.world import open_world
 from campaign.kinds.single_image.trial import SingleImage
 from campaign.runs.resolve import resolve
-from estimators.landmark.ranging import boresight_range
+from estimators.altimeter import boresight_range
 from estimators.landmark.recognizer import LandmarkRecognizer
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError

@@ -6,10 +6,9 @@ import trimesh
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from estimators.altimeter import AltimeterEstimator, AltimeterOptions, fuse_range
+from estimators.altimeter import AltimeterEstimator, AltimeterOptions, boresight_range, fuse_range, mesh_height_sigma_m
 from estimators.contract import Estimate
 from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.ranging import boresight_range, mesh_height_sigma_m
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, TriangleMesh, View, look_at

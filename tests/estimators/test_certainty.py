@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from estimators.certainty import floor_variances
 from estimators.landmark.pose.posterior import GaussianPose, solve_map
 from estimators.landmark.pose.problem import PoseProblem
+from estimators.prior import floor_variances
 from scenarios.geometry import Camera, look_at
 
 CAMERA = Camera.from_fov(512, 512, np.radians(18.3))

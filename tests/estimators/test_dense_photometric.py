@@ -5,13 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.dense.gauss_newton import PosePrior, band_pass, inverse, reduced_camera, reduced_image
-from estimators.dense.linearisation import available_gradient
-from estimators.dense.options import LevelOptions, PhotometricOptions
-from estimators.dense.photometric import PhotometricEstimator
+from estimators.contract import Stopwatch
+from estimators.dense.gauss_newton import (
+    LevelOptions,
+    available_gradient,
+    band_pass,
+    inverse,
+    reduced_camera,
+    reduced_image,
+)
+from estimators.dense.photometric import PhotometricEstimator, PhotometricOptions
 from estimators.dense.whole_image import registration_aligner
-from estimators.landmark.centroid import MeshView
-from estimators.landmark.stopwatch import Stopwatch
+from estimators.landmark.alignment import MeshView
+from estimators.landmark.pose.posterior import PosePrior
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.bodies.embedded import EMBEDDED
 from scenarios.errors import BoresightError
@@ -181,7 +187,7 @@ def test_reduction_averages_and_a_band_has_no_mean():
 
 def test_the_prior_term_measures_what_perturbed_does():
     step = np.array([0.01, -0.02, 0.005, 3.0, -4.0, 1.0])
-    np.testing.assert_allclose(PosePrior(TRUE, np.eye(6)).error(TRUE.perturbed(step[:3], step[3:])), step, atol=1e-12)
+    np.testing.assert_allclose(PosePrior(TRUE, np.eye(6)).offset(TRUE.perturbed(step[:3], step[3:])), step, atol=1e-12)
     np.testing.assert_allclose(inverse(np.diag([1e8, 1e-3, 2.0])) @ np.diag([1e8, 1e-3, 2.0]), np.eye(3), atol=1e-12)
 
 
@@ -194,7 +200,7 @@ def test_what_the_prior_knows_without_error_stays(renderer, image, sure_of):
     prior = TRUE.perturbed(error[:3], error[3:])
     found = estimate(renderer, Frame(image, SUN_CAM, prior, np.diag(sigmas**2)))
     assert found.status == "ok"
-    moved = PosePrior(prior, np.eye(6)).error(found.pose)
+    moved = PosePrior(prior, np.eye(6)).offset(found.pose)
     np.testing.assert_allclose(moved[list(sure_of)], 0.0, atol=1e-6)
     assert np.isfinite(found.covariance).all()
     assert errors(found.pose)[0] < 2.5

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
-from estimators.descriptors.build import DescriptorOptions, view_features
-from estimators.descriptors.database import FILE, DescriptorDatabase, ViewFeatures
+from estimators.descriptors.database import FILE, DescriptorDatabase, DescriptorOptions, ViewFeatures, view_features
 from estimators.descriptors.features import FeatureOptions, find_features, match_features
 from estimators.descriptors.recognizer import (
     PRODUCT,

@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from estimators.landmark.centroid import MeshView
-from estimators.landmark.consistency import centroid_residual_px, consistency_failure, image_correlation
+from estimators.landmark.alignment import MeshView, centroid_residual_px, consistency_failure, image_correlation
 from estimators.landmark.signal import extract_signal
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.bodies import load_body

@@ -5,9 +5,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from estimators.landmark.pose.batch import refine_poses
 from estimators.landmark.pose.levenberg_marquardt import MarquardtOptions, refine_pose
-from estimators.landmark.pose.stack import PoseStack, ProblemStack
+from estimators.landmark.pose.stack import PoseStack, ProblemStack, refine_poses
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, look_at
 

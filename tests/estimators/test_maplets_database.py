@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from estimators.maplets.build import MapletOptions, build_maplets, relief, spread_points
+from estimators.maplets.build import MapletOptions, Plane, Surface, build_maplets, relief, sample_heights, spread_points
 from estimators.maplets.database import FILE, MapletDatabase
-from estimators.maplets.heights import Plane, Surface, sample_heights
 from renderers.mitsuba3 import MitsubaRenderer
 from scenarios.bodies import load_body
 from scenarios.errors import BoresightError

@@ -6,11 +6,9 @@ from scipy.ndimage import fourier_shift, gaussian_filter
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from estimators.landmark.pose.posterior import GaussianPose, solve_map
+from estimators.landmark.pose.posterior import GaussianPose, solve_map, window_overlap
 from estimators.landmark.pose.problem import PoseProblem
-from estimators.landmark.pose.stack import window_overlap
-from estimators.maplets.correlation import correlate_window, shift_covariance
-from estimators.maplets.refinement import make_pair, refine_window
+from estimators.maplets.refinement import correlate_window, make_pair, refine_window, shift_covariance
 from scenarios.geometry import Camera, look_at
 
 SIDE = 64

@@ -15,12 +15,18 @@ from campaign.trial.kind import Bench, Record, Records, Witness
 from campaign.trial.pose_score import FloatArray, pose_errors
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.matching import inverse_2x2
-from estimators.landmark.pose.batch import refine_poses
 from estimators.landmark.pose.levenberg_marquardt import MarquardtOptions
-from estimators.landmark.pose.solver import NAME, VERSION, PoseSolverOptions, closed_forms, solve_stack
-from estimators.landmark.pose.stack import PoseStack, ProblemStack
-from estimators.landmark.projection import image_covariances
-from estimators.landmark.visibility import faces_camera, is_occluded
+from estimators.landmark.pose.stack import (
+    NAME,
+    VERSION,
+    PoseSolverOptions,
+    PoseStack,
+    ProblemStack,
+    closed_forms,
+    refine_poses,
+    solve_stack,
+)
+from estimators.landmark.projection import faces_camera, image_covariances, is_occluded
 from estimators.options import parse_options
 from scenarios.draw import Stream, degrade, draw_view, generator
 from scenarios.errors import BoresightError

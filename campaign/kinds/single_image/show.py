@@ -22,8 +22,8 @@ from estimators.contract import Estimate
 from estimators.craters.database.landmarks import Landmarks
 from estimators.craters.pose.estimator import CraterPose
 from estimators.landmark.database import LandmarkDatabase
+from estimators.landmark.projection import visible_landmarks
 from estimators.landmark.recognizer import LandmarkRecognizer
-from estimators.landmark.visibility import visible_landmarks
 from renderers.mitsuba3 import BodyRenderer
 from reports.figures.fit import draw_alignment_panels, draw_fit_panels
 from reports.figures.posed import PosedLook, draw_posed

@@ -9,14 +9,13 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import Assets, Estimate, Stage
+from estimators.contract import Assets, Estimate, Stage, Stopwatch
 from estimators.craters.contract import CraterDetector
 from estimators.craters.database.files import CraterDatabase
 from estimators.craters.matching.association import Association, associate
 from estimators.craters.pose.expected import adjusted, expected_craters
 from estimators.craters.pose.options import PRODUCT, CraterPoseOptions
 from estimators.craters.registry import crater_detector_class
-from estimators.landmark.stopwatch import Stopwatch
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Ellipses, Pose, TriangleMesh

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.landmark.pose.derivatives import image_jacobian, point_by_quaternion, point_by_rotation
-from estimators.landmark.pose.problem import PoseProblem
+from estimators.landmark.pose.problem import PoseProblem, image_jacobian, point_by_quaternion, point_by_rotation
 from scenarios.geometry import Pose
 from scenarios.spec.base import SpecModel
 

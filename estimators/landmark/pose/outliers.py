@@ -11,11 +11,9 @@ from pydantic import Field
 
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.matching import Matches, inverse_2x2, match_landmarks
-from estimators.landmark.pose.epnp import solve_epnp
 from estimators.landmark.pose.levenberg_marquardt import MarquardtOptions, PoseFit, pose_covariance, refine_pose
-from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.projection import Projection, project_landmarks
-from estimators.landmark.visibility import visible_landmarks
+from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem, solve_epnp
+from estimators.landmark.projection import Projection, project_landmarks, visible_landmarks
 from scenarios.geometry import Camera, Pose
 from scenarios.spec.base import SpecModel
 

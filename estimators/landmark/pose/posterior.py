@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import exp1
 
-from estimators.certainty import floor_variances
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
 from estimators.landmark.pose.problem import PoseProblem
+from estimators.landmark.pose.stack import PoseStack
+from estimators.prior import floor_variances
 from scenarios.geometry import Pose
 
 FloatArray = NDArray[np.float64]
@@ -25,6 +26,12 @@ _UNKNOWN_POINTS = 3.0  # two components each: the six unknowns
 _LEAST_SCALE2 = 1e-4
 
 
+def pose_offset(mean: Pose, T_cam_body: Pose) -> FloatArray:
+    """Small motion (6,), [rotation_rad, translation_m], from ``mean`` to a pose: the argument of ``Pose.perturbed``."""
+    turn = Rotation.from_matrix(T_cam_body.rotation @ mean.rotation.T).as_rotvec()
+    return np.concatenate([turn, T_cam_body.translation_m - mean.translation_m])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianPose:
     """A pose with the covariance (6, 6) of its error, [rotation_rad, translation_m] in camera axes."""
@@ -33,9 +40,25 @@ class GaussianPose:
     covariance: FloatArray
 
     def offset(self, T_cam_body: Pose) -> FloatArray:
-        """Small motion (6,) that takes the prior's pose to another: the argument of ``Pose.perturbed``."""
-        turn = Rotation.from_matrix(T_cam_body.rotation @ self.T_cam_body.rotation.T).as_rotvec()
-        return np.concatenate([turn, T_cam_body.translation_m - self.T_cam_body.translation_m])
+        """Offset (6,) of a pose from this one, see `pose_offset`."""
+        return pose_offset(self.T_cam_body, T_cam_body)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosePrior:
+    """A Gaussian prior of the pose: ``mean``, and the inverse (6, 6) of the covariance of [rotation_rad, translation_m]."""
+
+    mean: Pose
+    information: FloatArray
+
+    def offset(self, T_cam_body: Pose) -> FloatArray:
+        """Offset (6,) of a pose from the mean, see `pose_offset`."""
+        return pose_offset(self.mean, T_cam_body)
+
+    def errors(self, poses: PoseStack) -> FloatArray:
+        """Offsets (B, 6) of several poses from the mean."""
+        turns = Rotation.from_matrix(poses.rotations @ self.mean.rotation.T).as_rotvec()
+        return np.concatenate([turns, poses.translations_m - self.mean.translation_m], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +124,25 @@ def solve_map(problem: PoseProblem, prior: GaussianPose, start: Pose, shared: Fl
     scatter = influence / (scale2 * redundancy**2) * _scores_covariance(problem.information_px2, jacobian, shared)
     gain = np.linalg.inv(slope * best + known)
     return Posterior(pose, gain @ (scatter + known) @ gain, np.linalg.inv(best + known), d2, scale2)
+
+
+def window_overlap(first_px: FloatArray, last_px: FloatArray) -> FloatArray:
+    """Share (N, N) of the pixels that each two windows have in common, over the geometric mean of their areas.
+
+    If what disturbs an observation is white noise in the pixels of its window, this is the correlation of the
+    disturbances of two; as the Gram matrix of the windows it is never indefinite.
+
+    Parameters
+    ----------
+    first_px, last_px
+        (N, 2) columns and rows of the windows' first corners and of their opposite corners.
+    """
+    low = np.maximum(first_px[:, None], first_px[None])
+    high = np.minimum(last_px[:, None], last_px[None])
+    common = np.clip(high - low, 0.0, None).prod(axis=2)
+    root = np.sqrt(np.diag(common))
+    share: FloatArray = common / np.outer(root, root)
+    return share
 
 
 def _weights(x: FloatArray) -> FloatArray:

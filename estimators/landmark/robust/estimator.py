@@ -4,35 +4,62 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import ClassVar, Literal, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from estimators.certainty import floor_variances
-from estimators.contract import Assets, Estimate, ImageRenderer, Stage
-from estimators.image import image_fault
-from estimators.landmark.centroid import Alignment, MeshView, align_translation
-from estimators.landmark.consistency import centroid_residual_px, consistency_failure
-from estimators.landmark.corners import detect_corners
+from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch
+from estimators.landmark.alignment import (
+    Alignment,
+    AlignmentOptions,
+    MeshView,
+    align_translation,
+    centroid_residual_px,
+    consistency_failure,
+)
+from estimators.landmark.build import DatabaseOptions
+from estimators.landmark.corners import CornerOptions, detect_corners
 from estimators.landmark.database import LandmarkDatabase
-from estimators.landmark.matched import MatchedFrame, matched_table
+from estimators.landmark.matching import MatchedFrame, matched_table
+from estimators.landmark.pose.posterior import PosePrior
+from estimators.landmark.pose.stack import PoseStack
+from estimators.landmark.projection import visible_landmarks
 from estimators.landmark.recognizer import POINT_PAIRS, landmark_database
-from estimators.landmark.robust.mixture import Mixture, MixtureEvaluation, PosePrior, Poses
-from estimators.landmark.robust.options import ConsensusOptions
-from estimators.landmark.robust.sampling import sampled_hypotheses
-from estimators.landmark.robust.search import best_hypotheses, refine_hypotheses
-from estimators.landmark.signal import extract_signal
-from estimators.landmark.stopwatch import Stopwatch
-from estimators.landmark.visibility import visible_landmarks
+from estimators.landmark.robust.mixture import Mixture, MixtureEvaluation, MixtureOptions
+from estimators.landmark.robust.search import SearchOptions, best_hypotheses, refine_hypotheses, sampled_hypotheses
+from estimators.landmark.signal import extract_signal, image_fault
 from estimators.options import parse_options
+from estimators.prior import floor_variances
 from scenarios.geometry import Camera, Pose
 from scenarios.observation import Frame, Observation
+from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 _MATCHED_D2 = 11.83
 _FEWEST = 4
+
+
+class ConsensusOptions(SpecModel):
+    """Options of ``landmark-ransac``."""
+
+    database: DatabaseOptions = DatabaseOptions()
+    corners: CornerOptions = Field(
+        CornerOptions(count=250, min_relative_strength=1e-5), description="Corners of the observed image"
+    )
+    alignment: Literal["centroid", "image"] = Field("image", description="What finds the first shift")
+    alignment_loop: AlignmentOptions = AlignmentOptions()
+    alignment_sigma_px: float = Field(3.6, gt=0, description="Error of that shift, along rows and columns each")
+    mixture: MixtureOptions = MixtureOptions()
+    search: SearchOptions = SearchOptions()
+    covariance_scale: float = Field(
+        1.8, gt=0, description="Factor on the covariance of the result: errors of neighbouring landmarks go together"
+    )
+    consistency_max_px: float | None = Field(
+        None, gt=0, description="A solution whose mesh, rendered, has its brightness centroid farther off fails"
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,16 +68,16 @@ class _Solution:
 
     alignment: Alignment
     pose: Pose
-    step: MixtureEvaluation
+    evaluation: MixtureEvaluation
     visible: NDArray[np.intp]
     corners_px: FloatArray
     centroid_residual_px: float | None = None
 
     def matched(self) -> MatchedFrame:
         """Take as matches the landmarks with a corner within their 3-sigma region (two degrees of freedom)."""
-        rows, likely = np.arange(len(self.visible)), self.step.squares[0].argmin(axis=1)
-        sure = self.step.squares[0, rows, likely] < _MATCHED_D2
-        corner = self.step.candidates[0, rows, likely][sure]
+        rows, likely = np.arange(len(self.visible)), self.evaluation.squares[0].argmin(axis=1)
+        sure = self.evaluation.squares[0, rows, likely] < _MATCHED_D2
+        corner = self.evaluation.candidates[0, rows, likely][sure]
         return MatchedFrame(self.pose, self.visible[sure], self.corners_px[corner])
 
 
@@ -84,7 +111,7 @@ class ConsensusRecognizer:
         solution = self._solve(observation.frame, observation.camera, clock, rng)
         if isinstance(solution, str):
             return Estimate("failed", solution, timings_s=clock.seconds)
-        bound, matched = np.linalg.inv(solution.step.hessian[0]), solution.matched()
+        bound, matched = np.linalg.inv(solution.evaluation.hessian[0]), solution.matched()
         return Estimate(
             "ok",
             pose=solution.pose,
@@ -143,18 +170,14 @@ class ConsensusRecognizer:
         # A turn of some degrees brings other landmarks into view.
         visible = np.flatnonzero(visible_landmarks(self._mesh, camera, pose))
         last = self._mixture(visible, corners_px, camera, prior)
-        poses = last.climb(_single(pose), sigma_px, options.search.max_iterations, 1e-3)
-        return _Solution(alignment, poses.pose(0), last.step(poses, sigma_px), visible, corners_px)
+        poses = last.maximise(PoseStack.of([pose]), sigma_px, options.search.max_iterations, 1e-3)
+        return _Solution(alignment, poses.pose(0), last.evaluate(poses, sigma_px), visible, corners_px)
 
     def _mixture(self, visible: NDArray[np.intp], corners_px: FloatArray, camera: Camera, prior: PosePrior) -> Mixture:
         means, covariances = self._database.means_m[visible], self._database.covariances_m2[visible]
         area_px2 = float(cv2.contourArea(cv2.convexHull(corners_px.astype(np.float32))))
         area_px2 = max(area_px2, float(len(corners_px)))
         return Mixture(means, covariances, corners_px, area_px2, camera, prior, self._options.mixture)
-
-
-def _single(pose: Pose) -> Poses:
-    return Poses(pose.rotation[None], pose.translation_m[None])
 
 
 def _prior_after_alignment(frame: Frame, aligned: Pose, camera: Camera, options: ConsensusOptions) -> PosePrior:
@@ -180,6 +203,6 @@ def _diagnostics(solution: _Solution, n_landmarks: int) -> dict[str, float | int
         "n_landmarks": n_landmarks,
         "n_predicted": len(solution.visible),
         "n_corners": len(solution.corners_px),
-        "log_posterior": float(solution.step.log_posterior[0]),
+        "log_posterior": float(solution.evaluation.log_posterior[0]),
         **({} if residual_px is None else {"centroid_residual_px": residual_px}),
     }

@@ -15,52 +15,29 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
 
 from estimators.landmark.matching import inverse_and_determinant
-from estimators.landmark.robust.options import MixtureOptions
-from scenarios.geometry import Camera, Pose
+from estimators.landmark.pose.posterior import PosePrior
+from estimators.landmark.pose.problem import point_by_rotation
+from estimators.landmark.pose.stack import PoseStack
+from scenarios.geometry import Camera
+from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Poses:
-    """H poses side by side: ``rotations`` (H, 3, 3) and ``translations_m`` (H, 3) of T_cam_body."""
+class MixtureOptions(SpecModel):
+    """Where corners are expected about a landmark that is seen."""
 
-    rotations: FloatArray
-    translations_m: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.rotations)
-
-    def take(self, which: IndexArray) -> Poses:
-        """Return some of them."""
-        return Poses(self.rotations[which], self.translations_m[which])
-
-    def pose(self, index: int) -> Pose:
-        """Return one of them."""
-        return Pose(self.rotations[index], self.translations_m[index])
-
-    def perturbed(self, steps: FloatArray) -> Poses:
-        """Turn and shift each by a step [rotation_rad, translation_m] in camera axes, (H, 6)."""
-        turns = Rotation.from_rotvec(steps[:, :3]).as_matrix()
-        return Poses(turns @ self.rotations, self.translations_m + steps[:, 3:])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PosePrior:
-    """A Gaussian over poses: ``mean``, and the (6, 6) inverse covariance of [rotation_rad, translation_m]."""
-
-    mean: Pose
-    information: FloatArray
-
-    def errors(self, poses: Poses) -> FloatArray:
-        """Differences from the mean, (H, 6)."""
-        turns = Rotation.from_matrix(poses.rotations @ self.mean.rotation.T).as_rotvec()
-        return np.concatenate([turns, poses.translations_m - self.mean.translation_m], axis=1)
+    detection_probability: float = Field(
+        0.02, gt=0, lt=1, description="Weight of a landmark's own corner against clutter; small is robust"
+    )
+    covariance_scale: float = Field(2.5, gt=0, description="Factor on the landmarks' covariances as stored")
+    corner_sigma_px: float = Field(0.3, gt=0, le=10, description="Error of a corner's position in the image")
+    max_candidates: int = Field(6, ge=1, le=64, description="Nearest corners that may be a landmark's")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,16 +91,16 @@ class Mixture:
         p = options.detection_probability
         self.odds_px2 = p / (1.0 - p) * area_px2 / len(corners_px)
 
-    def project(self, poses: Poses) -> FloatArray:
+    def project(self, poses: PoseStack) -> FloatArray:
         """Landmarks in the image, (H, N, 2)."""
         return self._camera.project(self._in_camera(poses))
 
-    def _in_camera(self, poses: Poses) -> FloatArray:
+    def _in_camera(self, poses: PoseStack) -> FloatArray:
         turned = np.einsum("hij,nj->hni", poses.rotations, self.points_m)
         seen: FloatArray = turned + poses.translations_m[:, None]
         return seen
 
-    def step(self, poses: Poses, corner_sigma_px: float) -> MixtureEvaluation:
+    def evaluate(self, poses: PoseStack, corner_sigma_px: float) -> MixtureEvaluation:
         """Evaluate the posterior and its Gauss-Newton approximation at each pose."""
         points = self._in_camera(poses)
         uv = self._camera.project(points)
@@ -142,7 +119,8 @@ class Mixture:
         responsibilities = ratio / total[..., None]
         weight = responsibilities.sum(axis=2)
         pull = np.einsum("hnk,hnki->hni", responsibilities, offsets)
-        jacobian = _pose_jacobian(by_point, points - poses.translations_m[:, None])
+        by_rotation = by_point @ point_by_rotation(points - poses.translations_m[:, None])
+        jacobian = np.concatenate([by_rotation, by_point], axis=-1)
         weighted = information @ jacobian
         errors = self._prior.errors(poses)
         prior_pull = errors @ self._prior.information
@@ -155,26 +133,20 @@ class Mixture:
             square,
         )
 
-    def climb(self, poses: Poses, corner_sigma_px: float, iterations: int, tolerance_px: float = 0.0) -> Poses:
+    def maximise(
+        self, poses: PoseStack, corner_sigma_px: float, iterations: int, tolerance_px: float = 0.0
+    ) -> PoseStack:
         """Take steps of expectation and maximisation, until none moves a landmark by ``tolerance_px``."""
         for _ in range(iterations):
-            step = self.step(poses, corner_sigma_px)
-            moved: FloatArray = np.linalg.solve(step.hessian, step.gradient[..., None])[..., 0].astype(np.float64)
+            here = self.evaluate(poses, corner_sigma_px)
+            moved: FloatArray = np.linalg.solve(here.hessian, here.gradient[..., None])[..., 0].astype(np.float64)
             before = self.project(poses)
             poses = poses.perturbed(moved)
             if np.abs(self.project(poses) - before).max() < tolerance_px:
                 break
         return poses
 
-    def _image_covariances(self, poses: Poses, by_point: FloatArray, corner_sigma_px: float) -> FloatArray:
+    def _image_covariances(self, poses: PoseStack, by_point: FloatArray, corner_sigma_px: float) -> FloatArray:
         by_body = by_point @ poses.rotations[:, None]
         projected: FloatArray = by_body @ self._covariances_m2 @ np.swapaxes(by_body, 2, 3)
         return projected + corner_sigma_px**2 * np.eye(2)
-
-
-def _pose_jacobian(by_point: FloatArray, arms_m: FloatArray) -> FloatArray:
-    """Differentiate pixels by [rotation_rad, translation_m], (..., 2, 6); ``arms_m`` are the turned points."""
-    x, y, z = np.moveaxis(arms_m, -1, 0)
-    zero = np.zeros_like(x)
-    turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1).reshape(*x.shape, 3, 3)
-    return np.concatenate([by_point @ turn, by_point], axis=-1)

@@ -7,7 +7,7 @@ from importlib import resources
 from pathlib import Path
 
 from campaign.runs.resolve import CATALOG as CAMPAIGNS
-from estimators.landmark.robust.options import ConsensusOptions
+from estimators.landmark.robust.estimator import ConsensusOptions
 from estimators.options import parse_options
 from estimators.slam.options import BundleOptions
 from hostile.target import Target
