@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal, Protocol, Self, runtime_checkable
+from typing import ClassVar, Literal, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,29 +14,10 @@ from numpy.typing import NDArray
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, TriangleMesh, View
 from scenarios.observation import Observation
+from scenarios.spec.base import SpecModel
 
+T = TypeVar("T")
 Table = Mapping[str, NDArray[np.generic]]
-
-
-class Stopwatch:
-    """Adds up the wall time spent under each name; one for each estimate, never shared."""
-
-    def __init__(self) -> None:
-        self._seconds: dict[str, float] = {}
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        """Time the body of a ``with`` statement."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self._seconds[stage] = self._seconds.get(stage, 0.0) + time.perf_counter() - start
-
-    @property
-    def seconds(self) -> dict[str, float]:
-        """Seconds by stage so far."""
-        return dict(self._seconds)
 
 
 class NoProductError(BoresightError):
@@ -166,3 +147,38 @@ class Estimator(Protocol):
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
         """Estimate the pose of the frame. Must not change its input or keep state between calls."""
         ...
+
+
+def typed_product(assets: Assets, kind: str, options: SpecModel, expected: type[T], estimator: str) -> T:
+    """Return the product of a kind that was built with ``options``, for the estimator of that name.
+
+    Raises
+    ------
+    BoresightError
+        If the product is not an object of the class ``expected``.
+    """
+    product = assets.product(kind, options.model_dump(mode="json"))
+    if not isinstance(product, expected):
+        raise BoresightError(f"{estimator}: the product {kind!r} is a {type(product).__name__}")
+    return product
+
+
+class Stopwatch:
+    """Adds up the wall time spent under each name; one for each estimate, never shared."""
+
+    def __init__(self) -> None:
+        self._seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Time the body of a ``with`` statement."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._seconds[stage] = self._seconds.get(stage, 0.0) + time.perf_counter() - start
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Seconds by stage so far."""
+        return dict(self._seconds)

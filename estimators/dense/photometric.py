@@ -14,7 +14,7 @@ from estimators.dense.registration import Registration, register
 from estimators.landmark.alignment import MeshView
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.recognizer import landmark_database
-from estimators.landmark.signal import extract_signal, image_fault
+from estimators.landmark.signal import observed_signal
 from estimators.options import parse_options
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.observation import Frame, Observation
@@ -78,14 +78,11 @@ class PhotometricEstimator:
 
     def _register(self, frame: Frame, camera: Camera, clock: Stopwatch) -> Registration | str:
         """Register the frame, or say why there is nothing to register."""
-        fault = image_fault(frame, camera)
-        if fault:
-            return fault
-        observed = extract_signal(frame.image)
-        if observed.empty:
-            return "the image is black: nothing above its background"
+        observed = observed_signal(frame, camera)
+        if isinstance(observed, str):
+            return observed
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
-        return register(observed.image, frame, view, self._size_m, self._options, clock)
+        return register(observed, frame, view, self._size_m, self._options, clock)
 
     def _stages(self, found: Registration) -> tuple[Stage, ...]:
         if found.shift.failure:

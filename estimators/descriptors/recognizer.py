@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.stats import chi2
 
-from estimators.contract import Assets, Estimate, Stage, Stopwatch
+from estimators.contract import Assets, Estimate, Stage, Stopwatch, typed_product
 from estimators.descriptors.database import DescriptorDatabase, DescriptorOptions, DescriptorViewOptions
 from estimators.descriptors.features import DescribedFeatures, FeatureOptions, Kind, find_features, match_features
 from estimators.landmark.pose.levenberg_marquardt import minimal_jacobian
 from estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map, window_overlap
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.signal import extract_signal, image_fault
+from estimators.landmark.signal import observed_signal
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, pixel_to_opencv
@@ -86,9 +86,9 @@ class DescriptorNavigator:
         """Build from a campaign's options and its data base."""
         parsed = parse_options(DescriptorNavigatorOptions, options, cls.name)
         asked = DescriptorOptions(kind=cls.kind, **parsed.database.model_dump())
-        database = assets.product(PRODUCT, asked.model_dump(mode="json"))
-        if not isinstance(database, DescriptorDatabase) or database.kind != cls.kind:
-            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
+        database = typed_product(assets, PRODUCT, asked, DescriptorDatabase, cls.name)
+        if database.kind != cls.kind:
+            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} holds {database.kind} descriptors")
         return cls(database, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
@@ -111,11 +111,9 @@ class DescriptorNavigator:
     def _solve(self, frame: Frame, camera: Camera, seed: int, clock: Stopwatch) -> tuple[Pose, Posterior] | str:
         """Solve the frame, or say why there is no pose."""
         options = self._options
-        fault = image_fault(frame, camera)
-        if fault:
-            return fault
-        if extract_signal(frame.image).empty:
-            return "the image is black: nothing above its background"
+        observed = observed_signal(frame, camera)
+        if isinstance(observed, str):
+            return observed
         with clock("feature_extraction"):
             features = find_features(frame.image, self.kind, options.features or options.database.features)
         with clock("matching"):

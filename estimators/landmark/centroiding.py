@@ -12,7 +12,7 @@ from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatc
 from estimators.landmark.alignment import Alignment, AlignmentOptions, MeshView, align_translation, centroid_pair
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.recognizer import landmark_database
-from estimators.landmark.signal import extract_signal, image_fault
+from estimators.landmark.signal import observed_signal
 from estimators.options import parse_options
 from scenarios.geometry import Camera
 from scenarios.observation import Frame, Observation
@@ -72,17 +72,13 @@ class CentroidAligner:
             If the image is not of the camera's size.
         """
         prior = frame.prior_T_cam_body
-        fault = image_fault(frame, camera)
-        if fault:
-            return Alignment(prior, (), fault), {}
-        with clock("centroid"):
-            observed = extract_signal(frame.image)
-        if observed.empty:
-            return Alignment(prior, (), "the image is black: nothing above its background"), {}
+        observed = observed_signal(frame, camera, clock)
+        if isinstance(observed, str):
+            return Alignment(prior, (), observed), {}
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
         options = self._options.alignment_loop
-        alignment = align_translation(observed.image, prior, view, centroid_pair, options, clock)
-        return alignment, _extent(observed.image)
+        alignment = align_translation(observed, prior, view, centroid_pair, options, clock)
+        return alignment, _extent(observed)
 
 
 def _extent(signal: NDArray[np.float32]) -> dict[str, float]:

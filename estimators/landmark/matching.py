@@ -19,37 +19,6 @@ _COVARIANCE_NAMES = ("sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MatchedFrame:
-    """Matches of a frame: its pose, (M,) rows of the data base and (M, 2) corners in the image."""
-
-    T_cam_body: Pose
-    landmark: NDArray[np.intp]
-    uv_px: FloatArray
-
-
-def matched_table(found: MatchedFrame, database: LandmarkDatabase, camera: Camera) -> Table:
-    """One row for each matched landmark.
-
-    Columns: ``landmark`` (row of the data base), ``u_px, v_px`` (its corner), ``d2_px`` (weighted squared distance of
-    the corner to the landmark at the estimated pose), ``x_m, y_m, z_m`` and ``sxx_m2 ... szz_m2`` (the data base's
-    mean and covariance).
-    """
-    landmark, uv = found.landmark, found.uv_px
-    covariances = database.covariances_m2[landmark][:, *np.triu_indices(3)]
-    table: dict[str, NDArray[np.generic]] = {"landmark": landmark, "u_px": uv[:, 0], "v_px": uv[:, 1]}
-    table["d2_px"] = _distances(found, database, camera)
-    table |= {name: database.means_m[landmark, axis] for axis, name in enumerate(("x_m", "y_m", "z_m"))}
-    table |= {name: covariances[:, axis] for axis, name in enumerate(_COVARIANCE_NAMES)}
-    return table
-
-
-def _distances(found: MatchedFrame, database: LandmarkDatabase, camera: Camera) -> FloatArray:
-    projection = project_landmarks(database, camera, found.T_cam_body)
-    offsets = found.uv_px - projection.uv_px[found.landmark]
-    return squared_distances(offsets, projection.covariances_px2[found.landmark])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Matches:
     """Pairs of a landmark and a corner, in ascending order of the landmark.
 
@@ -73,35 +42,6 @@ class Matches:
     def same_pairs(self, other: Matches) -> bool:
         """Whether both hold the same pairs, whatever their distances."""
         return np.array_equal(self.landmark, other.landmark) and np.array_equal(self.corner, other.corner)
-
-
-def inverse_and_determinant(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Inverses (..., 2, 2) and determinants (...) of symmetric matrices (..., 2, 2)."""
-    a, b, c = covariances[..., 0, 0], covariances[..., 0, 1], covariances[..., 1, 1]
-    determinant = a * c - b * b
-    adjugate = np.stack([np.stack([c, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=-2)
-    return adjugate / determinant[..., None, None], determinant  # eq. (19)
-
-
-def inverse_2x2(covariances_px2: FloatArray) -> FloatArray:
-    """Inverses (..., 2, 2) of symmetric matrices (..., 2, 2)."""
-    return inverse_and_determinant(covariances_px2)[0]
-
-
-def squared_distances(offsets_px: FloatArray, covariances_px2: FloatArray) -> FloatArray:
-    """d2 (N,) of offsets (N, 2) weighted by covariances (N, 2, 2)."""
-    d2: FloatArray = np.einsum("ni,nij,nj->n", offsets_px, inverse_2x2(covariances_px2), offsets_px)  # eq. (14)
-    return d2
-
-
-def weighted_distances(uv_px: FloatArray, covariances_px2: FloatArray, corners_px: FloatArray) -> FloatArray:
-    """d2 (N, M) of each of N projected landmarks to each of M corners."""
-    weight = inverse_2x2(covariances_px2)
-    du = corners_px[None, :, 0] - uv_px[:, None, 0]
-    dv = corners_px[None, :, 1] - uv_px[:, None, 1]
-    a, b, c = (weight[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 1)))
-    d2: FloatArray = a * du * du + 2.0 * b * du * dv + c * dv * dv  # eq. (14)
-    return d2
 
 
 def match_landmarks(
@@ -135,3 +75,63 @@ def match_landmarks(
     best = d2[rows, nearest_corner]
     paired = (nearest_landmark[nearest_corner] == rows) & (best < d2_max)
     return Matches(candidates[paired], nearest_corner[paired], best[paired])
+
+
+def weighted_distances(uv_px: FloatArray, covariances_px2: FloatArray, corners_px: FloatArray) -> FloatArray:
+    """d2 (N, M) of each of N projected landmarks to each of M corners."""
+    weight = inverse_2x2(covariances_px2)
+    du = corners_px[None, :, 0] - uv_px[:, None, 0]
+    dv = corners_px[None, :, 1] - uv_px[:, None, 1]
+    a, b, c = (weight[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 1)))
+    d2: FloatArray = a * du * du + 2.0 * b * du * dv + c * dv * dv  # eq. (14)
+    return d2
+
+
+def squared_distances(offsets_px: FloatArray, covariances_px2: FloatArray) -> FloatArray:
+    """d2 (N,) of offsets (N, 2) weighted by covariances (N, 2, 2)."""
+    d2: FloatArray = np.einsum("ni,nij,nj->n", offsets_px, inverse_2x2(covariances_px2), offsets_px)  # eq. (14)
+    return d2
+
+
+def inverse_2x2(covariances_px2: FloatArray) -> FloatArray:
+    """Inverses (..., 2, 2) of symmetric matrices (..., 2, 2)."""
+    return inverse_and_determinant(covariances_px2)[0]
+
+
+def inverse_and_determinant(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Inverses (..., 2, 2) and determinants (...) of symmetric matrices (..., 2, 2)."""
+    a, b, c = covariances[..., 0, 0], covariances[..., 0, 1], covariances[..., 1, 1]
+    determinant = a * c - b * b
+    adjugate = np.stack([np.stack([c, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=-2)
+    return adjugate / determinant[..., None, None], determinant  # eq. (19)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchedFrame:
+    """Matches of a frame: its pose, (M,) rows of the data base and (M, 2) corners in the image."""
+
+    T_cam_body: Pose
+    landmark: NDArray[np.intp]
+    uv_px: FloatArray
+
+
+def matched_table(found: MatchedFrame, database: LandmarkDatabase, camera: Camera) -> Table:
+    """One row for each matched landmark.
+
+    Columns: ``landmark`` (row of the data base), ``u_px, v_px`` (its corner), ``d2_px`` (weighted squared distance of
+    the corner to the landmark at the estimated pose), ``x_m, y_m, z_m`` and ``sxx_m2 ... szz_m2`` (the data base's
+    mean and covariance).
+    """
+    landmark, uv = found.landmark, found.uv_px
+    covariances = database.covariances_m2[landmark][:, *np.triu_indices(3)]
+    table: dict[str, NDArray[np.generic]] = {"landmark": landmark, "u_px": uv[:, 0], "v_px": uv[:, 1]}
+    table["d2_px"] = _distances(found, database, camera)
+    table |= {name: database.means_m[landmark, axis] for axis, name in enumerate(("x_m", "y_m", "z_m"))}
+    table |= {name: covariances[:, axis] for axis, name in enumerate(_COVARIANCE_NAMES)}
+    return table
+
+
+def _distances(found: MatchedFrame, database: LandmarkDatabase, camera: Camera) -> FloatArray:
+    projection = project_landmarks(database, camera, found.T_cam_body)
+    offsets = found.uv_px - projection.uv_px[found.landmark]
+    return squared_distances(offsets, projection.covariances_px2[found.landmark])

@@ -60,6 +60,16 @@ def image_covariances(
     return covariances
 
 
+def visible_landmarks(mesh: TriangleMesh, camera: Camera, T_cam_body: Pose) -> BoolArray:
+    """(V,): vertices in front of the camera, in the field of view, on the near side and not hidden by terrain."""
+    uv_px = camera.project(T_cam_body.transform(mesh.vertices_m))
+    position = T_cam_body.camera_position_m
+    visible = camera.contains(uv_px) & faces_camera(mesh, position)
+    candidates = np.flatnonzero(visible)
+    visible[candidates] = ~is_occluded(mesh, position, candidates)
+    return visible
+
+
 def faces_camera(mesh: TriangleMesh, camera_position_body_m: FloatArray) -> BoolArray:
     """(V,): vertices with at least one facet whose outward normal points towards the camera (far-side test)."""
     result = np.zeros(len(mesh.vertices_m), dtype=bool)
@@ -129,13 +139,3 @@ def _blocks(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> BoolAr
     t = np.einsum("pi,pi->p", edge2, q) / safe
     blocking: BoolArray = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0) & (t < 1.0)
     return blocking
-
-
-def visible_landmarks(mesh: TriangleMesh, camera: Camera, T_cam_body: Pose) -> BoolArray:
-    """(V,): vertices in front of the camera, in the field of view, on the near side and not hidden by terrain."""
-    uv_px = camera.project(T_cam_body.transform(mesh.vertices_m))
-    position = T_cam_body.camera_position_m
-    visible = camera.contains(uv_px) & faces_camera(mesh, position)
-    candidates = np.flatnonzero(visible)
-    visible[candidates] = ~is_occluded(mesh, position, candidates)
-    return visible

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch, Table
+from estimators.contract import Assets, Estimate, ImageRenderer, Stage, Stopwatch, Table, typed_product
 from estimators.landmark.alignment import (
     Alignment,
     AlignmentOptions,
@@ -28,9 +28,8 @@ from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.matching import MatchedFrame, matched_table
 from estimators.landmark.pose.levenberg_marquardt import PoseFit
 from estimators.landmark.pose.outliers import PoseOptions, PoseSolution, solve_pose
-from estimators.landmark.signal import extract_signal, image_fault
+from estimators.landmark.signal import observed_signal
 from estimators.options import parse_options
-from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose
 from scenarios.observation import Frame, Observation
 from scenarios.spec.base import SpecModel
@@ -177,17 +176,10 @@ def recognise(
         If the image is not of the camera's size.
     """
     prior, camera, clock = frame.prior_T_cam_body, view.camera, Stopwatch()
-    nothing = Alignment(prior, ())
-    fault = image_fault(frame, camera)
-    if fault:
-        return Recognition(prior, nothing, None, None, clock.seconds, fault)
-    with clock("centroid"):
-        observed = extract_signal(frame.image)
-    if observed.empty:
-        return Recognition(
-            prior, nothing, None, None, clock.seconds, "the image is black: nothing above its background"
-        )
-    alignment = aligner.align(observed.image, frame, view, clock)
+    observed = observed_signal(frame, camera, clock)
+    if isinstance(observed, str):
+        return Recognition(prior, Alignment(prior, ()), None, None, clock.seconds, observed)
+    alignment = aligner.align(observed, frame, view, clock)
     if alignment.failure:
         return Recognition(prior, alignment, None, None, clock.seconds, alignment.failure)
     with clock("feature_extraction"):
@@ -197,31 +189,21 @@ def recognise(
     if solution.fit is None:
         return Recognition(prior, alignment, corners, solution, clock.seconds, solution.failure)
     with clock("consistency"):
-        residual_px = centroid_residual_px(observed.image, solution.fit.T_cam_body, view)
-        likenesses = (
-            None
-            if shape_view is None
-            else (
-                image_correlation(observed.image, alignment.T_cam_body, shape_view),
-                image_correlation(observed.image, solution.fit.T_cam_body, shape_view),
+        residual_px = centroid_residual_px(observed, solution.fit.T_cam_body, view)
+        correlations = None
+        if shape_view is not None:
+            before, after = alignment.T_cam_body, solution.fit.T_cam_body
+            correlations = (
+                image_correlation(observed, before, shape_view),
+                image_correlation(observed, after, shape_view),
             )
-        )
     failure = solution.failure or consistency_failure(residual_px, options.consistency_max_px)
-    return Recognition(prior, alignment, corners, solution, clock.seconds, failure, residual_px, likenesses)
+    return Recognition(prior, alignment, corners, solution, clock.seconds, failure, residual_px, correlations)
 
 
-def landmark_database(options: DatabaseOptions, assets: Assets, borrower: str) -> LandmarkDatabase:
-    """Borrow the landmark data base of some options.
-
-    Raises
-    ------
-    BoresightError
-        If what is lent is none.
-    """
-    database = assets.product(PRODUCT, options.model_dump(mode="json"))
-    if not isinstance(database, LandmarkDatabase):
-        raise BoresightError(f"{borrower}: the product {PRODUCT!r} is a {type(database).__name__}")
-    return database
+def landmark_database(options: DatabaseOptions, assets: Assets, estimator: str) -> LandmarkDatabase:
+    """Return the landmark data base of some options for the estimator of that name."""
+    return typed_product(assets, PRODUCT, options, LandmarkDatabase, estimator)
 
 
 def shape_renderer(options: RecognitionOptions, assets: Assets) -> ImageRenderer | None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.contract import Stopwatch
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera
 from scenarios.observation import Frame
@@ -19,22 +21,6 @@ _MIN_SIDE_PX = 16
 _MIN_SIGNAL_PX = 16
 _FULL_SCALE_PERCENTILE = 99.0
 _MAD_TO_SIGMA = 1.4826
-
-
-def image_fault(frame: Frame, camera: Camera) -> str:
-    """Say why the image of a frame tells nothing; '' where it can be looked at.
-
-    Raises
-    ------
-    BoresightError
-        If it is not of the camera's size: no estimate can be made of it, whatever it shows.
-    """
-    expected = (camera.height_px, camera.width_px)
-    if frame.image.shape != expected:
-        raise BoresightError(
-            f"the image has shape {frame.image.shape}, but the camera's is {expected}: hand in the camera's own image"
-        )
-    return "" if np.isfinite(frame.image).all() else "the image holds NaN or infinite pixels"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +46,33 @@ class Signal:
     def empty(self) -> bool:
         """Whether nothing rises above the background: a black image."""
         return not self.image.any()
+
+
+def observed_signal(frame: Frame, camera: Camera, clock: Stopwatch | None = None) -> NDArray[np.float32] | str:
+    """Return the signal (H, W) of an observed image, see `Signal`, or the reason why no pose can be estimated from it.
+
+    Parameters
+    ----------
+    frame, camera
+        The image and its camera.
+    clock
+        Adds the time to ``centroid``, the stage of the paper's Table 1 that begins with it.
+
+    Raises
+    ------
+    BoresightError
+        If the image does not have the camera's size: the caller has passed another image.
+    """
+    expected = (camera.height_px, camera.width_px)
+    if frame.image.shape != expected:
+        raise BoresightError(
+            f"the image has shape {frame.image.shape}, but the camera's is {expected}: hand in the camera's own image"
+        )
+    if not np.isfinite(frame.image).all():
+        return "the image holds NaN or infinite pixels"
+    with nullcontext() if clock is None else clock("centroid"):
+        signal = extract_signal(frame.image)
+    return "the image is black: nothing above its background" if signal.empty else signal.image
 
 
 def background_level(image: NDArray[np.float32]) -> tuple[float, float]:

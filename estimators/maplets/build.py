@@ -29,6 +29,26 @@ _LEAST_FACING = 0.1
 _EDGE_TOLERANCE = 1e-9
 
 
+class MapletOptions(SpecModel):
+    """How maplets are cut from the onboard shape."""
+
+    spacing_m: float = Field(2.4, gt=0, description="Between neighbouring heights")
+    side: int = Field(25, ge=5, le=999, description="Heights along each side of a maplet, odd")
+    seed: int | None = Field(None, ge=0, description="Of the place to begin at; the farthest one if left out")
+    separation: float = Field(0.6, gt=0, le=1, description="Least distance of two centres, over a maplet's width")
+
+    @model_validator(mode="after")
+    def _odd(self) -> Self:
+        if self.side % 2 == 0:
+            raise ValueError("side must be odd, so that a height lies in the middle")
+        return self
+
+    @property
+    def width_m(self) -> float:
+        """Width of a maplet."""
+        return (self.side - 1) * self.spacing_m
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
     """A square grid of S x S nodes in a local frame.
@@ -91,6 +111,34 @@ class Surface:
             total = self.mesh.area_vectors_m2[nearest]
         unit: FloatArray = total / np.linalg.norm(total)
         return unit
+
+
+def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
+    """Cut maplets out of a shape so that they cover it.
+
+    Candidates lie everywhere, half as far apart as asked for. They are taken in the order of their relief, unless
+    one that was taken is too near: Poisson-disc sampling in which contrast goes first.
+
+    Raises
+    ------
+    NoProductError
+        If the shape is smaller than a maplet, or than the steps of its grid.
+    """
+    surface = Surface(mesh)
+    separation_m = options.separation * options.width_m
+    places = spread_points(surface.centroids_m, 0.5 * separation_m, options.seed)
+    candidates = _cut(surface, places, options)
+    strength = [relief(heights, options.spacing_m) for heights in candidates.heights_m]
+    order = sorted(range(len(candidates)), key=lambda i: -strength[i])
+    taken = _separated(candidates.centres_m, order, separation_m)
+    taken += _gap_fillers(candidates, taken, surface)
+    chosen = candidates.subset(np.array(taken))
+    if not len(chosen.mesh().faces):
+        raise NoProductError(
+            f"the shape is too small for maplets with nodes {options.spacing_m:g} m apart, which span no facet: lower"
+            f" the option spacing_m ({options.spacing_m:g}) of the maplets"
+        )
+    return replace(chosen, provenance=_provenance(options, mesh, len(candidates)))
 
 
 def sample_heights(surface: Surface, plane: Plane) -> tuple[FloatArray, FloatArray | None]:
@@ -165,54 +213,6 @@ def _covered_nodes(corners: FloatArray, side: int) -> tuple[IndexArray, IndexArr
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     value: FloatArray = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     return value
-
-
-class MapletOptions(SpecModel):
-    """How maplets are cut from the onboard shape."""
-
-    spacing_m: float = Field(2.4, gt=0, description="Between neighbouring heights")
-    side: int = Field(25, ge=5, le=999, description="Heights along each side of a maplet, odd")
-    seed: int | None = Field(None, ge=0, description="Of the place to begin at; the farthest one if left out")
-    separation: float = Field(0.6, gt=0, le=1, description="Least distance of two centres, over a maplet's width")
-
-    @model_validator(mode="after")
-    def _odd(self) -> Self:
-        if self.side % 2 == 0:
-            raise ValueError("side must be odd, so that a height lies in the middle")
-        return self
-
-    @property
-    def width_m(self) -> float:
-        """Width of a maplet."""
-        return (self.side - 1) * self.spacing_m
-
-
-def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
-    """Cut maplets out of a shape so that they cover it.
-
-    Candidates lie everywhere, half as far apart as asked for. They are taken in the order of their relief, unless
-    one that was taken is too near: Poisson-disc sampling in which contrast goes first.
-
-    Raises
-    ------
-    NoProductError
-        If the shape is smaller than a maplet, or than the steps of its grid.
-    """
-    surface = Surface(mesh)
-    separation_m = options.separation * options.width_m
-    places = spread_points(surface.centroids_m, 0.5 * separation_m, options.seed)
-    candidates = _cut(surface, places, options)
-    strength = [relief(heights, options.spacing_m) for heights in candidates.heights_m]
-    order = sorted(range(len(candidates)), key=lambda i: -strength[i])
-    taken = _separated(candidates.centres_m, order, separation_m)
-    taken += _gap_fillers(candidates, taken, surface)
-    chosen = candidates.subset(np.array(taken))
-    if not len(chosen.mesh().faces):
-        raise NoProductError(
-            f"the shape is too small for maplets with nodes {options.spacing_m:g} m apart, which span no facet: lower"
-            f" the option spacing_m ({options.spacing_m:g}) of the maplets"
-        )
-    return replace(chosen, provenance=_provenance(options, mesh, len(candidates)))
 
 
 def spread_points(points_m: FloatArray, radius_m: float, seed: int | None = None) -> list[int]:

@@ -17,7 +17,7 @@ from estimators.landmark.pose.posterior import window_overlap
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
 from estimators.landmark.signal import KNOWN_SKY, extract_signal
 from estimators.maplets.database import MapletDatabase
-from estimators.maplets.refinement import Displacement, correlate_window, make_pair, refine_window
+from estimators.maplets.displacement import Displacement, correlate_window, make_pair, refine_window
 from estimators.maplets.visibility import Windows, body_mask, visible_windows
 from scenarios.geometry import Camera, Pose
 from scenarios.spec.base import SpecModel

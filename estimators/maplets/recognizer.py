@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.contract import Assets, Estimate, Stage, Stopwatch, Table
+from estimators.contract import Assets, Estimate, Stage, Stopwatch, Table, typed_product
 from estimators.landmark.alignment import AlignmentOptions, MeshView, align_translation, correlation_pair
 from estimators.landmark.matching import inverse_2x2
 from estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
-from estimators.landmark.signal import extract_signal, image_fault
+from estimators.landmark.signal import observed_signal
 from estimators.maplets.build import MapletOptions
 from estimators.maplets.database import MapletDatabase
 from estimators.maplets.matching import (
@@ -27,7 +27,6 @@ from estimators.maplets.matching import (
     render_maplets,
 )
 from estimators.options import parse_options
-from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose
 from scenarios.observation import Frame, Observation
 from scenarios.spec.base import SpecModel
@@ -139,21 +138,15 @@ def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: Maplets
     def failed(why: str) -> MapletRecognition:
         return MapletRecognition(tuple(stages), (), clock.seconds, why)
 
-    fault = image_fault(frame, camera)
-    if fault:
-        return failed(fault)
-    with clock("centroid"):
-        observed = extract_signal(frame.image)
-    if observed.empty:
-        return failed("the image is black: nothing above its background")
+    observed = observed_signal(frame, camera, clock)
+    if isinstance(observed, str):
+        return failed(observed)
     view = MeshView(camera, scene.quick, frame.sun_dir_cam)
-    aligned = align_translation(
-        observed.image, frame.prior_T_cam_body, view, correlation_pair, options.alignment, clock
-    )
+    aligned = align_translation(observed, frame.prior_T_cam_body, view, correlation_pair, options.alignment, clock)
     if aligned.failure:
         return failed(aligned.failure)
     stages.append(Stage("alignment", aligned.T_cam_body))
-    return _rounds(observed.image, frame, aligned.T_cam_body, _FitContext(camera, scene, options, clock), stages)
+    return _rounds(observed, frame, aligned.T_cam_body, _FitContext(camera, scene, options, clock), stages)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,9 +219,7 @@ class MapletNavigator:
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
         """Build from a campaign's options and its maplets."""
         parsed = parse_options(MapletsOptions, options, cls.name)
-        database = assets.product(PRODUCT, parsed.maplets.model_dump(mode="json"))
-        if not isinstance(database, MapletDatabase):
-            raise BoresightError(f"{cls.name}: the product {PRODUCT!r} is a {type(database).__name__}")
+        database = typed_product(assets, PRODUCT, parsed.maplets, MapletDatabase, cls.name)
         mesh = database.mesh()
         renderer = assets.mesh_renderer(mesh, parsed.samples_per_pixel)
         return cls(MapletScene(database, renderer, assets.mesh_renderer(mesh), mesh.vertices_m), parsed)

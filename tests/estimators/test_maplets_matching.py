@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from estimators.landmark.pose.posterior import GaussianPose, solve_map, window_overlap
 from estimators.landmark.pose.problem import PoseProblem
-from estimators.maplets.refinement import correlate_window, make_pair, refine_window, shift_covariance
+from estimators.maplets.displacement import correlate_window, make_pair, refine_window, shift_covariance
 from scenarios.geometry import Camera, look_at
 
 SIDE = 64

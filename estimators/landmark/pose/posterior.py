@@ -46,7 +46,7 @@ class GaussianPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosePrior:
-    """A Gaussian prior of the pose: ``mean``, and the inverse (6, 6) of the covariance of [rotation_rad, translation_m]."""
+    """A Gaussian prior of the pose: its mean, and the inverse (6, 6) of the covariance of its `offset`."""
 
     mean: Pose
     information: FloatArray

@@ -29,140 +29,6 @@ NAME = "pose-solver"
 VERSION = 1
 
 
-class PoseSolverOptions(SpecModel):
-    """A pose solver and the data base whose landmarks it is tried on."""
-
-    database: DatabaseOptions = DatabaseOptions()
-    method: Literal["both", "closed-form", "non-linear"] = Field(
-        "both", description="EPnP and then Levenberg-Marquardt, or one of them alone"
-    )
-    marquardt: MarquardtOptions = MarquardtOptions()
-
-
-def closed_forms(problems: ProblemStack) -> list[Pose | None]:
-    """Solve each problem by EPnP; None where it finds no pose in front of the camera."""
-    return [solve_epnp(problems.problem(row)) for row in range(len(problems))]
-
-
-def solve_stack(
-    problems: ProblemStack, priors: PoseStack, closed: list[Pose | None], options: PoseSolverOptions
-) -> FitStack:
-    """Solve each problem; where EPnP found no pose, both stages together begin at the prior, as in ``solve_matches``.
-
-    Parameters
-    ----------
-    problems, priors
-        B problems and the poses known beforehand.
-    closed
-        Their solutions by EPnP.
-    options
-        Which solver.
-
-    Returns
-    -------
-    The fits; an infinite chi-square where there is none.
-    """
-    starts = priors if options.method == "non-linear" else _or_prior(closed, priors)
-    if options.method != "closed-form":
-        return refine_poses(problems, starts, options.marquardt)
-    found = np.array([pose is not None for pose in closed])
-    return FitStack(starts, np.where(found, problems.chi2(starts), np.inf), np.zeros(len(found), dtype=np.int64))
-
-
-def _or_prior(closed: list[Pose | None], priors: PoseStack) -> PoseStack:
-    rotations, translations_m = priors.rotations.copy(), priors.translations_m.copy()
-    for row, pose in enumerate(closed):
-        if pose is not None:
-            rotations[row], translations_m[row] = pose.rotation, pose.translation_m
-    return PoseStack(rotations, translations_m)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FitStack:
-    """B refined poses.
-
-    Parameters
-    ----------
-    poses
-        The poses.
-    chi2
-        (B,) weighted sums of squared residuals at them, equation (20).
-    iterations
-        (B,) steps tried.
-    """
-
-    poses: PoseStack
-    chi2: FloatArray
-    iterations: NDArray[np.int64]
-
-
-def refine_poses(problems: ProblemStack, starts: PoseStack, options: MarquardtOptions) -> FitStack:
-    """Minimise chi-square of each problem from its own start, as ``refine_pose`` does for one."""
-    poses = PoseStack(starts.rotations.copy(), starts.translations_m.copy())
-    chi2, damping = problems.chi2(starts), np.full(len(starts), options.damping)
-    iterations = np.zeros(len(starts), dtype=np.int64)
-    active = np.flatnonzero(np.isfinite(chi2))
-    for _ in range(options.max_iterations):
-        if not active.size:
-            break
-        iterations[active] += 1
-        trial = _trial(problems.rows(active), poses.rows(active), damping[active], options.parameters)
-        trial_chi2 = problems.rows(active).chi2(trial)
-        before = chi2[active]
-        if options.schedule == "adaptive":
-            taken = trial_chi2 <= before
-            damping[active] *= np.where(taken, 0.1, 10.0)
-            damping = np.maximum(damping, LAMBDA_MIN)
-            over = damping[active] > LAMBDA_MAX
-        else:
-            taken = np.isfinite(trial_chi2)
-            over = ~taken
-        done = taken & (np.abs(before - trial_chi2) <= options.tolerance * before)
-        rows = active[taken]
-        poses.rotations[rows], poses.translations_m[rows] = trial.rotations[taken], trial.translations_m[taken]
-        chi2[rows] = trial_chi2[taken]
-        active = active[~(done | over)]
-    return FitStack(poses, chi2, iterations)
-
-
-def _trial(problems: ProblemStack, poses: PoseStack, damping: FloatArray, parameters: str) -> PoseStack:
-    """Take one damped step from each pose."""
-    rotated = poses.rotate(problems.points_body_m)
-    points_cam_m = rotated + poses.translations_m[:, None, :]
-    if parameters == "minimal":
-        step = _step(
-            problems, poses, image_jacobian(problems.camera, points_cam_m, point_by_rotation(rotated)), damping
-        )
-        turn = Rotation.from_rotvec(step[:, :3]).as_matrix()
-        return PoseStack(np.einsum("bij,bjk->bik", turn, poses.rotations), poses.translations_m + step[:, 3:])
-    quats_wxyz = Rotation.from_matrix(poses.rotations).as_quat(canonical=True, scalar_first=True)
-    by_quaternion = point_by_quaternion(quats_wxyz, problems.points_body_m)
-    step = _step(problems, poses, image_jacobian(problems.camera, points_cam_m, by_quaternion), damping)
-    quats_wxyz, translations_m = quats_wxyz + step[:, :4], poses.translations_m + step[:, 4:]
-    if parameters == "quaternion":
-        translations_m = translations_m / np.einsum("bi,bi->b", quats_wxyz, quats_wxyz)[:, None]
-    return PoseStack(Rotation.from_quat(quats_wxyz, scalar_first=True).as_matrix(), translations_m)
-
-
-def _step(problems: ProblemStack, poses: PoseStack, jacobians: FloatArray, damping: FloatArray) -> FloatArray:
-    """Solve equation (24) for each problem, (B, P); no step where its matrix is singular."""
-    matrices, vectors = problems.normal_equations(jacobians, poses)
-    diagonal = np.arange(matrices.shape[1])
-    matrices[:, diagonal, diagonal] *= 1.0 + damping[:, None]
-    try:
-        return np.asarray(np.linalg.solve(matrices, vectors[..., None])[..., 0], dtype=np.float64)  # eq. (24), by LUP
-    except np.linalg.LinAlgError:
-        return np.stack([_solution(matrix, vector) for matrix, vector in zip(matrices, vectors, strict=True)])
-
-
-def _solution(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Solve one of them; one singular matrix must not take its whole stack with it."""
-    try:
-        return np.asarray(np.linalg.solve(matrix, vector), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return np.zeros(len(vector))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseStack:
     """B poses T_cam_body.
@@ -275,3 +141,137 @@ class ProblemStack:
         matrices: FloatArray = np.einsum("bnip,bniq->bpq", jacobians, weighted)
         vectors: FloatArray = np.einsum("bnip,bni->bp", weighted, self.residuals_px(poses))
         return matrices, vectors
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitStack:
+    """B refined poses.
+
+    Parameters
+    ----------
+    poses
+        The poses.
+    chi2
+        (B,) weighted sums of squared residuals at them, equation (20).
+    iterations
+        (B,) steps tried.
+    """
+
+    poses: PoseStack
+    chi2: FloatArray
+    iterations: NDArray[np.int64]
+
+
+class PoseSolverOptions(SpecModel):
+    """A pose solver and the data base whose landmarks it is tried on."""
+
+    database: DatabaseOptions = DatabaseOptions()
+    method: Literal["both", "closed-form", "non-linear"] = Field(
+        "both", description="EPnP and then Levenberg-Marquardt, or one of them alone"
+    )
+    marquardt: MarquardtOptions = MarquardtOptions()
+
+
+def closed_forms(problems: ProblemStack) -> list[Pose | None]:
+    """Solve each problem by EPnP; None where it finds no pose in front of the camera."""
+    return [solve_epnp(problems.problem(row)) for row in range(len(problems))]
+
+
+def solve_stack(
+    problems: ProblemStack, priors: PoseStack, closed: list[Pose | None], options: PoseSolverOptions
+) -> FitStack:
+    """Solve each problem; where EPnP found no pose, both stages together begin at the prior, as in ``solve_matches``.
+
+    Parameters
+    ----------
+    problems, priors
+        B problems and the poses known beforehand.
+    closed
+        Their solutions by EPnP.
+    options
+        Which solver.
+
+    Returns
+    -------
+    The fits; an infinite chi-square where there is none.
+    """
+    starts = priors if options.method == "non-linear" else _or_prior(closed, priors)
+    if options.method != "closed-form":
+        return refine_poses(problems, starts, options.marquardt)
+    found = np.array([pose is not None for pose in closed])
+    return FitStack(starts, np.where(found, problems.chi2(starts), np.inf), np.zeros(len(found), dtype=np.int64))
+
+
+def _or_prior(closed: list[Pose | None], priors: PoseStack) -> PoseStack:
+    rotations, translations_m = priors.rotations.copy(), priors.translations_m.copy()
+    for row, pose in enumerate(closed):
+        if pose is not None:
+            rotations[row], translations_m[row] = pose.rotation, pose.translation_m
+    return PoseStack(rotations, translations_m)
+
+
+def refine_poses(problems: ProblemStack, starts: PoseStack, options: MarquardtOptions) -> FitStack:
+    """Minimise chi-square of each problem from its own start, as ``refine_pose`` does for one."""
+    poses = PoseStack(starts.rotations.copy(), starts.translations_m.copy())
+    chi2, damping = problems.chi2(starts), np.full(len(starts), options.damping)
+    iterations = np.zeros(len(starts), dtype=np.int64)
+    active = np.flatnonzero(np.isfinite(chi2))
+    for _ in range(options.max_iterations):
+        if not active.size:
+            break
+        iterations[active] += 1
+        trial = _trial(problems.rows(active), poses.rows(active), damping[active], options.parameters)
+        trial_chi2 = problems.rows(active).chi2(trial)
+        before = chi2[active]
+        if options.schedule == "adaptive":
+            taken = trial_chi2 <= before
+            damping[active] *= np.where(taken, 0.1, 10.0)
+            damping = np.maximum(damping, LAMBDA_MIN)
+            over = damping[active] > LAMBDA_MAX
+        else:
+            taken = np.isfinite(trial_chi2)
+            over = ~taken
+        done = taken & (np.abs(before - trial_chi2) <= options.tolerance * before)
+        rows = active[taken]
+        poses.rotations[rows], poses.translations_m[rows] = trial.rotations[taken], trial.translations_m[taken]
+        chi2[rows] = trial_chi2[taken]
+        active = active[~(done | over)]
+    return FitStack(poses, chi2, iterations)
+
+
+def _trial(problems: ProblemStack, poses: PoseStack, damping: FloatArray, parameters: str) -> PoseStack:
+    """Take one damped step from each pose."""
+    rotated = poses.rotate(problems.points_body_m)
+    points_cam_m = rotated + poses.translations_m[:, None, :]
+    if parameters == "minimal":
+        step = _step(
+            problems, poses, image_jacobian(problems.camera, points_cam_m, point_by_rotation(rotated)), damping
+        )
+        turn = Rotation.from_rotvec(step[:, :3]).as_matrix()
+        return PoseStack(np.einsum("bij,bjk->bik", turn, poses.rotations), poses.translations_m + step[:, 3:])
+    quats_wxyz = Rotation.from_matrix(poses.rotations).as_quat(canonical=True, scalar_first=True)
+    by_quaternion = point_by_quaternion(quats_wxyz, problems.points_body_m)
+    step = _step(problems, poses, image_jacobian(problems.camera, points_cam_m, by_quaternion), damping)
+    quats_wxyz, translations_m = quats_wxyz + step[:, :4], poses.translations_m + step[:, 4:]
+    if parameters == "quaternion":
+        translations_m = translations_m / np.einsum("bi,bi->b", quats_wxyz, quats_wxyz)[:, None]
+    return PoseStack(Rotation.from_quat(quats_wxyz, scalar_first=True).as_matrix(), translations_m)
+
+
+def _step(problems: ProblemStack, poses: PoseStack, jacobians: FloatArray, damping: FloatArray) -> FloatArray:
+    """Solve equation (24) for each problem, (B, P); no step where its matrix is singular."""
+    matrices, vectors = problems.normal_equations(jacobians, poses)
+    diagonal = np.arange(matrices.shape[1])
+    matrices[:, diagonal, diagonal] *= 1.0 + damping[:, None]
+    try:
+        return np.asarray(np.linalg.solve(matrices, vectors[..., None])[..., 0], dtype=np.float64)  # eq. (24), by LUP
+    except np.linalg.LinAlgError:
+        return np.stack([_solution(matrix, vector) for matrix, vector in zip(matrices, vectors, strict=True)])
+
+
+def _solution(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """Solve one of them; one singular matrix must not take its whole stack with it."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, vector), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.zeros(len(vector))

@@ -30,7 +30,7 @@ from estimators.landmark.projection import visible_landmarks
 from estimators.landmark.recognizer import POINT_PAIRS, landmark_database
 from estimators.landmark.robust.mixture import Mixture, MixtureEvaluation, MixtureOptions
 from estimators.landmark.robust.search import SearchOptions, best_hypotheses, refine_hypotheses, sampled_hypotheses
-from estimators.landmark.signal import extract_signal, image_fault
+from estimators.landmark.signal import observed_signal
 from estimators.options import parse_options
 from estimators.prior import floor_variances
 from scenarios.geometry import Camera, Pose
@@ -126,16 +126,12 @@ class ConsensusRecognizer:
     def _solve(self, frame: Frame, camera: Camera, clock: Stopwatch, rng: np.random.Generator) -> _Solution | str:
         """Solve the frame, or say why there is no pose."""
         options, prior = self._options, frame.prior_T_cam_body
-        fault = image_fault(frame, camera)
-        if fault:
-            return fault
-        with clock("centroid"):
-            observed = extract_signal(frame.image)
-        if observed.empty:
-            return "the image is black: nothing above its background"
+        observed = observed_signal(frame, camera, clock)
+        if isinstance(observed, str):
+            return observed
         view = MeshView(camera, self._renderer, frame.sun_dir_cam)
         measure = POINT_PAIRS[options.alignment]
-        alignment = align_translation(observed.image, prior, view, measure, options.alignment_loop, clock)
+        alignment = align_translation(observed, prior, view, measure, options.alignment_loop, clock)
         if alignment.failure:
             return alignment.failure
         with clock("feature_extraction"):
@@ -145,7 +141,7 @@ class ConsensusRecognizer:
         if isinstance(solution, str):
             return solution
         with clock("consistency"):
-            residual_px = centroid_residual_px(observed.image, solution.pose, view)
+            residual_px = centroid_residual_px(observed, solution.pose, view)
         failure = consistency_failure(residual_px, options.consistency_max_px)
         return failure or replace(solution, centroid_residual_px=residual_px)
 
