@@ -1,4 +1,4 @@
-"""A pose from an image, and a laser range along the boresight: section 6 of Rowell et al. (2015)."""
+"""Fuse a laser range along the boresight with the pose of another estimator: section 6 of Rowell et al. (2015)."""
 
 from __future__ import annotations
 
@@ -26,31 +26,31 @@ _SETTLED_M = 1e-3
 
 @runtime_checkable
 class HasLandmarkDatabase(Protocol):
-    """What a base must have beside the contract: the data base whose mesh the range is measured against."""
+    """An estimator on a landmark data base, whose mesh predicts the range."""
 
     @property
     def database(self) -> LandmarkDatabase:
-        """The landmarks that it looks for."""
+        """The data base whose landmarks are recognised."""
         ...
 
 
 class AltimeterOptions(SpecModel):
-    """Options of the fusion."""
+    """Options of ``landmark-altimeter``."""
 
-    base: str = Field("landmark-harris", description="The estimator on a landmark data base that finds the pose")
+    base: str = Field("landmark-harris", description="The estimator on a landmark data base whose pose is updated")
     options: Mapping[str, JsonValue] = Field(default_factory=dict, description="Options of the base")
     trust: Literal["adaptive", "reported"] = Field(
         "adaptive",
-        description="adaptive: the covariance of a base that is too sure grows where the range contradicts it",
+        description="adaptive: the covariance of the base is inflated where the range contradicts it",
     )
     height_sigma_m: float | None = Field(
-        None, gt=0, description="RMS error of the mesh's heights; worked out from the data base if left out"
+        None, gt=0, description="RMS error of the mesh's heights; estimated from the data base if left out"
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeUpdate:
-    """A pose with a range taken into account.
+    """A pose updated with a range.
 
     Parameters
     ----------
@@ -59,13 +59,13 @@ class RangeUpdate:
     information
         (6, 6) information of the range alone, in the same parameters.
     innovation_m
-        Measured range less the predicted one, before the fusion.
+        Measured minus predicted range, before the update.
     sigma_m
-        Standard deviation of the range's error and the mesh's, along the boresight.
+        Standard deviation of the range and of the mesh's heights together, along the boresight.
     inflation
-        Factor on the covariance that the pose came with.
+        Factor by which the covariance before the update was multiplied.
     normalised_innovation
-        Size of the innovation in standard deviations, by what the pose and the range believed of themselves.
+        Absolute innovation over its standard deviation, by the covariances of pose and range before inflation.
     """
 
     T_cam_body: Pose
@@ -80,11 +80,12 @@ class RangeUpdate:
 def fuse_range(
     prior: tuple[Pose, FloatArray], reading: RangeReading, mesh: TriangleMesh, height_sigma_m: float, adaptive: bool
 ) -> RangeUpdate | None:
-    """Find the pose that agrees best with its estimate and with a range: iterated Kalman update of one measurement.
+    """Update a pose with a range by an iterated Kalman update with one scalar measurement.
 
-    The range's variance is R = sigma^2 + (height_sigma / cos i)^2. An estimate from wrongly matched landmarks believes
-    too much in itself. With ``adaptive`` its covariance P grows until the innovation nu is as large as it should be on
-    average, by max(1, (nu^2 - R) / (H P H^T)): the fading factor of strong tracking (Zhou and Frank 1996).
+    The variance of the range is R = sigma^2 + (height_sigma / cos i)^2, i being the angle of incidence. The covariance
+    P of a pose from wrongly matched landmarks is too small. With ``adaptive`` it is multiplied by
+    max(1, (nu^2 - R) / (H P H^T)), after which the innovation nu has the size that is expected of it: the fading
+    factor of strong tracking (Zhou and Frank 1996).
 
     Parameters
     ----------
@@ -93,26 +94,27 @@ def fuse_range(
     reading
         The measured range.
     mesh
-        What the range is predicted with.
+        The shape that predicts the range.
     height_sigma_m
         RMS error of its heights.
     adaptive
-        Whether the covariance may grow.
+        Whether the covariance may be inflated.
 
     Returns
     -------
-    None where the boresight of the estimate misses the mesh.
+    The update, or None where the boresight at the prior pose misses the mesh.
     """
     start, covariance = prior
     first = _linearised(start, reading, mesh, height_sigma_m)
     if first is None:
         return None
-    projected_m2 = float(first.gradient @ covariance @ first.gradient)
+    projected_m2 = float(first.gradient @ covariance @ first.gradient)  # H P H^T
     excess = (first.innovation_m**2 - first.variance_m2) / projected_m2
     inflation = max(1.0, excess) if adaptive else 1.0
     grown = inflation * covariance
     step, pose, at = np.zeros(6), start, first
     for _ in range(_ROUNDS):
+        # The prediction is linearised at the pose of the previous step, the prior stays at the start.
         previous, step = step, at.gain(grown) * (at.innovation_m + float(at.gradient @ step))
         pose = start.perturbed(step[:3], step[3:])
         there = _linearised(pose, reading, mesh, height_sigma_m)
@@ -133,14 +135,14 @@ def fuse_range(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Linearised:
-    """A reading at one pose: gradient (6,) of the predicted range, measured less predicted, and its variance R."""
+    """A range linearised at a pose: gradient (6,) of the prediction, innovation, and variance R of the measurement."""
 
     gradient: FloatArray
     innovation_m: float
     variance_m2: float
 
     def gain(self, covariance: FloatArray) -> FloatArray:
-        """Kalman gain (6,) for a pose of this covariance."""
+        """Kalman gain (6,) P H^T / (H P H^T + R) for a pose of this covariance."""
         carried: FloatArray = covariance @ self.gradient
         return carried / (float(self.gradient @ carried) + self.variance_m2)
 
@@ -155,7 +157,7 @@ def _linearised(pose: Pose, reading: RangeReading, mesh: TriangleMesh, height_si
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshRange:
-    """Where the boresight meets a mesh.
+    """The range along the boresight to a mesh.
 
     Parameters
     ----------
@@ -173,10 +175,11 @@ class MeshRange:
 
 
 def boresight_range(mesh: TriangleMesh, T_cam_body: Pose) -> MeshRange | None:
-    """Cast a ray along the boresight; None where it misses the mesh.
+    """Predict the range along the boresight with its gradient; None where the boresight misses the mesh.
 
-    With n the facet's normal and p a point of it in camera axes, the range is r = n.p / n_z. A shift d of the body
-    moves it by n.d / n_z, a turn w by n.(w x a) / n_z, a being the point that is hit, seen from the body's origin.
+    With n the facet's normal and p a point on it, both in camera axes, the range is r = n.p / n_z. A translation d of
+    the body changes it by n.d / n_z, a rotation w by n.(w x a) / n_z, where a is the point hit, relative to the body's
+    origin.
     """
     found = _first_hit(mesh, T_cam_body.camera_position_m, T_cam_body.rotation[2])
     if found is None:
@@ -189,7 +192,7 @@ def boresight_range(mesh: TriangleMesh, T_cam_body: Pose) -> MeshRange | None:
 
 
 def _first_hit(mesh: TriangleMesh, origin_m: FloatArray, direction: FloatArray) -> tuple[float, int] | None:
-    """Distance and facet of the first hit of a ray on a facet that it enters by (Moeller and Trumbore 1997)."""
+    """Distance and facet of a ray's first hit on a facet that faces it (Moeller and Trumbore 1997)."""
     first = mesh.corners_m[:, 0]
     edge1, edge2 = mesh.corners_m[:, 1] - first, mesh.corners_m[:, 2] - first
     entering = mesh.area_vectors_m2 @ direction < 0.0
@@ -208,12 +211,12 @@ def _first_hit(mesh: TriangleMesh, origin_m: FloatArray, direction: FloatArray) 
 
 
 def mesh_height_sigma_m(database: LandmarkDatabase) -> float:
-    """Estimate how far the landmark mesh is from the surface, RMS along the normal, from the data base alone.
+    """Estimate the RMS distance of the landmark mesh from the surface, along the normal, from the data base alone.
 
-    Two parts add up: the landmarks' own scatter along the normal, and the relief between them. Each landmark tells of
-    the second by its height over the mean of its neighbours. Inside a facet the surface departs less from the mesh than
-    a landmark does from a mesh without it: by a quarter where the surface is smooth and bends evenly, by all of it
-    where it is rough at every scale. Half is taken.
+    It is the root sum of squares of the landmarks' dispersion along the normal and of the relief between landmarks.
+    The relief is measured by the height of each landmark above the mean of its neighbours. Inside a facet the surface
+    departs from the mesh by a quarter of that height where it is smooth and evenly curved, and by all of it where it
+    is rough at every scale; half is used.
     """
     mesh = database.mesh()
     normals = _vertex_normals(mesh)
@@ -231,7 +234,10 @@ def _vertex_normals(mesh: TriangleMesh) -> FloatArray:
 
 
 def _neighbour_means(mesh: TriangleMesh) -> FloatArray:
-    """Mean (V, 3) of the vertices that share an edge with each; every edge of a closed mesh lies in two facets."""
+    """Mean (V, 3) of the vertices that share an edge with each vertex.
+
+    Each edge is added once: the two facets that share it traverse it in opposite directions.
+    """
     total, count = np.zeros_like(mesh.vertices_m), np.zeros(len(mesh.vertices_m))
     for tail, head in ((0, 1), (1, 2), (2, 0)):
         np.add.at(total, mesh.faces[:, tail], mesh.vertices_m[mesh.faces[:, head]])
@@ -241,7 +247,7 @@ def _neighbour_means(mesh: TriangleMesh) -> FloatArray:
 
 
 class AltimeterEstimator:
-    """Another estimator's pose, fused with the altimeter's range; where there is no reading, the pose as it is."""
+    """The pose of another estimator, updated with the altimeter's range where there is one."""
 
     name: ClassVar[str] = "landmark-altimeter"
     version: ClassVar[int] = 2
@@ -256,8 +262,8 @@ class AltimeterEstimator:
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
-        """Build from a campaign's options: the base first, by its name."""
-        from estimators.registry import estimator_class  # the registry names this module
+        """Build from a campaign's options, which name the base and give its options."""
+        from estimators.registry import estimator_class  # the registry imports this module by name
 
         parsed = parse_options(AltimeterOptions, options, cls.name)
         if parsed.base == cls.name:
@@ -271,7 +277,7 @@ class AltimeterEstimator:
         return cls(base, base.database, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Let the base estimate, then fuse the range where there is one."""
+        """Estimate with the base, then update with the range where there is one."""
         estimate = self._base.estimate(observation, rng=rng)
         if estimate.status != "ok" or estimate.pose is None:
             return estimate
@@ -295,7 +301,7 @@ class AltimeterEstimator:
 
 
 def _with_range(estimate: Estimate, fused: RangeUpdate) -> Estimate:
-    """Put the fused pose in place of the base's, and add the range's information to that of its observations."""
+    """Replace the pose of the base by the updated one, and add the range's information to the base's bound."""
     bound = estimate.bound
     if bound is not None:
         bound = np.asarray(np.linalg.inv(np.linalg.inv(bound) + fused.information), dtype=np.float64)

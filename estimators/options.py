@@ -1,4 +1,4 @@
-"""Options of an estimator as a campaign writes them, checked against the estimator's model."""
+"""Validate the options of an estimator given in a campaign."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Model = TypeVar("Model", bound=SpecModel)
 
 
 def parse_options(model: type[Model], options: Mapping[str, object], estimator: str) -> Model:
-    """Validate ``options`` by ``model``.
+    """Validate ``options`` by ``model``; options left out keep their default.
 
     Raises
     ------

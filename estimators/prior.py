@@ -1,4 +1,4 @@
-"""The control: what the prior alone is worth."""
+"""The control estimator, which returns the prior pose, and the treatment of priors with zero variances."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 
-# Far below what any image tells, and far above the rounding of a pose in double precision.
+# 1e-9 rad and 1e-6 m: far below what an image resolves, far above the rounding of a pose in double precision.
 _LEAST_SIGMAS = np.array([1e-9] * 3 + [1e-6] * 3)
 
 
 def floor_variances(covariance: FloatArray) -> FloatArray:
-    """Return a prior's covariance (6, 6) of [rotation_rad, translation_m] so that it has an inverse.
+    """Floor zero variances so that a prior's covariance (6, 6) of [rotation_rad, translation_m] is invertible.
 
-    A scenario may leave a component without error: its variance is 0. It becomes that of 1e-9 rad or 1e-6 m, which
-    holds the component where it is. Any other covariance is returned as it is.
+    The variance of a component to which the scenario gives no error is 0. It becomes that of 1e-9 rad or 1e-6 m, which
+    keeps the component fixed in practice. A covariance without such components is returned unchanged.
     """
     variances = np.diag(covariance)
     if (variances >= _LEAST_SIGMAS**2).all():
@@ -32,11 +32,11 @@ def floor_variances(covariance: FloatArray) -> FloatArray:
 
 
 class PriorOptions(SpecModel):
-    """The prior has no options."""
+    """``prior`` has no options."""
 
 
 class PriorEstimator:
-    """Returns the prior pose and its covariance as they are, whatever the image shows."""
+    """The control estimator: returns the prior pose and covariance unchanged, without using the image."""
 
     name: ClassVar[str] = "prior"
     version: ClassVar[int] = 1

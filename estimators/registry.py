@@ -1,4 +1,4 @@
-"""Estimators by name: our own table, and entry points of third-party packages."""
+"""Find estimators by name: our own, and those of other packages by their entry points."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Registry(Generic[T]):
-    """Classes that keep one contract, by name.
+    """Classes that satisfy one interface, by name.
 
     Parameters
     ----------
     own
-        Name to "module:attribute" of ours.
+        Our own classes: name to "module:attribute".
     group
-        Entry-point group of the others.
+        Entry-point group of classes of other packages.
     parts
-        Attributes that the contract asks of a class.
+        Attributes that a class must have.
     """
 
     own: Mapping[str, str]
@@ -37,12 +37,12 @@ class Registry(Generic[T]):
         return tuple(sorted({*self.own, *(point.name for point in entry_points(group=self.group))}))
 
     def find(self, name: str) -> type[T]:
-        """Import what a name stands for; our own names cannot be taken over by a third party.
+        """Import the class of a name; our own names take precedence over those of other packages.
 
         Raises
         ------
         BoresightError
-            If there is none of that name, or a third party's cannot be imported or lacks a part.
+            If the name is unknown, or a class of another package cannot be imported or lacks an attribute.
         """
         if name in self.own:
             module, attribute = self.own[name].split(":")
@@ -52,7 +52,7 @@ class Registry(Generic[T]):
             raise BoresightError(f"estimator {name!r} is unknown; there are: {', '.join(self.names())}")
         try:
             found = points[0].load()
-        except Exception as error:  # a module of others may raise anything
+        except Exception as error:  # a foreign module may raise anything
             said = one_line(error) or type(error).__name__
             raise BoresightError(f"estimator {name!r} cannot be imported from {points[0].value}: {said}") from error
         missing = [part for part in self.parts if not hasattr(found, part)]
@@ -82,11 +82,11 @@ estimator_names, estimator_class = _ESTIMATORS.names, _ESTIMATORS.find
 
 
 def needed_sensors(name: str) -> frozenset[str]:
-    """Return the sensors that an estimator cannot do without, from its class attribute ``sensors``; mostly none."""
+    """Return the sensors that an estimator needs in addition to the camera; empty for most."""
     return frozenset(getattr(estimator_class(name), "sensors", ())) if name in estimator_names() else frozenset()
 
 
 def base_of(name: str, options: Mapping[str, object]) -> str | None:
-    """Return the estimator that another builds on, by its option ``base`` or its class's default; mostly none."""
+    """Return the name of the estimator that another builds on, by option or class attribute; None for most."""
     base = getattr(estimator_class(name), "base", None) if name in estimator_names() else None
     return None if base is None else str(options.get("base", base))
