@@ -1,7 +1,7 @@
-"""The translation across the line of sight, from the whole image instead of its centroid.
+"""Align the rendered mesh with the image across the line of sight, and compare the two at a pose.
 
-The centroid fails where much of the body is dark or its terminator is misplaced; then the rendered image is slid
-over the observed one. Section 6 of the paper proposes this refinement.
+The paper aligns brightness centroids (section 3.2.2). These are wrong where much of the body is dark or the terminator
+is misplaced; then the whole images are cross-correlated, as section 6 of the paper proposes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Measure = Callable[[Image, Image, FloatArray], tuple[FloatArray, FloatArray]]
 
 
 class AlignmentOptions(SpecModel):
-    """When the loop of rendering and shifting ends."""
+    """End of the iteration of rendering and shifting."""
 
     tolerance_px: float = Field(5.0, gt=0, description="Done when the rendered centroid moves less than this")
     max_iterations: int = Field(10, ge=1, le=1000)
@@ -35,14 +35,14 @@ class AlignmentOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshView:
-    """How the mesh of the landmarks is seen: by which camera and renderer, under which Sun."""
+    """A rendered shape with its camera and the direction of the Sun in camera axes."""
 
     camera: Camera
     renderer: ImageRenderer
     sun_dir_cam: FloatArray
 
     def at(self, T_cam_body: Pose) -> View:
-        """Return the view of a pose; the Sun stays where it is in the camera."""
+        """Return the view from a pose; the Sun is fixed in camera axes."""
         return View(self.camera, T_cam_body, T_cam_body.rotation.T @ self.sun_dir_cam)
 
     def render(self, T_cam_body: Pose) -> Image:
@@ -52,16 +52,16 @@ class MeshView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlignmentStep:
-    """One turn of the loop.
+    """One iteration.
 
     Parameters
     ----------
     T_cam_body
-        Pose that the mesh was rendered at.
+        Pose at which the mesh was rendered.
     rendered
         (H, W) image of the mesh.
     observed_px, rendered_px
-        (2,) the point in the observed and in the rendered image that the update brings together.
+        (2,) corresponding points of the observed and the rendered image, which the update makes coincide.
     """
 
     T_cam_body: Pose
@@ -72,7 +72,7 @@ class AlignmentStep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """The pose after the loop, and how it came about; ``failure`` says why where it could not run."""
+    """The aligned pose with its iterations; ``failure`` is the reason where the alignment is impossible."""
 
     T_cam_body: Pose
     steps: tuple[AlignmentStep, ...]
@@ -82,22 +82,22 @@ class Alignment:
 def align_translation(
     observed: Image, T_cam_body: Pose, view: MeshView, measure: Measure, options: AlignmentOptions, clock: Stopwatch
 ) -> Alignment:
-    """Render the mesh and shift it onto the observed image, until the rendered point holds still.
+    """Render the mesh and shift it onto the observed image, until the rendered point no longer moves.
 
     Parameters
     ----------
     observed
         (H, W) signal of the observed image, background 0, not black.
     T_cam_body
-        Where to start.
+        Initial pose.
     view
         Camera, renderer and Sun.
     measure
-        What is brought together: ``centroid_pair`` or ``alignment.correlation_pair``.
+        The corresponding points: ``centroid_pair`` or ``correlation_pair``.
     options
-        When to stop.
+        Tolerance and greatest number of iterations.
     clock
-        Gets the times ``mesh_rendering`` and ``centroid``.
+        Records the times ``mesh_rendering`` and ``centroid``.
     """
     steps: list[AlignmentStep] = []
     while len(steps) < options.max_iterations:
@@ -117,7 +117,7 @@ def align_translation(
 
 
 def translation_update(T_cam_body: Pose, observed_px: FloatArray, rendered_px: FloatArray, camera: Camera) -> Pose:
-    """Shift the body in the camera so that the rendered point comes to lie on the observed one."""
+    """Translate the body at its distance so that the rendered point moves to the observed one."""
     r_obs, r_sim = camera.unproject(observed_px), camera.unproject(rendered_px)  # eq. (11)
     distance = float(np.linalg.norm(T_cam_body.translation_m))
     delta = distance * float(r_obs @ r_sim) * r_obs - distance * r_sim  # eq. (13)
@@ -125,7 +125,7 @@ def translation_update(T_cam_body: Pose, observed_px: FloatArray, rendered_px: F
 
 
 def centroid_pair(observed: Image, rendered: Image, origin_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Take the centroids of both images: the paper's measure. ``origin_px`` is not needed for it."""
+    """Return the brightness centroids of both images, as in the paper; ``origin_px`` is not used."""
     del origin_px
     return brightness_centroid(observed), brightness_centroid(rendered)
 
@@ -140,7 +140,7 @@ def brightness_centroid(signal: Image) -> FloatArray:
 
 
 def correlation_pair(observed: Image, rendered: Image, origin_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Follow the projected origin of the body from the rendered to the observed image by their best shift.
+    """Return the projected origin of the body in both images, related by their best shift.
 
     Returns
     -------
@@ -152,8 +152,8 @@ def correlation_pair(observed: Image, rendered: Image, origin_px: FloatArray) ->
 def best_shift(observed: Image, rendered: Image) -> FloatArray:
     """Shift (du, dv) in px that moves the rendered image onto the observed one.
 
-    Both backgrounds are 0, so the least squares of the difference is where the cross-correlation is greatest; a
-    parabola refines the peak. Shifts that leave half of the lit part in the image are tried.
+    Both backgrounds are 0, so the sum of squared differences is least where the cross-correlation is greatest; a
+    parabola interpolates the peak. The search covers all shifts that keep half of the lit part in the image.
     """
     rows, columns = np.nonzero(rendered)
     top, left = int(rows.min()), int(columns.min())
@@ -168,6 +168,7 @@ def best_shift(observed: Image, rendered: Image) -> FloatArray:
 
 
 def _peak_offset(profile: NDArray[np.float32], peak: int) -> float:
+    """Offset in px of the vertex of the parabola through the peak and its neighbours; 0 at an edge."""
     if not 0 < peak < len(profile) - 1:
         return 0.0
     before, top, after = (float(value) for value in profile[peak - 1 : peak + 2])
@@ -183,13 +184,13 @@ def centroid_residual_px(observed: Image, T_cam_body: Pose, view: MeshView) -> f
     observed
         (H, W) signal of the image, background 0, not black.
     T_cam_body
-        The pose to judge.
+        The pose to check.
     view
         Camera, renderer and Sun.
 
     Returns
     -------
-    None where the mesh is out of view or in the dark at that pose.
+    The distance in px, or None where the mesh is out of view or dark at that pose.
     """
     signal = extract_signal(view.render(T_cam_body), KNOWN_SKY)
     if signal.empty:
@@ -198,10 +199,10 @@ def centroid_residual_px(observed: Image, T_cam_body: Pose, view: MeshView) -> f
 
 
 def image_correlation(observed: Image, T_cam_body: Pose, view: MeshView) -> float:
-    """Correlation of the image with a shape rendered at a pose, over all pixels; -1 where nothing is to be seen of it.
+    """Correlation coefficient of the image with a shape rendered at a pose, over all pixels; -1 if it is out of view.
 
-    Both are signals with a background of 0, so that it tells of the outline and of light and shade at once. It needs
-    no threshold where two poses are compared: neither was chosen by it.
+    Both are signals with a background of 0, so the outline and the shading contribute. Two poses can be compared by it
+    without a threshold, because neither was estimated from it.
     """
     rendered = extract_signal(view.render(T_cam_body), KNOWN_SKY)
     if rendered.empty:
@@ -212,7 +213,7 @@ def image_correlation(observed: Image, T_cam_body: Pose, view: MeshView) -> floa
 
 
 def consistency_failure(residual_px: float | None, limit_px: float | None) -> str:
-    """Say why a solution is not to be believed; empty where it is, or where no limit is set."""
+    """Return why a solution fails the check of its centroid; empty if it passes, or if there is no limit."""
     if limit_px is None or (residual_px is not None and residual_px <= limit_px):
         return ""
     if residual_px is None:

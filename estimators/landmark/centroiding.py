@@ -1,4 +1,4 @@
-"""Brightness centroiding as an estimator of its own: section 3.2 without the recognition that follows it."""
+"""The estimator ``centroid``: brightness centroiding alone, section 3.2 without landmark recognition."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from scenarios.spec.base import SpecModel
 
 
 class CentroidOptions(SpecModel):
-    """Options of centroiding."""
+    """Options of ``centroid``."""
 
     database: DatabaseOptions = DatabaseOptions()
     alignment_loop: AlignmentOptions = AlignmentOptions()
 
 
 class CentroidAligner:
-    """Shifts the prior until the mesh of the landmarks and the image share their centre of brightness."""
+    """Shifts the prior until the brightness centroids of the rendered landmark mesh and of the image coincide."""
 
     name: ClassVar[str] = "centroid"
     version: ClassVar[int] = 1
@@ -44,11 +44,11 @@ class CentroidAligner:
         return cls(assets.mesh_renderer(database.mesh()), parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Shift the prior.
+        """Estimate the pose by shifting the prior.
 
         Diagnostics are ``centroid_du_px``, ``centroid_dv_px`` and their length ``centroid_offset_px`` (observed minus
-        rendered, both at the prior pose), ``extent_px`` (longer side of the box about the observed body),
-        ``diameter_px`` (of the disc of its area) and ``centroid_iterations``. Nothing is drawn at random.
+        rendered, both at the prior pose), ``extent_px`` (longer side of the observed body's bounding box),
+        ``diameter_px`` (of the disc with the observed body's area) and ``centroid_iterations``. ``rng`` is not used.
         """
         del rng
         clock = Stopwatch()
@@ -64,7 +64,7 @@ class CentroidAligner:
         )
 
     def align(self, frame: Frame, camera: Camera, clock: Stopwatch) -> tuple[Alignment, dict[str, float]]:
-        """Align the frame; also return how large the observed body is.
+        """Align the frame; also return the diagnostics of the observed body's size.
 
         Raises
         ------
