@@ -1,4 +1,4 @@
-"""The estimator ``photometric``: the pose whose rendering is the image."""
+"""The estimator ``photometric``: the pose at which a rendering of the shape fits the image."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class PhotometricOptions(RegistrationOptions):
         "onboard", description="The full shape that the spacecraft carries, or the mesh of its landmark data base"
     )
     database: DatabaseOptions = DatabaseOptions()
-    samples_per_pixel: Literal[1, 4, 9, 16] = Field(4, description="Samples of the renderings: a regular grid")
+    samples_per_pixel: Literal[1, 4, 9, 16] = Field(4, description="Samples of a rendered pixel, on a regular grid")
 
 
 class PhotometricEstimator:
-    """Aligns renderings of the onboard shape with the image, coarse to fine, maximum a posteriori."""
+    """Registers renderings of the onboard shape with the image, from coarse to fine, maximum a posteriori."""
 
     name: ClassVar[str] = "photometric"
     version: ClassVar[int] = 3
@@ -52,7 +52,7 @@ class PhotometricEstimator:
         return cls(renderer, size_m, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose; nothing is drawn at random."""
+        """Estimate the pose; ``rng`` is not used."""
         del rng
         clock = Stopwatch()
         found = self._register(observation.frame, observation.camera, clock)
@@ -77,7 +77,7 @@ class PhotometricEstimator:
         )
 
     def _register(self, frame: Frame, camera: Camera, clock: Stopwatch) -> Registration | str:
-        """Register the frame, or say why there is nothing to register."""
+        """Register the frame, or return the reason why it cannot be registered."""
         observed = observed_signal(frame, camera)
         if isinstance(observed, str):
             return observed

@@ -1,4 +1,4 @@
-"""Registration of a rendered shape with an image: shift, then all six parameters from coarse to fine."""
+"""Register a rendered shape with an image: a shift, then all six parameters from coarse to fine."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ STAGE = "registration"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """How a pose came about.
+    """A registration with its stages.
 
     Parameters
     ----------
     shift
         The first shift across the line of sight.
     fits
-        Of each level, from coarse to fine; none after one at which the shape went out of sight.
+        Fits of the levels, from coarse to fine, up to one at which the shape went out of view.
     failure
-        Why the pose is none; empty where it is one.
+        Reason of the failure; empty if the pose is good.
     """
 
     shift: Alignment
@@ -50,22 +50,22 @@ def register(
     options: RegistrationOptions,
     clock: Stopwatch,
 ) -> Registration:
-    """Find the pose at which the rendering of a shape is the image, maximum a posteriori.
+    """Estimate the maximum a posteriori pose by registering the rendering of a shape with the image.
 
     Parameters
     ----------
     observed
         (H, W) signal of the image, background 0, not black.
     frame
-        Its prior: where to start, and how much that is worth.
+        The frame with its prior, which is the initial pose.
     view
-        How the shape is seen.
+        View of the shape.
     size_m
-        Radius of the shape: how far a turn moves its surface.
+        Radius of the shape, which converts rotations to motions of its surface.
     options
         Levels and thresholds.
     clock
-        Gets the times ``mesh_rendering`` and ``centroid`` of the shift, and ``registration``.
+        Records the times ``mesh_rendering`` and ``centroid`` of the shift, and ``registration``.
     """
     start = frame.prior_T_cam_body
     shift = align_translation(observed, start, view, correlation_pair, options.alignment_loop, clock)

@@ -1,4 +1,4 @@
-"""The estimator ``whole-image``: the paper's recognition, begun where the whole rendered mesh fits the image."""
+"""The estimator ``whole-image``: the paper's recognition, from the pose at which the rendered mesh fits the image."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from estimators.options import parse_options
 from scenarios.observation import Frame
 
 _SAMPLES_PER_PIXEL = 4
-# The facets of the mesh are a dozen pixels wide: finer levels bring the turn little and cost as much again.
+# The facets of the mesh are a dozen pixels wide: finer levels improve the rotation little and double the time.
 _MESH_REGISTRATION = RegistrationOptions(
     levels=(
         LevelOptions(reduction=8, iterations=6),
@@ -42,15 +42,15 @@ class WholeImageOptions(RecognitionOptions):
     registration: RegistrationOptions = _MESH_REGISTRATION
     pose: PoseOptions = Field(
         PoseOptions(match_d2_max=16.0),
-        description="As in landmark-harris, but the start is better and the search may be narrower: 4 sigma",
+        description="As in landmark-harris, but with a narrower search of 4 sigma, as the initial pose is better",
     )
 
 
 class WholeImageRecognizer(LandmarkRecognizer):
     """Rowell et al. (2015) with the whole image aligned in place of its centroid, as their section 6 proposes.
 
-    The mesh of the landmarks is shifted and turned until its rendering fits the image. Landmarks are then first
-    predicted with the attitude of the image and not with the prior's.
+    The mesh of the landmarks is translated and rotated until its rendering fits the image. Landmarks are then first
+    predicted with the estimated attitude instead of the prior's.
     """
 
     name: ClassVar[str] = "whole-image"
@@ -70,7 +70,7 @@ class WholeImageRecognizer(LandmarkRecognizer):
 
 
 def registration_aligner(options: RegistrationOptions, size_m: float) -> MeshAligner:
-    """Shift and turn a mesh of radius ``size_m`` until its rendering is the image."""
+    """Return the alignment that registers the rendering of a mesh of radius ``size_m`` with the image."""
 
     def align(observed: NDArray[np.float32], frame: Frame, view: MeshView, clock: Stopwatch) -> Alignment:
         found = register(observed, frame, view, size_m, options, clock)

@@ -47,7 +47,7 @@ class PointCluster:
 
     @classmethod
     def of(cls, points_m: FloatArray, members: IndexArray, sigma_floor_m: float) -> PointCluster:
-        """Construct the cluster of some rows of the cloud; ``sigma_floor_m`` is added to each axis of the dispersion."""
+        """Construct the cluster of some rows of the cloud; ``sigma_floor_m`` adds to each axis of its dispersion."""
         ordered = np.sort(members)
         chosen = points_m[ordered]
         mean = chosen.mean(axis=0)

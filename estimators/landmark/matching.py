@@ -1,4 +1,4 @@
-"""Landmarks to corners by proximity: reciprocal nearest neighbours, equation (14)."""
+"""Match landmarks with corners by proximity: reciprocal nearest neighbours, equation (14)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _COVARIANCE_NAMES = ("sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """Pairs of a landmark and a corner, in ascending order of the landmark.
+    """Matched landmarks and corners, in ascending order of the landmark.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class Matches:
         return len(self.landmark)
 
     def same_pairs(self, other: Matches) -> bool:
-        """Whether both hold the same pairs, whatever their distances."""
+        """Whether both contain the same pairs, regardless of distances."""
         return np.array_equal(self.landmark, other.landmark) and np.array_equal(self.corner, other.corner)
 
 
@@ -51,7 +51,7 @@ def match_landmarks(
     corners_px: FloatArray,
     d2_max: float = 36.0,
 ) -> Matches:
-    """Pair each visible landmark with its nearest corner where that corner has no nearer landmark.
+    """Match each visible landmark with its nearest corner, if no other landmark is nearer to that corner.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def match_landmarks(
     corners_px
         (M, 2) observed corners.
     d2_max
-        Pairs must lie strictly closer than this; 36 is 6 standard deviations.
+        Upper limit of the weighted squared distance; 36 is 6 standard deviations.
     """
     candidates = np.flatnonzero(visible)
     if not candidates.size or not len(corners_px):
@@ -108,7 +108,7 @@ def inverse_and_determinant(covariances: FloatArray) -> tuple[FloatArray, FloatA
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedFrame:
-    """Matches of a frame: its pose, (M,) rows of the data base and (M, 2) corners in the image."""
+    """Matches in a frame with its pose: (M,) rows of the data base and (M, 2) corners in the image."""
 
     T_cam_body: Pose
     landmark: NDArray[np.intp]
@@ -116,7 +116,7 @@ class MatchedFrame:
 
 
 def matched_table(found: MatchedFrame, database: LandmarkDatabase, camera: Camera) -> Table:
-    """One row for each matched landmark.
+    """Return the table of matched landmarks that the campaign scores, one row each.
 
     Columns: ``landmark`` (row of the data base), ``u_px, v_px`` (its corner), ``d2_px`` (weighted squared distance of
     the corner to the landmark at the estimated pose), ``x_m, y_m, z_m`` and ``sxx_m2 ... szz_m2`` (the data base's

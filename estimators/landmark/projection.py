@@ -1,4 +1,4 @@
-"""Which landmarks can be seen from a viewpoint: section 3.1.1."""
+"""Predict landmarks in an image: visibility (section 3.1.1) and projection, equations (4) to (10)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SLACK = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Projection:
-    """Landmarks in camera and image.
+    """Landmarks projected into an image.
 
     Parameters
     ----------
@@ -48,9 +48,9 @@ def project_landmarks(database: LandmarkDatabase, camera: Camera, T_cam_body: Po
 def image_covariances(
     covariances_body_m2: FloatArray, points_cam_m: FloatArray, camera: Camera, T_cam_body: Pose
 ) -> FloatArray:
-    """Covariances (N, 3, 3) in the body frame to (N, 2, 2) in the image, to first order.
+    """Project covariances (N, 3, 3) in the body frame to (N, 2, 2) in the image, to first order.
 
-    ``Camera.jacobian`` is the transpose of the J that the paper prints, so the transposes change sides.
+    ``Camera.jacobian`` is the transpose of the paper's J, so the transposes are on the other side.
     """
     rotation = T_cam_body.rotation  # eq. (8)
     in_camera = rotation @ covariances_body_m2 @ rotation.T  # eq. (7)
@@ -78,15 +78,15 @@ def faces_camera(mesh: TriangleMesh, camera_position_body_m: FloatArray) -> Bool
 
 
 def is_occluded(mesh: TriangleMesh, camera_position_body_m: FloatArray, vertices: NDArray[np.intp]) -> BoolArray:
-    """(len(vertices),): whether a facet stands between the camera and each vertex (intervening-terrain test).
+    """(len(vertices),): whether a facet lies between the camera and each vertex (intervening-terrain test).
 
-    Facets that the vertex is a corner of do not count. As in the paper, a sphere about each facet tells first which
-    lines of sight come near it; those are intersected by Moeller and Trumbore's method.
+    Facets of which the vertex is a corner are left out. As in the paper, lines of sight are first tested against a
+    bounding sphere of each facet; those that enter it are intersected by Moeller and Trumbore's method.
 
     Parameters
     ----------
     mesh
-        Closed, with the camera outside: whatever hides a vertex then has a facet that faces the camera.
+        Closed, with the camera outside: any occlusion then involves a facet that faces the camera.
     camera_position_body_m
         (3,) camera in the body frame.
     vertices
@@ -119,7 +119,7 @@ def _near_pairs(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> tu
     offset = middle - origin
     distance = np.linalg.norm(offset, axis=1)
     sine = (1.0 + _SLACK) * np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1) / distance
-    # The sphere is a cap of directions; its radius as a chord is what a tree of unit vectors measures.
+    # Seen from the camera the sphere is a spherical cap; the tree of unit vectors needs its radius as a chord.
     chord = np.where(sine < 1.0, 2.0 * np.sin(0.5 * np.arcsin(np.minimum(sine, 1.0))), 2.0 + _SLACK)
     tree = cKDTree(rays / np.linalg.norm(rays, axis=1, keepdims=True))
     found = tree.query_ball_point(offset / distance[:, None], chord, return_sorted=True)
@@ -129,7 +129,7 @@ def _near_pairs(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> tu
 
 
 def _blocks(corners: FloatArray, origin: FloatArray, rays: FloatArray) -> BoolArray:
-    """(P,): whether each ray meets its facet between its two ends."""
+    """(P,): whether each ray intersects its facet between its two ends (Moeller and Trumbore 1997)."""
     edge1, edge2, offset = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], origin - corners[:, 0]
     p, q = np.cross(rays, edge2), np.cross(offset, edge1)
     determinant = np.einsum("pi,pi->p", edge1, p)

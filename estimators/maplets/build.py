@@ -1,4 +1,4 @@
-"""A data base of maplets from a shape: where they lie, and what is cut out."""
+"""Build a data base of maplets from a shape: choose their places and sample heights and albedo there."""
 
 from __future__ import annotations
 
@@ -17,25 +17,23 @@ from scenarios.geometry import TriangleMesh
 from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
 
 METHOD = "shape-maplets"
 METHOD_VERSION = 1
 
-_LEAST_GAIN = 0.003
-
-IndexArray = NDArray[np.int64]
-
-_LEAST_FACING = 0.1
+_LEAST_GAIN = 0.003  # share of its facets that a further maplet must cover for the first time
+_LEAST_FACING = 0.1  # cosine of the angle between a facet's normal and a maplet's
 _EDGE_TOLERANCE = 1e-9
 
 
 class MapletOptions(SpecModel):
-    """How maplets are cut from the onboard shape."""
+    """Options of the maplets of a shape."""
 
     spacing_m: float = Field(2.4, gt=0, description="Between neighbouring heights")
     side: int = Field(25, ge=5, le=999, description="Heights along each side of a maplet, odd")
-    seed: int | None = Field(None, ge=0, description="Of the place to begin at; the farthest one if left out")
-    separation: float = Field(0.6, gt=0, le=1, description="Least distance of two centres, over a maplet's width")
+    seed: int | None = Field(None, ge=0, description="Seed of the first place; default: the farthest from the origin")
+    separation: float = Field(0.6, gt=0, le=1, description="Least distance of two centres, as a share of the width")
 
     @model_validator(mode="after")
     def _odd(self) -> Self:
@@ -45,7 +43,7 @@ class MapletOptions(SpecModel):
 
     @property
     def width_m(self) -> float:
-        """Width of a maplet."""
+        """Width of a maplet, m."""
         return (self.side - 1) * self.spacing_m
 
 
@@ -79,7 +77,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A mesh that heights are read from, with its facets in a search tree."""
+    """A mesh to sample heights from, with a search tree of its facets."""
 
     mesh: TriangleMesh
 
@@ -90,7 +88,7 @@ class Surface:
 
     @cached_property
     def tree(self) -> cKDTree:
-        """Search tree over them."""
+        """Search tree of the facets' middles."""
         return cKDTree(self.centroids_m)
 
     @cached_property
@@ -99,7 +97,7 @@ class Surface:
         return float(np.linalg.norm(self.mesh.corners_m - self.centroids_m[:, None], axis=2).max())
 
     def mean_normal(self, centre_m: FloatArray, radius_m: float) -> FloatArray:
-        """Average the surface within a radius of a point to a unit normal (3,), by the area vectors of its facets.
+        """Return the mean unit normal (3,) of the surface within a radius of a point, weighted by area.
 
         Facets that face away from the nearest one belong to another part of the body and are left out.
         """
@@ -116,8 +114,8 @@ class Surface:
 def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
     """Cut maplets out of a shape so that they cover it.
 
-    Candidates lie everywhere, half as far apart as asked for. They are taken in the order of their relief, unless
-    one that was taken is too near: Poisson-disc sampling in which contrast goes first.
+    Candidates cover the surface at half the wanted separation. They are accepted in descending order of relief, unless
+    an accepted one is too near (Poisson-disc sampling that prefers contrast); then others fill the gaps.
 
     Raises
     ------
@@ -142,10 +140,10 @@ def build_maplets(mesh: TriangleMesh, options: MapletOptions) -> MapletDatabase:
 
 
 def sample_heights(surface: Surface, plane: Plane) -> tuple[FloatArray, FloatArray | None]:
-    """Heights of the surface above the nodes of a plane, and its albedo there.
+    """Sample the heights of the surface above the nodes of a plane, and its albedo there.
 
-    The surface is seen from above: of several layers the highest counts that lies no farther from the plane than
-    the grid reaches to the side, and faces up.
+    Of several layers of the surface the highest is sampled that faces up and is no farther from the plane than half the
+    grid's width.
 
     Returns
     -------
@@ -163,7 +161,7 @@ def sample_heights(surface: Surface, plane: Plane) -> tuple[FloatArray, FloatArr
     grid = corners[:, :, :2] / plane.spacing_m + (plane.side - 1) / 2
     facet, node, weights = _covered_nodes(grid, plane.side)
     heights = np.einsum("nk,nk->n", weights, corners[facet, :, 2])
-    order = np.argsort(heights, kind="stable")  # the highest is written last
+    order = np.argsort(heights, kind="stable")  # the highest is written last and remains
     heights_m = np.full(plane.side**2, np.nan)
     heights_m[node[order]] = heights[order]
     shape = (plane.side, plane.side)
@@ -216,9 +214,9 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def spread_points(points_m: FloatArray, radius_m: float, seed: int | None = None) -> list[int]:
-    """Choose points, each the farthest from those before it, until none is farther than ``radius_m`` from one.
+    """Choose points, each the farthest from those before it, until all are within ``radius_m`` of one (Gonzalez 1985).
 
-    The first is the one farthest from the origin, or one that is drawn. Gonzalez (1985).
+    The first is the point farthest from the origin, or drawn by ``seed``.
     """
     farthest = int(np.argmax(np.einsum("ni,ni->n", points_m, points_m)))
     chosen = [farthest if seed is None else int(np.random.default_rng(seed).integers(len(points_m)))]
@@ -230,9 +228,9 @@ def spread_points(points_m: FloatArray, radius_m: float, seed: int | None = None
 
 
 def relief(heights_m: FloatArray, spacing_m: float) -> float:
-    """RMS slope of a maplet without its curvature: what gives a picture of it contrast.
+    """Return the RMS slope of a maplet without its mean curvature, a measure of its contrast in images.
 
-    The slopes along both axes, less the plane through each of them.
+    A plane is fitted to the slopes along each axis and subtracted.
     """
     dy, dx = (np.asarray(slope, dtype=np.float64) for slope in np.gradient(heights_m, spacing_m))
     known = np.isfinite(dx) & np.isfinite(dy)
@@ -246,7 +244,7 @@ def relief(heights_m: FloatArray, spacing_m: float) -> float:
 
 
 def _cut(surface: Surface, places: list[int], options: MapletOptions) -> MapletDatabase:
-    """Cut a maplet at each facet that the surface is seen from above at."""
+    """Sample a maplet at each place whose central height is known."""
     planes = [_plane(surface, surface.centroids_m[place], options) for place in places]
     sampled = [(plane, *sample_heights(surface, plane)) for plane in planes]
     middle = options.side // 2
@@ -285,6 +283,7 @@ def _provenance(options: MapletOptions, mesh: TriangleMesh, candidates: int) -> 
 
 
 def _separated(centres_m: FloatArray, order: list[int], separation_m: float) -> list[int]:
+    """Accept candidates in ``order``, unless an accepted one is nearer than ``separation_m``."""
     taken: list[int] = []
     for index in order:
         if all(np.linalg.norm(centres_m[index] - centres_m[other]) >= separation_m for other in taken):
@@ -293,25 +292,25 @@ def _separated(centres_m: FloatArray, order: list[int], separation_m: float) -> 
 
 
 def _gap_fillers(candidates: MapletDatabase, taken: list[int], surface: Surface) -> list[int]:
-    """Choose further candidates, each the one that shows most of what none shows yet, until nothing is to be gained."""
-    shown = [_facets_on(candidates, index, surface) for index in range(len(candidates))]
-    bare = np.ones(len(surface.centroids_m), dtype=bool)
+    """Choose further candidates, each covering the most facets not covered yet, until the gain is small."""
+    covered = [_facets_on(candidates, index, surface) for index in range(len(candidates))]
+    uncovered = np.ones(len(surface.centroids_m), dtype=bool)
     for index in taken:
-        bare[shown[index]] = False
+        uncovered[covered[index]] = False
     rest = [index for index in range(len(candidates)) if index not in set(taken)]
     added: list[int] = []
     while rest:
-        gains = [int(np.count_nonzero(bare[shown[index]])) for index in rest]
+        gains = [int(np.count_nonzero(uncovered[covered[index]])) for index in rest]
         best = rest.pop(int(np.argmax(gains)))
-        if max(gains) < _LEAST_GAIN * len(shown[best]):
+        if max(gains) < _LEAST_GAIN * len(covered[best]):
             break
-        bare[shown[best]] = False
+        uncovered[covered[best]] = False
         added.append(best)
     return added
 
 
 def _facets_on(database: MapletDatabase, index: int, surface: Surface) -> NDArray[np.int64]:
-    """Facets whose middles lie on a maplet."""
+    """Return the facets whose middles lie on a maplet."""
     reach_m = np.sqrt(3.0) * database.half_m + database.spacing_m
     near = np.asarray(surface.tree.query_ball_point(database.centres_m[index], reach_m), dtype=np.int64)
     return near[database.contains(index, surface.centroids_m[near])]

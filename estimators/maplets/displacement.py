@@ -1,8 +1,9 @@
-"""The displacement of a window to a small fraction of a pixel, by robust least squares on its grey values.
+"""Measure the displacement of a window of the rendered image in the observed one, by correlation or least squares.
 
-Adaptive least squares correlation (Gruen 1985) with Tukey's biweight. Shadows and boulders that the onboard shape does
-not resolve all lie on the far side from the Sun: in a plain correlation they pull every window that way, by a tenth of
-a pixel where the Sun stands low. So dark pixels are left out, and what fits badly loses its weight.
+Normalised cross-correlation finds a window within a search region. Adaptive least squares correlation (Gruen 1985) with
+Tukey's biweight refines it to a small fraction of a pixel: shadows of boulders that the onboard shape does not resolve
+lie on the side away from the Sun and bias a plain correlation, by a tenth of a pixel at low Sun. Therefore dark pixels
+are left out, and pixels with large residuals lose their weight.
 """
 
 from __future__ import annotations
@@ -30,16 +31,16 @@ _FARTHEST_PX = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Displacement:
-    """How far a window of the observed image lies from where it was rendered.
+    """The displacement of a window from its rendered to its observed position.
 
     Parameters
     ----------
     shift_px
-        (2,) from the rendered to the observed position.
+        (2,) displacement.
     covariance_px2
         (2, 2) of the shift.
     correlation
-        Of the two pictures, once shifted.
+        Correlation coefficient of the two images after the shift.
     """
 
     shift_px: FloatArray
@@ -50,25 +51,25 @@ class Displacement:
 def correlate_window(
     observed: Image, template: Image, usable: Image, corner: tuple[int, int], reach: tuple[int, int], noise_px2: float
 ) -> Displacement | None:
-    """Slide a template over its surroundings in the observed image.
+    """Find a template in its surroundings in the observed image by normalised cross-correlation.
 
     Parameters
     ----------
     observed
-        (H, W) image; beyond its edges it is 0.
+        (H, W) image, taken as 0 beyond its edges.
     template, usable
-        (h, w) window of the rendered image, and 1 where its pixels count, 0 elsewhere.
+        (h, w) window of the rendered image, and its mask: 1 where pixels are used, 0 elsewhere.
     corner
         Column and row of the template's first pixel in the rendered image.
     reach
-        Largest shift along columns and rows, whole pixels of 1 or more.
+        Largest shift along columns and rows, integers of 1 or more.
     noise_px2
-        Area over which differences of the two pictures hold together.
+        Area over which differences of the two images are correlated.
 
     Returns
     -------
-    The shift at the peak of the correlation, or None where the template has no contrast or the peak lies at the
-    edge of the search.
+    The displacement at the peak of the correlation, or None where the template has no contrast or the peak is at the
+    edge of the search region.
     """
     counted = template[usable > 0.0]
     if not counted.size or np.ptp(counted) == 0.0:
@@ -88,7 +89,7 @@ def correlate_window(
 
 
 def _cut(observed: Image, corner: tuple[int, int], shape: tuple[int, ...], reach: tuple[int, int]) -> Image:
-    """Cut the template's place and its surroundings out of the observed image, with 0 beyond the edges."""
+    """Return the search region of the template in the observed image, 0 beyond the edges."""
     height, width = observed.shape
     left, top = corner[0] - reach[0], corner[1] - reach[1]
     right, bottom = corner[0] + shape[1] + reach[0], corner[1] + shape[0] + reach[1]
@@ -98,7 +99,7 @@ def _cut(observed: Image, corner: tuple[int, int], shape: tuple[int, ...], reach
 
 
 def _polynomial_peak(around: FloatArray) -> tuple[FloatArray, float, FloatArray] | None:
-    """Offset (2,), value and second derivatives (2, 2) at the top of the polynomial through 3 x 3 correlations."""
+    """Offset (2,), value and second derivatives (2, 2) at the maximum of a polynomial through 3 x 3 correlations."""
     constant, gx, gy, xx, xy, yy = _FIT @ around.ravel()
     curvature = np.array([[2.0 * xx, xy], [xy, 2.0 * yy]])
     if not (xx < 0.0 and np.linalg.det(curvature) > 0.0):
@@ -110,9 +111,9 @@ def _polynomial_peak(around: FloatArray) -> tuple[FloatArray, float, FloatArray]
 
 
 def shift_covariance(correlation: float, curvature: FloatArray, samples: float) -> FloatArray:
-    """Covariance (2, 2) of a shift from the shape of its peak.
+    """Return the covariance (2, 2) of a shift from the curvature of its correlation peak.
 
-    With gain and offset of the picture unknown and Gaussian noise of unknown level, the log-likelihood of a shift is
+    With unknown gain and offset, and Gaussian noise of unknown variance, the log-likelihood of a shift is
     -n/2 log(1 - rho^2); its second derivatives at the peak, n rho rho'' / (1 - rho^2), are the information.
 
     Parameters
@@ -120,7 +121,7 @@ def shift_covariance(correlation: float, curvature: FloatArray, samples: float) 
     correlation, curvature
         rho and its second derivatives (2, 2), per px^2, negative definite.
     samples
-        n, independent ones.
+        Number n of independent samples.
     """
     rho = float(np.clip(correlation, 1e-3, 1.0 - 1e-6))
     information = -samples * rho / (1.0 - rho * rho) * curvature
@@ -129,7 +130,7 @@ def shift_covariance(correlation: float, curvature: FloatArray, samples: float) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagePair:
-    """Observed and rendered image, smoothed alike, ready for many windows.
+    """Observed and rendered image, smoothed alike, with derivatives and mask.
 
     Parameters
     ----------
@@ -138,7 +139,7 @@ class ImagePair:
     du, dv
         (H, W) derivatives of the rendered image along columns and rows.
     usable
-        (H, W) pixels on the body that neither image has in the dark.
+        (H, W) pixels on the body that are dark in neither image.
     """
 
     observed: Image
@@ -149,7 +150,7 @@ class ImagePair:
 
 
 def make_pair(observed: Image, rendered: Image, on_body: BoolArray, blur_px: float, dark: float) -> ImagePair:
-    """Smooth both images, differentiate, and find the pixels that count.
+    """Smooth both images, differentiate the rendered one, and find the usable pixels.
 
     Parameters
     ----------
@@ -158,9 +159,9 @@ def make_pair(observed: Image, rendered: Image, on_body: BoolArray, blur_px: flo
     on_body
         (H, W) pixels well within the body's outline.
     blur_px
-        Standard deviation of the smoothing: the derivative of a sampled picture needs some.
+        Standard deviation of the smoothing, which the derivative of a sampled image needs.
     dark
-        Level below which a pixel is in the dark; it is left out together with its neighbours.
+        Level below which a pixel is dark; it is left out together with its neighbours.
     """
     shade = (observed < dark) | (rendered < dark)
     near_shade = cv2.dilate(shade.astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) > 0
@@ -170,10 +171,10 @@ def make_pair(observed: Image, rendered: Image, on_body: BoolArray, blur_px: flo
 
 
 def refine_window(pair: ImagePair, window: tuple[slice, slice], noise_px2: float) -> Displacement | None:
-    """Solve for the shift of a window, with gain, offset and a linear brightness trend as unknowns beside it.
+    """Solve for the shift of a window, together with gain, offset and a linear trend of the brightness.
 
-    The rendered image is expanded to first order about no shift, so the shift should be well below a pixel; the next
-    rendering removes what is left.
+    The rendered image is expanded to first order about zero shift, so the shift should be well below a pixel; the next
+    rendering reduces the remaining error.
 
     Parameters
     ----------
@@ -182,11 +183,11 @@ def refine_window(pair: ImagePair, window: tuple[slice, slice], noise_px2: float
     window
         Rows and columns.
     noise_px2
-        Area over which differences of the two pictures hold together.
+        Area over which differences of the two images are correlated.
 
     Returns
     -------
-    The shift, or None where too few pixels count or their contrast does not fix both components.
+    The displacement, or None where too few pixels are usable or their contrast does not determine both components.
     """
     row, column = np.nonzero(pair.usable[window])
     if len(row) < _LEAST_PIXELS:

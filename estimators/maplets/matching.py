@@ -1,4 +1,4 @@
-"""All visible maplets of one rendering, found in the observed image."""
+"""Match the visible maplets of a rendering with the observed image."""
 
 from __future__ import annotations
 
@@ -26,23 +26,25 @@ FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 _LEAST_PIXELS = 60
-_CAPTURE_PX = 1.5
-_PEAK_PX = 1.0  # room for a parabola at the end of the search
+_LARGEST_SHIFT_PX = 1.5  # of the least-squares refinement, which is linearised about zero
+_PEAK_PX = 1.0  # margin for the fit of the peak at the edge of the search
 
 
 class MatchingOptions(SpecModel):
-    """How maplets are looked for."""
+    """Options of matching maplets."""
 
     window_px: tuple[int, int] = Field((8, 32), description="Least and largest half width of a window")
-    margin_px: int = Field(2, ge=0, le=100, description="Pixels along the outline of the body that do not count")
-    search_sigma: float = Field(3.0, gt=0, le=10, description="Reach of the search in standard deviations")
-    search_px: int = Field(40, ge=2, le=500, description="Largest reach of the search")
-    correlation_min: float = Field(0.4, ge=0, lt=1, description="Least correlation of a maplet that is found")
+    margin_px: int = Field(2, ge=0, le=100, description="Unused margin along the body's outline, pixels")
+    search_sigma: float = Field(3.0, gt=0, le=10, description="Radius of the search in standard deviations")
+    search_px: int = Field(40, ge=2, le=500, description="Largest radius of the search, pixels")
+    correlation_min: float = Field(0.4, ge=0, lt=1, description="Least correlation of a match")
     blur_px: float = Field(0.7, gt=0, le=10, description="Smoothing of both images before the refinement")
-    dark: float = Field(0.12, ge=0, lt=1, description="Pixels below this share of the bright level do not count")
-    noise_px2: float = Field(9.0, gt=0, description="Area over which differences of the pictures hold together")
+    dark: float = Field(0.12, ge=0, lt=1, description="Pixels below this share of the bright level are unused")
+    noise_px2: float = Field(9.0, gt=0, description="Area over which differences of the images are correlated")
     height_sigma_m: float = Field(0.2, ge=0, description="Standard deviation of the mean onboard height of a maplet")
-    systematic_px: float = Field(0.15, ge=0, description="Standard deviation of what moves a whole window, each axis")
+    systematic_px: float = Field(
+        0.15, ge=0, description="Standard deviation of systematic errors of a window, each axis"
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -53,9 +55,9 @@ class MatchingOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapletScene:
-    """A data base with renderers of the mesh over all its maplets, and that mesh's vertices (V, 3).
+    """A data base with renderers of the mesh over all its maplets, and the mesh's vertices (V, 3).
 
-    ``quick`` takes one sample a pixel: enough to see where the body is.
+    ``quick`` renders with one sample per pixel, which suffices for the alignment.
     """
 
     database: MapletDatabase
@@ -66,18 +68,18 @@ class MapletScene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapletRendering:
-    """One rendering of the data base.
+    """A rendering of the data base.
 
     Parameters
     ----------
     database, camera, T_cam_body
-        What was rendered, how and from where.
+        The data base, and the camera and pose that it was rendered with.
     signal
-        (H, W), bright level 1.
+        (H, W) rendered signal, bright level 1.
     on_body
         (H, W) pixels well within the outline.
     windows
-        Visible maplets.
+        Windows of the visible maplets.
     """
 
     database: MapletDatabase
@@ -101,7 +103,7 @@ class MapletRendering:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapletMatches:
-    """Maplets that were found.
+    """Maplets matched with an image.
 
     Parameters
     ----------
@@ -110,9 +112,9 @@ class MapletMatches:
     uv_px
         (M, 2) where their anchors are in the observed image.
     covariances_px2
-        (M, 2, 2) of those positions, the uncertainty of the onboard heights included.
+        (M, 2, 2) covariances of those positions, including the uncertainty of the onboard heights.
     correlation
-        (M,) of the pictures.
+        (M,) correlation coefficients of the windows.
     shared
         (M, M) share of the pixels that each two windows have in common.
     height_sigma_m
@@ -133,7 +135,7 @@ class MapletMatches:
 def render_maplets(
     scene: MapletScene, camera: Camera, T_cam_body: Pose, sun_dir_cam: FloatArray, options: MatchingOptions
 ) -> MapletRendering:
-    """Render the data base and find what of it can be seen."""
+    """Render the data base and find its visible maplets."""
     rendered = MeshView(camera, scene.renderer, sun_dir_cam).render(T_cam_body)
     database, vertices_m = scene.database, scene.vertices_m
     return MapletRendering(
@@ -149,7 +151,7 @@ def render_maplets(
 def match_by_correlation(
     observed: Image, seen: MapletRendering, uncertainty: FloatArray, options: MatchingOptions
 ) -> MapletMatches:
-    """Find maplets anywhere within the uncertainty (6, 6) of the pose, by correlation, to some tenths of a pixel."""
+    """Match maplets within the uncertainty (6, 6) of the pose by correlation, to some tenths of a pixel."""
     reach = _reach_px(seen, uncertainty, options)
     usable = seen.on_body.astype(np.float32)
 
@@ -163,19 +165,19 @@ def match_by_correlation(
 
 
 def match_by_least_squares(observed: Image, seen: MapletRendering, options: MatchingOptions) -> MapletMatches:
-    """Find maplets that are already within a pixel of their place, as exactly as the pictures allow."""
+    """Match maplets that are within a pixel of their predicted position by least squares, to hundredths of a pixel."""
     pair = make_pair(observed, seen.signal, seen.on_body, options.blur_px, options.dark)
 
     def solve(index: int, window: tuple[slice, slice]) -> Displacement | None:
         del index
         found = refine_window(pair, window, options.noise_px2)
-        return found if found is not None and np.abs(found.shift_px).max() <= _CAPTURE_PX else None
+        return found if found is not None and np.abs(found.shift_px).max() <= _LARGEST_SHIFT_PX else None
 
     return _collect(seen, pair.usable, solve, options)
 
 
 def _reach_px(seen: MapletRendering, uncertainty: FloatArray, options: MatchingOptions) -> NDArray[np.int64]:
-    """(M, 2) reach of the search for each window, from the uncertainty of the pose."""
+    """Radius (M, 2) of the search for each window, from the uncertainty of the pose."""
     n = len(seen.windows)
     if n < MIN_LANDMARKS:
         return np.ones((n, 2), dtype=np.int64)
@@ -192,7 +194,7 @@ def _collect(
     locate: Callable[[int, tuple[slice, slice]], Displacement | None],
     options: MatchingOptions,
 ) -> MapletMatches:
-    """Locate every window with enough usable pixels and keep those that are found."""
+    """Locate the windows with enough usable pixels; keep those with sufficient correlation."""
     kept: list[tuple[int, Displacement]] = []
     for index in range(len(seen.windows)):
         window = seen.windows.slices(index)

@@ -1,4 +1,4 @@
-"""Navigation by maplets as an estimator: from the prior through rendering and correlation to the pose."""
+"""The estimator ``lmaps``: navigation by maplets that are rendered and matched with the image."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _COVARIANCE_NAMES = ("sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapletFit:
-    """One round: the maplets that were found and the pose from them."""
+    """One round: the matched maplets and the pose from them."""
 
     found: MapletMatches
     posterior: Posterior
@@ -51,18 +51,18 @@ class MapletFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapletRecognition:
-    """What came about between one image and its pose.
+    """All intermediate results of recognition in one image.
 
     Parameters
     ----------
     stages
-        Poses after the alignment, the correlation and the refinement, as far as it came.
+        Poses after alignment, correlation and refinement, as far as they were reached.
     fits
-        Rounds of correlating and solving: the correlation, then the refinement.
+        Rounds of matching and solving: by correlation first, then by least squares.
     timings_s
         Wall time by stage.
     failure
-        Why there is no pose; empty when there is one.
+        Reason why there is no pose; empty if there is one.
     """
 
     stages: tuple[Stage, ...]
@@ -72,11 +72,11 @@ class MapletRecognition:
 
 
 def maplet_table(fit: MapletFit, database: MapletDatabase, camera: Camera) -> Table:
-    """One row for each maplet that a round found.
+    """Return the table of a round's matched maplets, one row each.
 
-    Columns: ``landmark`` (row of the data base), ``u_px, v_px`` (where its anchor was found), ``correlation``,
+    Columns: ``landmark`` (row of the data base), ``u_px, v_px`` (observed position of its anchor), ``correlation``,
     ``d2_px`` (weighted squared distance to the anchor at the estimated pose), ``x_m, y_m, z_m`` (the anchor) and
-    ``sxx_m2 ... szz_m2`` (covariance of the surface point that is seen there, about the anchor).
+    ``sxx_m2 ... szz_m2`` (covariance of the surface point at that pixel, about the anchor).
     """
     found = fit.found
     table: dict[str, NDArray[np.generic]] = {
@@ -92,10 +92,10 @@ def maplet_table(fit: MapletFit, database: MapletDatabase, camera: Camera) -> Ta
 
 
 def surface_covariances(fit: MapletFit, database: MapletDatabase, camera: Camera) -> FloatArray:
-    """Covariances (M, 3, 3), body frame, m^2, of the surface points that are seen where the anchors were found.
+    """Covariances (M, 3, 3), body frame, m^2, of the surface points at the observed positions of the anchors.
 
-    A displacement in the image moves the point on the plane of its maplet: across the line of sight by its own size,
-    and along it by what the slope of the plane adds. Across the plane the uncertainty of the heights counts.
+    A displacement in the image moves the point in the plane of its maplet: across the line of sight by its size, and
+    along it according to the slope of the plane. Normal to the plane the variance is that of the heights.
     """
     pose, maplet = fit.posterior.T_cam_body, fit.found.maplet
     points = pose.transform(database.anchors_m[maplet])
@@ -113,7 +113,7 @@ def surface_covariances(fit: MapletFit, database: MapletDatabase, camera: Camera
 
 
 class MapletsOptions(SpecModel):
-    """Options of the estimator."""
+    """Options of ``lmaps``."""
 
     maplets: MapletOptions = MapletOptions()
     samples_per_pixel: int = Field(4, ge=1, le=64, description="Samples of a rendered pixel, a square number")
@@ -121,7 +121,9 @@ class MapletsOptions(SpecModel):
     alignment_sigma_px: float = Field(3.0, gt=0, description="Standard deviation of the aligned position, each axis")
     matching: MatchingOptions = MatchingOptions()
     tolerance_px: float = Field(0.05, gt=0, description="Done when no maplet moves by more between two renderings")
-    max_rounds: int = Field(4, ge=1, le=100, description="Renderings for the refinement, after that for the capture")
+    max_rounds: int = Field(
+        4, ge=1, le=100, description="Most renderings for the refinement, after the one for the correlation"
+    )
 
 
 def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: MapletsOptions) -> MapletRecognition:
@@ -130,7 +132,7 @@ def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: Maplets
     Raises
     ------
     BoresightError
-        If the image is not of the camera's size.
+        If the image does not have the camera's size.
     """
     clock = Stopwatch()
     stages: list[Stage] = []
@@ -151,7 +153,7 @@ def recognise(frame: Frame, camera: Camera, scene: MapletScene, options: Maplets
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _FitContext:
-    """What all rounds share."""
+    """The camera, maplets, options and clock that all rounds share."""
 
     camera: Camera
     scene: MapletScene
@@ -159,7 +161,7 @@ class _FitContext:
     clock: Stopwatch
 
     def fit(self, observed: Image, frame: Frame, pose: Pose, uncertainty: FloatArray | None) -> MapletFit | str:
-        """Render, correlate and solve once; without an ``uncertainty`` the maplets are refined where they are."""
+        """Render, match and solve once: by correlation within an ``uncertainty``, or by least squares without one."""
         matching = self.options.matching
         with self.clock("mesh_rendering"):
             seen = render_maplets(self.scene, self.camera, pose, frame.sun_dir_cam, matching)
@@ -184,7 +186,7 @@ class _FitContext:
 
 
 def _rounds(observed: Image, frame: Frame, start: Pose, context: _FitContext, stages: list[Stage]) -> MapletRecognition:
-    """Capture, then refine until the pose holds still."""
+    """Match by correlation, then by least squares until the pose no longer changes."""
     uncertainty = np.array(frame.prior_covariance)
     range_m = float(np.linalg.norm(start.translation_m))
     aligned_m2 = (context.options.alignment_sigma_px * context.camera.pixel_angle_rad * range_m) ** 2
@@ -206,7 +208,7 @@ def _rounds(observed: Image, frame: Frame, start: Pose, context: _FitContext, st
 
 
 class MapletNavigator:
-    """Maplets of the onboard shape, rendered at the predicted pose and Sun and correlated."""
+    """Matches maplets of the onboard shape, rendered at the predicted pose and Sun, with the image."""
 
     name: ClassVar[str] = "lmaps"
     version: ClassVar[int] = 2
@@ -225,11 +227,11 @@ class MapletNavigator:
         return cls(MapletScene(database, renderer, assets.mesh_renderer(mesh), mesh.vertices_m), parsed)
 
     def recognise(self, frame: Frame, camera: Camera) -> MapletRecognition:
-        """Run on a frame and keep all intermediate results."""
+        """Recognise the maplets of a frame and return all intermediate results."""
         return recognise(frame, camera, self._scene, self._options)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose; nothing is drawn at random."""
+        """Estimate the pose; ``rng`` is not used."""
         del rng
         found = self.recognise(observation.frame, observation.camera)
         reached = Estimate(

@@ -1,4 +1,4 @@
-"""Match, solve, match again, until the set of landmarks holds still: section 3.4.3."""
+"""Match landmarks and solve for the pose alternately, until the matches no longer change: section 3.4.3."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FloatArray = NDArray[np.float64]
 
 
 class PoseOptions(SpecModel):
-    """How the pose is worked out of the matches."""
+    """Options of matching and solving."""
 
     method: Literal["both", "closed-form", "non-linear"] = Field(
         "both", description="EPnP and then Levenberg-Marquardt, or one of them alone"
@@ -38,15 +38,15 @@ class MatchingRound:
     Parameters
     ----------
     projection
-        All landmarks, seen from the pose that the round began with.
+        All landmarks, projected at the pose before the round.
     visible
-        (N,) landmarks that could be seen from there.
+        (N,) landmarks visible from that pose.
     matches
-        The pairs.
+        The matched landmarks and corners.
     closed_form
-        The pose by EPnP; None where it was not asked for or found none.
+        The pose by EPnP; None if not wanted or not found.
     fit
-        The pose after the round; None where there were too few pairs or no solution.
+        The pose after the round; None if there were too few matches or no solution.
     """
 
     projection: Projection
@@ -58,7 +58,7 @@ class MatchingRound:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseSolution:
-    """All rounds, and the fit of the last; ``failure`` says why there is none."""
+    """All rounds and the fit of the last; ``failure`` is the reason if there is none."""
 
     rounds: tuple[MatchingRound, ...]
     stable: bool = False
@@ -67,9 +67,9 @@ class PoseSolution:
 
 
 def solve_matches(problem: PoseProblem, start: Pose, options: PoseOptions) -> tuple[Pose | None, PoseFit | None]:
-    """Solve once: the closed-form pose (where asked for) and the fit.
+    """Solve once; return the closed-form pose, if wanted, and the fit.
 
-    Where EPnP finds no pose in front of the camera, the refinement begins at ``start`` instead.
+    If EPnP finds no pose with the landmarks in front of the camera, the refinement begins at ``start``.
     """
     closed_form = None if options.method == "non-linear" else solve_epnp(problem)
     if options.method == "closed-form":
@@ -92,11 +92,11 @@ def solve_pose(
     database
         Landmarks and mesh.
     camera, start
-        The camera, and the pose that landmarks are first predicted from.
+        The camera, and the pose from which landmarks are first predicted.
     corners_px
         (M, 2) corners of the image.
     options
-        Method, threshold and the greatest number of rounds.
+        Method, threshold and greatest number of rounds.
     """
     mesh = database.mesh()
     pose = start

@@ -1,4 +1,4 @@
-"""The pose of greatest posterior probability from points seen in an image, robust against wrong ones."""
+"""Estimate the maximum a posteriori pose from points in an image, robust against outliers."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ FloatArray = NDArray[np.float64]
 _MAX_STEPS = 50
 _STEP_TOLERANCE = 1e-8
 _NU = 4.0
-# Mean of weight times square, a component, where the squares are chi-square of two: 3 (1 - 2 e^2 E1(2)).
+# Mean of weight times square per component, for squares with a chi-square distribution of two degrees of freedom.
 _GAUSSIAN_MEAN = 3.0 * (1.0 - 2.0 * float(np.exp(2.0) * exp1(2.0)))
-_UNKNOWN_POINTS = 3.0  # two components each: the six unknowns
+_UNKNOWN_POINTS = 3.0  # observations of two components that the six unknowns take up
 _LEAST_SCALE2 = 1e-4
 
 
@@ -63,7 +63,7 @@ class PosePrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """The solution.
+    """A maximum a posteriori pose.
 
     Parameters
     ----------
@@ -72,11 +72,11 @@ class Posterior:
     covariance
         (6, 6) of its error, [rotation_rad, translation_m] in camera axes.
     bound
-        (6, 6) Cramer-Rao bound: the covariance of the best estimator, were the noise Gaussian.
+        (6, 6) Cramer-Rao bound: the covariance of the best estimator for Gaussian noise.
     d2
-        (N,) weighted squared residuals, by the covariances as they were given.
+        (N,) squared residuals, weighted by the given covariances.
     scale2
-        Factor on those covariances that the residuals ask for.
+        Estimated factor on those covariances.
     """
 
     T_cam_body: Pose
@@ -89,20 +89,20 @@ class Posterior:
 def solve_map(problem: PoseProblem, prior: GaussianPose, start: Pose, shared: FloatArray) -> Posterior:
     """Maximise the posterior under a Gaussian prior and Student's t for the observations.
 
-    Iteratively reweighted Gauss-Newton: of nu degrees of freedom, an observation whose weighted square is x counts
-    (nu + 2) / (nu + x) times (Lange, Little and Taylor 1989). The scale of the covariances is estimated with the pose:
-    pictures of a shape that is not quite right differ by more than their noise. The covariance of the result is that
-    of an M-estimator (Huber 1981, section 7.6), with the residuals' own moments of weight and influence.
+    Iteratively reweighted Gauss-Newton: with nu degrees of freedom, an observation whose weighted square is x has the
+    weight (nu + 2) / (nu + x) (Lange, Little and Taylor 1989). The scale of the covariances is estimated with the pose,
+    because errors of the shape add to the noise of the image. The covariance of the result is that of an M-estimator
+    (Huber 1981, section 7.6), with the moments of weight and influence from the residuals.
 
     Parameters
     ----------
     problem
-        Points and where they are seen.
+        Points and their observed positions.
     prior, start
-        What is known beforehand, and where to begin.
+        The prior, and the initial pose.
     shared
-        (N, N) share of the pixels that each two observations rest on together, 1 on the diagonal: the correlation of
-        their errors. The information of all is divided by the number that tell the same.
+        (N, N) share of the pixels that each two observations have in common, 1 on the diagonal: the correlation of
+        their errors, see `window_overlap`. The total information is divided by the mean redundancy that follows.
     """
     redundancy = float(shared.sum()) / len(shared)
     independent = len(shared) / redundancy
@@ -127,10 +127,10 @@ def solve_map(problem: PoseProblem, prior: GaussianPose, start: Pose, shared: Fl
 
 
 def window_overlap(first_px: FloatArray, last_px: FloatArray) -> FloatArray:
-    """Share (N, N) of the pixels that each two windows have in common, over the geometric mean of their areas.
+    """Return the common area (N, N) of each two windows over the geometric mean of their areas.
 
-    If what disturbs an observation is white noise in the pixels of its window, this is the correlation of the
-    disturbances of two; as the Gram matrix of the windows it is never indefinite.
+    This is the correlation of two observations' errors if these come from white noise in the pixels of the windows. As
+    the Gram matrix of the windows it is positive semidefinite.
 
     Parameters
     ----------
@@ -146,16 +146,17 @@ def window_overlap(first_px: FloatArray, last_px: FloatArray) -> FloatArray:
 
 
 def _weights(x: FloatArray) -> FloatArray:
+    """Weights of Student's t for the squared residuals x over the scale."""
     return (_NU + 2.0) / (_NU + x)
 
 
 def _free(n: float) -> float:
-    """Independent observations over those that the unknowns leave free."""
+    """Factor n / (n - p/2) for the observations that the six unknowns take up, of n independent ones."""
     return n / max(1.0, n - _UNKNOWN_POINTS)
 
 
 def _scale2(d2: FloatArray, independent: float) -> float:
-    """Scale of the weighted squares (N,): their variance where they are Gaussian, hardly moved by outliers."""
+    """Robust scale of the weighted squares (N,); for Gaussian residuals it is their variance."""
     scale2 = max(float(np.median(d2)) / 2.0, _LEAST_SCALE2)
     for _ in range(_MAX_STEPS):
         mean = float((_weights(d2 / scale2) * d2).mean()) / 2.0
@@ -166,7 +167,7 @@ def _scale2(d2: FloatArray, independent: float) -> float:
 
 
 def _moments(x: FloatArray, independent: float) -> tuple[float, float]:
-    """E[psi^2] and E[psi'], a component, of the influence psi over the weighted squares (N,)."""
+    """E[psi^2] and E[psi'] per component, of the influence function psi, over the weighted squares (N,)."""
     weights = _weights(x)
     influence = _free(independent) * float((weights**2 * x).mean()) / 2.0
     slope = float((weights - (_NU + 2.0) * x / (_NU + x) ** 2).mean())
@@ -174,7 +175,7 @@ def _moments(x: FloatArray, independent: float) -> tuple[float, float]:
 
 
 def _scores_covariance(information: FloatArray, jacobian: FloatArray, shared: FloatArray) -> FloatArray:
-    """Covariance (P, P) of J^T S^-1/2 e for errors e, of unit variance, that are correlated as ``shared`` says."""
+    """Covariance (P, P) of J^T S^-1/2 e for errors e of unit variance with the correlation ``shared``."""
     values, vectors = np.linalg.eigh(information)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     white = root @ jacobian

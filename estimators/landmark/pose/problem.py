@@ -1,4 +1,4 @@
-"""Matched landmarks as a least-squares problem: equations (15) to (20)."""
+"""The least-squares problem of the pose from matched landmarks, its Jacobians and EPnP: equations (15) to (23)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MIN_LANDMARKS = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseProblem:
-    """N landmarks with their observed positions.
+    """Landmarks in the body frame with their observed positions in the image.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class PoseProblem:
 
 
 def solve_epnp(problem: PoseProblem) -> Pose | None:
-    """Solve for the pose without a first guess.
+    """Solve for the pose in closed form by OpenCV's EPnP (Lepetit, Moreno-Noguer and Fua 2009).
 
     Returns
     -------
@@ -95,7 +95,7 @@ def image_jacobian(camera: Camera, points_cam_m: FloatArray, point_by_attitude: 
     points_cam_m
         (..., N, 3) landmarks in camera axes.
     point_by_attitude
-        (..., N, 3, A) their derivatives by A numbers that describe the attitude.
+        (..., N, 3, A) their derivatives by the A attitude parameters.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def image_jacobian(camera: Camera, points_cam_m: FloatArray, point_by_attitude: 
 
 
 def point_by_quaternion(quat_wxyz: FloatArray, points_body_m: FloatArray) -> FloatArray:
-    """Differentiate R(q) x by the four numbers of a unit quaternion that is not renormalised.
+    """Differentiate R(q) x by the components of a unit quaternion, without renormalisation.
 
     Parameters
     ----------

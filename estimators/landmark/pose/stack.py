@@ -1,4 +1,8 @@
-"""Many poses and pose problems of one size side by side: what ``problem`` is for one, over stacks of arrays."""
+"""Solve many pose problems of one size at once: stacks of poses and problems, EPnP and Levenberg-Marquardt.
+
+Monte Carlo studies of the solver need a hundred thousand fits; one by one, calls would take most of the time. The
+result of a problem does not depend on the other problems in the stack.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +35,7 @@ VERSION = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseStack:
-    """B poses T_cam_body.
+    """A stack of B poses T_cam_body.
 
     Parameters
     ----------
@@ -66,24 +70,24 @@ class PoseStack:
         return PoseStack(turns @ self.rotations, self.translations_m + steps[:, 3:])
 
     def rotate(self, points_body_m: FloatArray) -> FloatArray:
-        """Turn points (B, N, 3) into camera axes, without the translation."""
+        """Rotate points (B, N, 3) into camera axes, without the translation."""
         rotated: FloatArray = np.einsum("bij,bnj->bni", self.rotations, points_body_m)
         return rotated
 
     def transform(self, points_body_m: FloatArray) -> FloatArray:
-        """Take points (B, N, 3) to the camera frame, each row with its own pose."""
+        """Transform points (B, N, 3) to the camera frame, each row by its own pose."""
         return self.rotate(points_body_m) + self.translations_m[:, None, :]
 
     @property
     def camera_positions_m(self) -> FloatArray:
-        """The cameras in the body frame, (B, 3)."""
+        """Positions of the cameras in the body frame, (B, 3)."""
         positions: FloatArray = -np.einsum("bji,bj->bi", self.rotations, self.translations_m)
         return positions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProblemStack:
-    """B pose problems of N landmarks each.
+    """A stack of B pose problems of N landmarks each, see `PoseProblem`.
 
     Parameters
     ----------
@@ -154,7 +158,7 @@ class FitStack:
     chi2
         (B,) weighted sums of squared residuals at them, equation (20).
     iterations
-        (B,) steps tried.
+        (B,) numbers of steps tried.
     """
 
     poses: PoseStack
@@ -163,7 +167,7 @@ class FitStack:
 
 
 class PoseSolverOptions(SpecModel):
-    """A pose solver and the data base whose landmarks it is tried on."""
+    """Options of a pose solver, and of the data base of the landmarks it is tested on."""
 
     database: DatabaseOptions = DatabaseOptions()
     method: Literal["both", "closed-form", "non-linear"] = Field(
@@ -180,20 +184,20 @@ def closed_forms(problems: ProblemStack) -> list[Pose | None]:
 def solve_stack(
     problems: ProblemStack, priors: PoseStack, closed: list[Pose | None], options: PoseSolverOptions
 ) -> FitStack:
-    """Solve each problem; where EPnP found no pose, both stages together begin at the prior, as in ``solve_matches``.
+    """Solve each problem; if EPnP finds no pose, the refinement begins at the prior, as in ``solve_matches``.
 
     Parameters
     ----------
     problems, priors
-        B problems and the poses known beforehand.
+        B problems and prior poses.
     closed
-        Their solutions by EPnP.
+        Their solutions by EPnP, see `closed_forms`.
     options
-        Which solver.
+        Options of the solver.
 
     Returns
     -------
-    The fits; an infinite chi-square where there is none.
+    The fits; chi-square is infinite where there is no solution.
     """
     starts = priors if options.method == "non-linear" else _or_prior(closed, priors)
     if options.method != "closed-form":
@@ -211,7 +215,10 @@ def _or_prior(closed: list[Pose | None], priors: PoseStack) -> PoseStack:
 
 
 def refine_poses(problems: ProblemStack, starts: PoseStack, options: MarquardtOptions) -> FitStack:
-    """Minimise chi-square of each problem from its own start, as ``refine_pose`` does for one."""
+    """Minimise chi-square of each problem from its own start, by the algorithm of ``refine_pose``.
+
+    ``active`` are the problems still iterated: not converged, and their damping not above its limit.
+    """
     poses = PoseStack(starts.rotations.copy(), starts.translations_m.copy())
     chi2, damping = problems.chi2(starts), np.full(len(starts), options.damping)
     iterations = np.zeros(len(starts), dtype=np.int64)
@@ -240,7 +247,7 @@ def refine_poses(problems: ProblemStack, starts: PoseStack, options: MarquardtOp
 
 
 def _trial(problems: ProblemStack, poses: PoseStack, damping: FloatArray, parameters: str) -> PoseStack:
-    """Take one damped step from each pose."""
+    """Return the poses after one damped step from each pose."""
     rotated = poses.rotate(problems.points_body_m)
     points_cam_m = rotated + poses.translations_m[:, None, :]
     if parameters == "minimal":
@@ -270,7 +277,7 @@ def _step(problems: ProblemStack, poses: PoseStack, jacobians: FloatArray, dampi
 
 
 def _solution(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Solve one of them; one singular matrix must not take its whole stack with it."""
+    """Solve equation (24) for one problem; no step where its matrix is singular."""
     try:
         return np.asarray(np.linalg.solve(matrix, vector), dtype=np.float64)
     except np.linalg.LinAlgError:

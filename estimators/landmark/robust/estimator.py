@@ -1,4 +1,4 @@
-"""The estimator ``landmark-ransac``: image to pose by consensus of all corners."""
+"""The estimator ``landmark-ransac``: the pose by consensus of all corners."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from scenarios.observation import Frame, Observation
 from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
-_MATCHED_D2 = 11.83
+_MATCHED_D2 = 11.83  # 3-sigma quantile (99.73 %) of chi-square with two degrees of freedom
 _FEWEST = 4
 
 
@@ -49,22 +49,26 @@ class ConsensusOptions(SpecModel):
     corners: CornerOptions = Field(
         CornerOptions(count=250, min_relative_strength=1e-5), description="Corners of the observed image"
     )
-    alignment: Literal["centroid", "image"] = Field("image", description="What finds the first shift")
+    alignment: Literal["centroid", "image"] = Field("image", description="Method of the first alignment")
     alignment_loop: AlignmentOptions = AlignmentOptions()
-    alignment_sigma_px: float = Field(3.6, gt=0, description="Error of that shift, along rows and columns each")
+    alignment_sigma_px: float = Field(3.6, gt=0, description="Standard deviation of that alignment, each axis")
     mixture: MixtureOptions = MixtureOptions()
     search: SearchOptions = SearchOptions()
     covariance_scale: float = Field(
-        1.8, gt=0, description="Factor on the covariance of the result: errors of neighbouring landmarks go together"
+        1.8,
+        gt=0,
+        description="Factor on the covariance of the result, as errors of neighbours are correlated",
     )
     consistency_max_px: float | None = Field(
-        None, gt=0, description="A solution whose mesh, rendered, has its brightness centroid farther off fails"
+        None,
+        gt=0,
+        description="Largest distance of the brightness centroids of image and rendered solution",
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solution:
-    """A pose, and what it rests on."""
+    """A pose with the landmarks, corners and evaluated mixture that it was estimated from."""
 
     alignment: Alignment
     pose: Pose
@@ -74,7 +78,7 @@ class _Solution:
     centroid_residual_px: float | None = None
 
     def matched(self) -> MatchedFrame:
-        """Take as matches the landmarks with a corner within their 3-sigma region (two degrees of freedom)."""
+        """Return the landmarks with a corner within their 3-sigma region (two degrees of freedom) as matches."""
         rows, likely = np.arange(len(self.visible)), self.evaluation.squares[0].argmin(axis=1)
         sure = self.evaluation.squares[0, rows, likely] < _MATCHED_D2
         corner = self.evaluation.candidates[0, rows, likely][sure]
@@ -82,7 +86,7 @@ class _Solution:
 
 
 class ConsensusRecognizer:
-    """All corners as candidates, the whole prior searched, maximum a posteriori."""
+    """Searches the whole prior for the maximum a posteriori pose, with all corners as candidates."""
 
     name: ClassVar[str] = "landmark-ransac"
     version: ClassVar[int] = 3
@@ -95,7 +99,7 @@ class ConsensusRecognizer:
 
     @property
     def database(self) -> LandmarkDatabase:
-        """The landmarks that are looked for."""
+        """The data base whose landmarks are recognised."""
         return self._database
 
     @classmethod
@@ -106,7 +110,7 @@ class ConsensusRecognizer:
         return cls(database, assets.mesh_renderer(database.mesh()), parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose; only minimal sets, where asked for, need ``rng``."""
+        """Estimate the pose; only hypotheses from minimal sets use ``rng``."""
         clock = Stopwatch()
         solution = self._solve(observation.frame, observation.camera, clock, rng)
         if isinstance(solution, str):
@@ -124,7 +128,7 @@ class ConsensusRecognizer:
         )
 
     def _solve(self, frame: Frame, camera: Camera, clock: Stopwatch, rng: np.random.Generator) -> _Solution | str:
-        """Solve the frame, or say why there is no pose."""
+        """Solve for the pose, or return the reason why there is none."""
         options, prior = self._options, frame.prior_T_cam_body
         observed = observed_signal(frame, camera, clock)
         if isinstance(observed, str):
@@ -163,7 +167,7 @@ class ConsensusRecognizer:
         if not len(hypotheses):
             return "no three landmarks have a corner within their matching radius"
         pose = refine_hypotheses(first, hypotheses, sigma_px, options.search)
-        # A turn of some degrees brings other landmarks into view.
+        # A rotation of some degrees brings other landmarks into view.
         visible = np.flatnonzero(visible_landmarks(self._mesh, camera, pose))
         last = self._mixture(visible, corners_px, camera, prior)
         poses = last.maximise(PoseStack.of([pose]), sigma_px, options.search.max_iterations, 1e-3)
@@ -177,10 +181,10 @@ class ConsensusRecognizer:
 
 
 def _prior_after_alignment(frame: Frame, aligned: Pose, camera: Camera, options: ConsensusOptions) -> PosePrior:
-    """Put what the alignment says of the translation across the line of sight in the place of the prior's.
+    """Update the prior with the aligned translation across the line of sight.
 
-    The prior's own information is kept: the aligned translation is a measurement of x and y with the error
-    ``alignment_sigma_px``; along the boresight and in attitude the prior stands alone.
+    The aligned translation is a measurement of x and y with the standard deviation ``alignment_sigma_px``; along the
+    boresight and in attitude there is only the prior.
     """
     prior_information = np.linalg.inv(floor_variances(frame.prior_covariance))
     sigma_m = options.alignment_sigma_px * camera.pixel_angle_rad * float(np.linalg.norm(aligned.translation_m))

@@ -1,12 +1,12 @@
-"""The likelihood of all corners of an image, given a pose: a mixture of landmarks and clutter.
+"""Evaluate the likelihood of all corners of an image at a pose: a mixture of landmarks and clutter.
 
-For a landmark i that is seen at u_i with covariance S_i, corners x_c of density b in the body's image,
+With landmarks i projected to u_i with covariance S_i, and corners x_c of density b in the body's image,
 
     log L = sum_i log(1 + p / ((1 - p) b) sum_c N(x_c; u_i, S_i)),
 
 up to a constant: with probability p one of the corners is the landmark's, all others are clutter. It has the form of
-MLESAC (P. Torr and A. Zisserman, Computer Vision and Image Understanding 78, 2000) with the assignment summed over
-instead of chosen. Its maximum over the pose is found by expectation and maximisation, with a Gaussian prior.
+MLESAC (P. Torr and A. Zisserman, Computer Vision and Image Understanding 78, 2000), summed over assignments instead of
+maximised. Expectation maximisation with a Gaussian prior finds the pose of greatest posterior probability.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ IndexArray = NDArray[np.intp]
 
 
 class MixtureOptions(SpecModel):
-    """Where corners are expected about a landmark that is seen."""
+    """Options of the mixture: the distribution of corners about a projected landmark."""
 
     detection_probability: float = Field(
-        0.02, gt=0, lt=1, description="Weight of a landmark's own corner against clutter; small is robust"
+        0.02, gt=0, lt=1, description="Prior probability that a landmark's corner was detected; small values are robust"
     )
     covariance_scale: float = Field(2.5, gt=0, description="Factor on the landmarks' covariances as stored")
     corner_sigma_px: float = Field(0.3, gt=0, le=10, description="Error of a corner's position in the image")
@@ -42,22 +42,22 @@ class MixtureOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MixtureEvaluation:
-    """What the mixture says at H poses.
+    """The mixture evaluated at H poses.
 
     Parameters
     ----------
     log_posterior
         (H,) log likelihood and log prior, up to a constant.
     hessian
-        (H, 6, 6) information of the corners by their responsibilities, and of the prior.
+        (H, 6, 6) Gauss-Newton information, weighted by the responsibilities, with that of the prior.
     gradient
-        (H, 6).
+        (H, 6) of the log posterior by [rotation_rad, translation_m].
     responsibilities
         (H, N, K) probability that a candidate corner is the landmark's.
     candidates
-        (H, N, K) rows of the corners, the nearest first; their number where there is none near.
+        (H, N, K) rows of the corners, the nearest first; the number of corners stands for no candidate.
     squares
-        (H, N, K) weighted squared distances of the candidates; infinite where there is none.
+        (H, N, K) weighted squared distances of the candidates; infinite for no candidate.
     """
 
     log_posterior: FloatArray
@@ -69,7 +69,7 @@ class MixtureEvaluation:
 
 
 class Mixture:
-    """Landmarks that can be seen, corners of an image, a prior."""
+    """The posterior of the pose, from visible landmarks, the corners of an image and a prior."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class Mixture:
         self.odds_px2 = p / (1.0 - p) * area_px2 / len(corners_px)
 
     def project(self, poses: PoseStack) -> FloatArray:
-        """Landmarks in the image, (H, N, 2)."""
+        """Project the landmarks at each pose, (H, N, 2)."""
         return self._camera.project(self._in_camera(poses))
 
     def _in_camera(self, poses: PoseStack) -> FloatArray:
@@ -107,6 +107,7 @@ class Mixture:
         by_point = self._camera.jacobian(points)
         covariance = self._image_covariances(poses, by_point, corner_sigma_px)
         information, determinant = inverse_and_determinant(covariance)
+        # Corners beyond five standard deviations have no weight.
         reach_px = 5.0 * float(np.sqrt(np.median(covariance[..., 0, 0] + covariance[..., 1, 1])))
         _, near = self._tree.query(uv, k=self._k, distance_upper_bound=reach_px)
         near = near.reshape(*uv.shape[:2], self._k)
@@ -114,6 +115,7 @@ class Mixture:
         square = np.einsum("hnki,hnij,hnkj->hnk", offsets, information, offsets, optimize=True)
         square = np.where(near < self._tree.n, square, np.inf)
         density = np.exp(-0.5 * square) / (2.0 * np.pi * np.sqrt(determinant))[..., None]
+        # Expectation: the probability that each candidate is the landmark's corner.
         ratio = self.odds_px2 * density
         total = 1.0 + ratio.sum(axis=2)
         responsibilities = ratio / total[..., None]
@@ -136,7 +138,7 @@ class Mixture:
     def maximise(
         self, poses: PoseStack, corner_sigma_px: float, iterations: int, tolerance_px: float = 0.0
     ) -> PoseStack:
-        """Take steps of expectation and maximisation, until none moves a landmark by ``tolerance_px``."""
+        """Iterate expectation and maximisation, until no landmark moves by ``tolerance_px`` or more."""
         for _ in range(iterations):
             here = self.evaluate(poses, corner_sigma_px)
             moved: FloatArray = np.linalg.solve(here.hessian, here.gradient[..., None])[..., 0].astype(np.float64)

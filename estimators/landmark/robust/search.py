@@ -1,4 +1,4 @@
-"""The best of all poses that the prior admits."""
+"""Search the prior for the pose of greatest posterior probability, from a grid or from random minimal sets."""
 
 from __future__ import annotations
 
@@ -26,35 +26,35 @@ _MATCHING_SIGMA = 6.0
 
 
 class SearchOptions(SpecModel):
-    """Hypotheses, of which the best are refined.
+    """Options of the hypotheses and of the refinement of the best.
 
-    Either turns about the body's origin over the whole prior, each with shifts across the line of sight, or the poses
-    of random minimal sets of landmarks and corners, as in RANSAC.
+    Hypotheses are rotations about the body's origin over the whole prior, each with shifts across the line of sight, or
+    the poses of random minimal sets of landmarks and corners, as in RANSAC.
     """
 
-    hypotheses: Literal["prior", "minimal-sets"] = Field("prior", description="Where hypotheses come from")
-    draws: int = Field(20_000, ge=1, le=1_000_000, description="Minimal sets that are drawn")
-    reach_sigma: float = Field(3.45, gt=0, le=10, description="Radius of the ball of turns, in the prior's sigmas")
-    step_px: float = Field(1.7, gt=0, le=20, description="Step of a turn at the farthest landmark, in pixel sizes")
-    max_turns: int = Field(4000, ge=1, le=100_000, description="The step grows until there are no more turns than this")
+    hypotheses: Literal["prior", "minimal-sets"] = Field("prior", description="Source of the hypotheses")
+    draws: int = Field(20_000, ge=1, le=1_000_000, description="Minimal sets drawn")
+    reach_sigma: float = Field(3.45, gt=0, le=10, description="Radius of the ball of rotations, in the prior's sigmas")
+    step_px: float = Field(1.7, gt=0, le=20, description="Step of the rotations, as motion of the surface in pixels")
+    max_turns: int = Field(4000, ge=1, le=100_000, description="Most rotations; the step grows until there are no more")
     shift_px: int = Field(2, ge=0, le=20, description="Shifts up to this many pixels along rows and columns")
     blur_px: float = Field(1.8, gt=0, le=20, description="Blur of the corner map on which hypotheses are scored")
     refined: int = Field(25, ge=1, le=1000, description="Best hypotheses that are refined")
     anneal_px: tuple[Annotated[float, Field(gt=0, le=20)], ...] = Field(
-        (1.5, 0.8), min_length=1, description="Corner errors that the refinement goes through"
+        (1.5, 0.8), min_length=1, description="Corner errors of the successive stages of refinement"
     )
-    iterations: int = Field(4, ge=1, le=100, description="Steps at each of them")
-    finalists: int = Field(4, ge=1, le=100, description="Hypotheses that are brought to convergence")
-    max_iterations: int = Field(30, ge=1, le=1000, description="Steps to convergence at most")
+    iterations: int = Field(4, ge=1, le=100, description="Iterations at each of them")
+    finalists: int = Field(4, ge=1, le=100, description="Hypotheses iterated to convergence")
+    max_iterations: int = Field(30, ge=1, le=1000, description="Most iterations to convergence")
 
 
 def best_hypotheses(
     mixture: Mixture, start: Pose, turn_sigma_rad: float, corners_px: FloatArray, camera: Camera, options: SearchOptions
 ) -> PoseStack:
-    """Score turns and shifts of the start on a blurred map of the corners, and return the best.
+    """Score rotations and shifts of ``start`` on a blurred map of the corners, and return the best.
 
-    The score of a hypothesis is the log likelihood of `Mixture` with isotropic covariances of the map's blur, taken at
-    the pixel of each landmark, and the log prior of its turn.
+    The score of a hypothesis is the log likelihood of `Mixture`, with the isotropic covariance of the map's blur and
+    landmarks rounded to pixels, plus the log prior of its rotation.
     """
     size_m = float(np.median(np.linalg.norm(mixture.points_m, axis=1)))
     pixel_m = float(np.linalg.norm(start.translation_m)) * camera.pixel_angle_rad
@@ -72,7 +72,7 @@ def best_hypotheses(
 
 
 def rotation_grid(radius_rad: float, step_rad: float, most: int) -> FloatArray:
-    """Rotation vectors (H, 3) on a cubic grid in a ball; the step grows until there are at most ``most``."""
+    """Return rotation vectors (H, 3) on a cubic grid in a ball; the step grows until there are at most ``most``."""
     while True:
         count = int(np.floor(radius_rad / step_rad))
         axis = step_rad * np.arange(-count, count + 1)
@@ -92,13 +92,13 @@ def map_scores(
     du: NDArray[np.int_],
     dv: NDArray[np.int_],
 ) -> FloatArray:
-    """Log likelihoods (H, S) of poses, shifted by whole pixels, on a blurred map of the corners."""
+    """Log likelihoods (H, S) of H poses with S shifts by whole pixels, on a blurred map of the corners."""
     log_density = np.log1p(mixture.odds_px2 * corner_map(corners_px, camera, blur_px))
     return _scores(log_density, mixture.project(poses), du, dv)
 
 
 def corner_map(corners_px: FloatArray, camera: Camera, blur_px: float) -> NDArray[np.float32]:
-    """Density of corners an image, (H, W) px^-2, blurred."""
+    """Blurred density of corners in the image, (H, W) px^-2."""
     counts = np.zeros((camera.height_px, camera.width_px), dtype=np.float32)
     column, row = np.clip(np.floor(corners_px), 0, [camera.width_px - 1, camera.height_px - 1]).astype(int).T
     np.add.at(counts, (row, column), 1.0)
@@ -108,7 +108,7 @@ def corner_map(corners_px: FloatArray, camera: Camera, blur_px: float) -> NDArra
 def _scores(
     log_density: NDArray[np.float32], uv_px: FloatArray, du: NDArray[np.int_], dv: NDArray[np.int_]
 ) -> FloatArray:
-    """Sum the map over the landmarks, (H, S), for each shift; landmarks out of the image add nothing."""
+    """Sum the map over the landmarks for each shift, (H, S); landmarks outside the image add nothing."""
     reach = int(np.abs(np.concatenate([du, dv])).max())
     padded = np.pad(log_density, reach + 1)
     height, width = log_density.shape
@@ -133,8 +133,10 @@ def sampled_hypotheses(
 ) -> PoseStack:
     """Draw minimal sets, solve each for its pose under the prior, and return the best; none where nothing matches.
 
-    A landmark's corner is drawn from all within 6 sigma of its prediction, by their likelihood under the prior. The
-    pose of a set is the linear maximum a posteriori about ``start``; its score is that of `search.best_hypotheses`.
+    A set is three landmarks, each with a corner within 6 sigma of its prediction, drawn by its likelihood under the
+    prior. Its pose is the linear maximum a posteriori about ``start``; its score is that of `best_hypotheses`. RANSAC:
+    M. Fischler and R. Bolles (Communications of the ACM 24, 1981), with the guided sampling and local optimisation of
+    R. Raguram et al. (USAC, IEEE Transactions on Pattern Analysis and Machine Intelligence 35, 2013).
     """
     points_cam_m = start.transform(mixture.points_m)
     jacobian = image_jacobian(camera, points_cam_m, point_by_rotation(start.rotate(mixture.points_m)))
@@ -160,14 +162,14 @@ def sampled_hypotheses(
 
 
 def _likelihoods(offsets_px: FloatArray, jacobian: FloatArray, prior: PosePrior, sigma_px: float) -> FloatArray:
-    """Likelihood (N, C) of each corner as a landmark's, under the prior; 0 outside of the matching radius."""
+    """Likelihood (N, C) of each corner for each landmark, under the prior; 0 outside the matching radius."""
     spread = jacobian @ np.linalg.inv(prior.information) @ np.swapaxes(jacobian, 1, 2) + sigma_px**2 * np.eye(2)
     d2 = np.einsum("nci,nij,ncj->nc", offsets_px, np.linalg.inv(spread), offsets_px)
     return np.where(d2 <= _MATCHING_SIGMA**2, np.exp(-0.5 * d2), 0.0)
 
 
 def _draw(likelihood: FloatArray, draws: int, rng: np.random.Generator) -> tuple[IndexArray, IndexArray]:
-    """Draw sets of landmarks that differ and a corner for each, (H, 3) both, H <= ``draws``."""
+    """Draw sets of three different landmarks and a corner for each, (H, 3) both, H <= ``draws``."""
     total = np.cumsum(likelihood, axis=1)
     matched = np.flatnonzero(total[:, -1] > 0.0)
     if len(matched) < _SET:
@@ -181,7 +183,7 @@ def _draw(likelihood: FloatArray, draws: int, rng: np.random.Generator) -> tuple
 
 
 def refine_hypotheses(mixture: Mixture, hypotheses: PoseStack, corner_sigma_px: float, options: SearchOptions) -> Pose:
-    """Climb from each hypothesis while the corner error shrinks, and return the pose of the greatest posterior."""
+    """Maximise from each hypothesis with decreasing corner error, and return the pose of greatest posterior."""
     poses = hypotheses
     for sigma_px in options.anneal_px:
         poses = mixture.maximise(poses, sigma_px, options.iterations)
