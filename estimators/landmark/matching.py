@@ -15,7 +15,7 @@ from scenarios.geometry import Camera, Pose
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
-_COVARIANCE_NAMES = ("sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
+_POINT_COLUMNS = ("x_m", "y_m", "z_m", "sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,15 +123,13 @@ def matched_table(found: MatchedFrame, database: LandmarkDatabase, camera: Camer
     mean and covariance).
     """
     landmark, uv = found.landmark, found.uv_px
-    covariances = database.covariances_m2[landmark][:, *np.triu_indices(3)]
-    table: dict[str, NDArray[np.generic]] = {"landmark": landmark, "u_px": uv[:, 0], "v_px": uv[:, 1]}
-    table["d2_px"] = _distances(found, database, camera)
-    table |= {name: database.means_m[landmark, axis] for axis, name in enumerate(("x_m", "y_m", "z_m"))}
-    table |= {name: covariances[:, axis] for axis, name in enumerate(_COVARIANCE_NAMES)}
-    return table
-
-
-def _distances(found: MatchedFrame, database: LandmarkDatabase, camera: Camera) -> FloatArray:
     projection = project_landmarks(database, camera, found.T_cam_body)
-    offsets = found.uv_px - projection.uv_px[found.landmark]
-    return squared_distances(offsets, projection.covariances_px2[found.landmark])
+    d2 = squared_distances(uv - projection.uv_px[landmark], projection.covariances_px2[landmark])
+    table: dict[str, NDArray[np.generic]] = {"landmark": landmark, "u_px": uv[:, 0], "v_px": uv[:, 1], "d2_px": d2}
+    return table | point_columns(database.means_m[landmark], database.covariances_m2[landmark])
+
+
+def point_columns(points_m: FloatArray, covariances_m2: FloatArray) -> dict[str, NDArray[np.generic]]:
+    """Return points (M, 3) and the upper triangles of their covariances (M, 3, 3) as columns of a table."""
+    columns = np.column_stack([points_m, covariances_m2[:, *np.triu_indices(3)]])
+    return dict(zip(_POINT_COLUMNS, columns.T, strict=True))

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from estimators.contract import Assets, Estimate, Stage, Stopwatch, Table, typed_product
 from estimators.landmark.alignment import AlignmentOptions, MeshView, align_translation, correlation_pair
-from estimators.landmark.matching import inverse_2x2
+from estimators.landmark.matching import inverse_2x2, point_columns
 from estimators.landmark.pose.posterior import GaussianPose, Posterior, solve_map
 from estimators.landmark.pose.problem import MIN_LANDMARKS, PoseProblem
 from estimators.landmark.signal import observed_signal
@@ -36,9 +36,6 @@ Image = NDArray[np.float32]
 
 PRODUCT = "maplets"
 _ACROSS = slice(3, 5)
-
-_POSITION_NAMES = ("x_m", "y_m", "z_m")
-_COVARIANCE_NAMES = ("sxx_m2", "sxy_m2", "sxz_m2", "syy_m2", "syz_m2", "szz_m2")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,9 +83,7 @@ def maplet_table(fit: MapletFit, database: MapletDatabase, camera: Camera) -> Ta
         "correlation": found.correlation,
         "d2_px": fit.posterior.d2,
     }
-    table |= {name: database.anchors_m[found.maplet, axis] for axis, name in enumerate(_POSITION_NAMES)}
-    upper = surface_covariances(fit, database, camera)[:, *np.triu_indices(3)]
-    return table | {name: upper[:, axis] for axis, name in enumerate(_COVARIANCE_NAMES)}
+    return table | point_columns(database.anchors_m[found.maplet], surface_covariances(fit, database, camera))
 
 
 def surface_covariances(fit: MapletFit, database: MapletDatabase, camera: Camera) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The range on the boresight and its fusion with a pose: the ray tracer, differences, closed forms, statistics."""
+"""The predicted range and the update of a pose with it, against a ray tracer, differences, closed forms, statistics."""
 
 import numpy as np
 import pytest
@@ -132,7 +132,7 @@ def test_an_estimate_that_misses_the_mesh_is_left_alone():
 
 @pytest.mark.parametrize("subdivisions", [2, 3])
 def test_the_height_error_of_a_mesh_is_found_from_its_landmarks(subdivisions):
-    """The mesh of a smooth body leaves out a quarter of what its landmarks tell of: half of it is a safe guess."""
+    """The mesh of a smooth body is off by a quarter of the relief of its landmarks: half is a safe estimate."""
     coarse = bumpy(subdivisions)
     points = trimesh.sample.sample_surface(coarse, 4000, seed=1)[0]
     surface_m = radius_m(points / np.linalg.norm(points, axis=1, keepdims=True))
@@ -147,7 +147,7 @@ def test_the_height_error_of_a_smooth_mesh_is_the_scatter_of_its_landmarks():
 
 
 class Base:
-    """Answers with a fixed pose and covariance, on the landmarks of a body."""
+    """An estimator that returns a fixed pose and covariance, on the landmarks of a body."""
 
     name, version = "base", 1
 

@@ -60,7 +60,7 @@ def errors(pose: Pose) -> tuple[float, float]:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_true_shape_gives_the_true_pose(renderer, image, seed):
-    """The same renderer made the image: what is left is below a pixel (5 m), the prior's error 40 m."""
+    """The image is from the same renderer: the error is below a pixel (5 m), that of the prior 40 m."""
     found = estimate(renderer, frame(image, seed))
     assert found.status == "ok"
     shift_m, turn_deg = errors(found.pose)
@@ -102,7 +102,7 @@ def test_pixels_that_are_not_finite_are_left_out_and_counted(renderer, image):
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_mesh_is_brought_into_place_for_recognition(renderer, image, seed):
-    """Shift and turn, and the point that the shift begins with for drawing."""
+    """The alignment estimates translation and rotation, and gives the first points of the shift for drawing."""
     start = frame(image, seed)
     clock = Stopwatch()
     found = registration_aligner(OPTIONS, 200.0).align(image, start, MeshView(CAMERA, renderer, SUN_CAM), clock)
@@ -117,7 +117,7 @@ def test_the_mesh_is_brought_into_place_for_recognition(renderer, image, seed):
 )
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_both_gradients_lead_to_the_same_pose(renderer, image, seed):
-    """Twelve renderings hold for every shadow; the renderer's derivatives must not lead elsewhere."""
+    """Differences of twelve renderings include all shadows; the renderer's derivatives must give the same pose."""
     poses = [
         estimate(renderer, frame(image, seed), OPTIONS.model_copy(update={"gradient": gradient})).pose
         for gradient in ("autodiff", "differences")
@@ -144,7 +144,7 @@ def test_the_unit_of_the_image_has_no_part(renderer, image):
 
 
 def test_what_the_image_does_not_tell_comes_from_the_prior(renderer, image):
-    """With a prior much surer than the image, the pose stays at the prior along the boresight."""
+    """With a prior much more accurate than the image, the pose stays at the prior along the boresight."""
     sure = np.diag(np.array([1e-6, 1e-6, 1e-6, 1e-3, 1e-3, 1e-3]) ** 2)
     wrong = TRUE.perturbed(np.zeros(3), np.array([0.0, 0.0, 30.0]))
     found = estimate(renderer, Frame(image, SUN_CAM, wrong, sure))
@@ -193,7 +193,7 @@ def test_the_prior_term_measures_what_perturbed_does():
 
 @pytest.mark.parametrize("sure_of", [(5,), (0, 1, 2), (0, 1, 2, 3, 4, 5)], ids=["range", "attitude", "all"])
 def test_what_the_prior_knows_without_error_stays(renderer, image, sure_of):
-    """A variance of 0 has no inverse, but a meaning."""
+    """A variance of 0 has no inverse, but it fixes the component."""
     sigmas = PRIOR_SIGMAS.copy()
     sigmas[list(sure_of)] = 0.0
     error = np.random.default_rng(1).normal(0.0, sigmas)
@@ -208,7 +208,7 @@ def test_what_the_prior_knows_without_error_stays(renderer, image, sure_of):
 
 def test_a_shape_that_goes_out_of_sight_on_the_way_is_a_failure_with_a_reason(renderer, image):
     class OnlyWhole:
-        """Shows the body to the first shift, and nothing to the levels, which are smaller."""
+        """Renders the body for the first shift, and nothing for the smaller images of the levels."""
 
         def render(self, view: View) -> np.ndarray:
             whole = view.camera.width_px == CAMERA.width_px

@@ -175,7 +175,7 @@ def test_the_nearest_views_look_from_there_under_that_sun():
 
 
 class World:
-    """A body with boulders and data bases of its features; lends what the estimators ask for."""
+    """A body with boulders and data bases of its features, as the assets of the estimators."""
 
     camera = CAMERA
 

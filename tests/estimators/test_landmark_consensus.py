@@ -94,7 +94,7 @@ def test_poses_side_by_side_are_those_one_by_one():
 
 
 def test_the_pose_is_found_and_its_covariance_is_true():
-    """The mean of e^T P^-1 e over drawn scenes lies in its 99 % band: no scene is lost, P neither vain nor shy."""
+    """The mean of e^T P^-1 e over drawn scenes lies in its 99 % band: no scene fails, and P has the right size."""
     squares = []
     for seed in range(25):
         mixture, corners, prior = scene(seed)
@@ -132,7 +132,7 @@ def sampled(mixture: Mixture, corners: np.ndarray, prior: PosePrior, seed: int =
 
 
 def test_minimal_sets_lead_to_the_pose_that_the_whole_prior_does():
-    """Two searches that share no hypothesis end at one optimum."""
+    """Two searches without common hypotheses find the same optimum."""
     for seed in range(6):
         mixture, corners, prior = scene(seed)
         hypotheses, search = sampled(mixture, corners, prior)
@@ -150,7 +150,7 @@ def test_minimal_sets_are_those_of_their_seed():
 
 
 def test_a_minimal_set_of_true_corners_gives_the_true_pose():
-    """Without noise and clutter every set is true, so every hypothesis is the pose but for the linearisation."""
+    """Without noise and clutter every set is correct, so every hypothesis is the pose, up to the linearisation."""
     mixture, _, prior = scene(4)
     near = PosePrior(TRUE.perturbed(np.full(3, 1e-4), np.full(3, 0.05)), prior.information)
     points = mixture.points_m[::12]

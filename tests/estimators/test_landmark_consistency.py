@@ -1,4 +1,4 @@
-"""A solution whose rendered mesh has its light elsewhere is told by the distance, and fails where that is asked."""
+"""The check of a solution by the brightness centroid of the rendered mesh, and the image correlation."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""The whole recogniser on images of a body with relief, and the contract of the estimators."""
+"""The whole recogniser on images of a body with relief, and the interface of the estimators."""
 
 import sys
 
@@ -35,7 +35,7 @@ MANY = 40  # of eight trials the medians of some seeds are no better than the pr
 
 
 class World:
-    """A body with boulders, its renderer and a data base made of its images; lends what an estimator asks for."""
+    """A body with boulders, its renderer and a data base of its images, as the assets of an estimator."""
 
     def __init__(self):
         spec = BodySpec(
@@ -133,7 +133,7 @@ def test_recognition_improves_on_the_prior(world, noise_dn):
 
 
 def test_a_recognition_counts_only_where_it_is_the_better_likeness_if_asked(world):
-    """Else the pose before it is the answer, which rests on no landmark and has no covariance."""
+    """Otherwise the aligned pose is the answer, which uses no landmark and has no covariance."""
     careful, answers, offsets = recogniser(world, keep="if-better"), {0: 0, 1: 0}, []
     shape = MitsubaRenderer(world.shape(), world.brdf, 1)
     for trial in range(MANY):
@@ -163,7 +163,7 @@ def _likeness(shape, frame, pose):
 
 
 def test_the_whole_image_turns_the_mesh_before_landmarks_are_looked_for(world):
-    """The centroid leaves the prior's attitude as it is; the image tells it."""
+    """The alignment of centroids leaves the prior's attitude unchanged; that of the whole image corrects it."""
     by_centroid, by_image = recogniser(world), WholeImageRecognizer.from_options({"database": DATABASE}, world)
     starts, gains = [], []
     for trial in range(TRIALS):

@@ -102,7 +102,7 @@ def test_stripes_fix_one_component_only():
 
 @pytest.mark.parametrize("method", [correlated, refined], ids=["correlation", "refinement"])
 def test_the_covariance_is_that_of_the_scatter(method):
-    """White noise before the smoothing of the refinement holds together over its kernel, 4 pi sigma^2 = 6.2 px^2."""
+    """White noise is correlated over the kernel of the refinement's smoothing, 4 pi sigma^2 = 6.2 px^2."""
     area = {"correlated": 1.0, "refined": 4.0 * np.pi * 0.7**2}[method.__name__]
     image, rng = picture(8, 2.0), np.random.default_rng(3)
     found = [method(shifted(image, 0.1, 0.2) + rng.normal(0.0, 0.03, image.shape), image) for _ in range(300)]

@@ -1,4 +1,4 @@
-"""Priors that are sure of something, in the solvers that weigh them."""
+"""Priors with zero variances, in the solvers that weight them."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def test_a_covariance_with_an_inverse_is_left_alone():
 
 @pytest.mark.parametrize("sure_of", [[5], [0, 1, 2], [3, 4, 5]])
 def test_what_is_known_without_error_stays_and_the_rest_is_as_if_it_were_no_unknown(sure_of):
-    """Against the same solution where the prior is a million times as sure of those unknowns as it was."""
+    """Against the solution with a prior whose standard deviations of those unknowns are a million times smaller."""
     rng = np.random.default_rng(1)
     points = rng.normal(0.0, 100.0, (40, 3))
     seen = CAMERA.project(TRUE.transform(points)) + rng.normal(0.0, 0.3, (40, 2))
