@@ -167,6 +167,7 @@ def fit_level(
         compared = lit & usable
         if not compared.any():
             return LevelFit(pose, prior.information, float("nan"), count, 1.0)
+        # The derivatives may be those of an earlier pose; the residuals are always those of the current one.
         normal, vector, correlation = _normal_equations(target, rendered, jacobian, compared, options)
         normal += prior.information
         vector -= prior.information @ prior.offset(pose)

@@ -1,4 +1,4 @@
-"""A closed surface through all landmarks: Delaunay tetrahedra, carved to a concave hull (section 2.4).
+"""Construct a closed surface through all landmarks: a concave hull of Delaunay tetrahedra (section 2.4).
 
 The paper removes every tetrahedron whose circumcentre lies outside the convex hull. That rule alone can leave landmarks
 inside the solid and surfaces that are not closed. Here tetrahedra are removed one by one, and only where the solid

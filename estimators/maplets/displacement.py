@@ -123,6 +123,7 @@ def shift_covariance(correlation: float, curvature: FloatArray, samples: float) 
     samples
         Number n of independent samples.
     """
+    # Clipped, as the information is infinite for a perfect correlation.
     rho = float(np.clip(correlation, 1e-3, 1.0 - 1e-6))
     information = -samples * rho / (1.0 - rho * rho) * curvature
     return np.asarray(np.linalg.inv(information), dtype=np.float64)
@@ -207,6 +208,7 @@ def refine_window(pair: ImagePair, window: tuple[slice, slice], noise_px2: float
         residual = observed - design @ solution
         sigma = _MAD_TO_SIGMA * float(np.median(np.abs(residual))) + 1e-9
         weights = np.clip(1.0 - (residual / (_TUKEY * sigma)) ** 2, 0.0, None) ** 2
+    # The unknowns of the first two columns are gain times shift.
     gain = float(solution[2])
     if gain <= 0.0:
         return None

@@ -185,6 +185,7 @@ def _rounds(observed: Image, frame: Frame, start: Pose, context: _FitContext, st
     uncertainty = np.array(frame.prior_covariance)
     range_m = float(np.linalg.norm(start.translation_m))
     aligned_m2 = (context.options.alignment_sigma_px * context.camera.pixel_angle_rad * range_m) ** 2
+    # Across the line of sight the alignment replaces the prior where it is more accurate.
     uncertainty[_ACROSS, _ACROSS] = np.diag(np.minimum(np.diag(uncertainty)[_ACROSS], aligned_m2))
     fits: list[MapletFit] = []
     pose = start

@@ -112,12 +112,14 @@ def solve_map(problem: PoseProblem, prior: GaussianPose, start: Pose, shared: Fl
         d2 = np.einsum("ni,nij,nj->n", residuals, problem.information_px2, residuals)
         scale2 = _scale2(d2, independent)
         jacobian = minimal_jacobian(problem, pose)
+        # Redundant observations count once: correlated errors do not average out.
         share = _weights(d2 / scale2) / (scale2 * redundancy)
         matrix, vector = _weighted(problem, share).normal_equations(jacobian, residuals)
         step = np.asarray(np.linalg.solve(matrix + known, vector - known @ prior.offset(pose)), dtype=np.float64)
         pose = pose.perturbed(step[:3], step[3:])
         if np.abs(step).max() < _STEP_TOLERANCE:
             break
+    # Sandwich covariance of an M-estimator: gain scatter gain^T, plus the prior's part.
     full, _ = problem.normal_equations(jacobian, residuals)
     best = full / (scale2 * redundancy)
     influence, slope = _moments(d2 / scale2, independent)

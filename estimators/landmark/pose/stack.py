@@ -230,6 +230,7 @@ def refine_poses(problems: ProblemStack, starts: PoseStack, options: MarquardtOp
         trial = _trial(problems.rows(active), poses.rows(active), damping[active], options.parameters)
         trial_chi2 = problems.rows(active).chi2(trial)
         before = chi2[active]
+        # A step behind the camera has an infinite chi-square, so adaptive damping rejects it.
         if options.schedule == "adaptive":
             taken = trial_chi2 <= before
             damping[active] *= np.where(taken, 0.1, 10.0)
@@ -260,6 +261,7 @@ def _trial(problems: ProblemStack, poses: PoseStack, damping: FloatArray, parame
     by_quaternion = point_by_quaternion(quats_wxyz, problems.points_body_m)
     step = _step(problems, poses, image_jacobian(problems.camera, points_cam_m, by_quaternion), damping)
     quats_wxyz, translations_m = quats_wxyz + step[:, :4], poses.translations_m + step[:, 4:]
+    # As in ``levenberg_marquardt._updated``: renormalising then leaves the image as it is.
     if parameters == "quaternion":
         translations_m = translations_m / np.einsum("bi,bi->b", quats_wxyz, quats_wxyz)[:, None]
     return PoseStack(Rotation.from_quat(quats_wxyz, scalar_first=True).as_matrix(), translations_m)

@@ -80,9 +80,9 @@ class _Solution:
     def matched(self) -> MatchedFrame:
         """Return the landmarks with a corner within their 3-sigma region (two degrees of freedom) as matches."""
         rows, likely = np.arange(len(self.visible)), self.evaluation.squares[0].argmin(axis=1)
-        sure = self.evaluation.squares[0, rows, likely] < _MATCHED_D2
-        corner = self.evaluation.candidates[0, rows, likely][sure]
-        return MatchedFrame(self.pose, self.visible[sure], self.corners_px[corner])
+        near = self.evaluation.squares[0, rows, likely] < _MATCHED_D2
+        corner = self.evaluation.candidates[0, rows, likely][near]
+        return MatchedFrame(self.pose, self.visible[near], self.corners_px[corner])
 
 
 class ConsensusRecognizer:

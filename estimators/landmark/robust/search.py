@@ -63,6 +63,7 @@ def best_hypotheses(
     poses = PoseStack(rotations, np.repeat(start.translation_m[None], len(turns), axis=0))
     shifts = np.arange(-options.shift_px, options.shift_px + 1)
     du, dv = (grid.ravel() for grid in np.meshgrid(shifts, shifts))
+    # Log prior of the rotation alone: the shifts lie within the error of the alignment.
     prior = -0.5 * np.square(turns).sum(axis=1) / turn_sigma_rad**2
     scores = map_scores(mixture, poses, corners_px, camera, options.blur_px, du, dv) + prior[:, None]
     best = np.argsort(-scores.ravel(), kind="stable")[: options.refined]
@@ -109,6 +110,7 @@ def _scores(
     log_density: NDArray[np.float32], uv_px: FloatArray, du: NDArray[np.int_], dv: NDArray[np.int_]
 ) -> FloatArray:
     """Sum the map over the landmarks for each shift, (H, S); landmarks outside the image add nothing."""
+    # Flat indices into a map padded by the largest shift: a shift is then a constant offset.
     reach = int(np.abs(np.concatenate([du, dv])).max())
     padded = np.pad(log_density, reach + 1)
     height, width = log_density.shape
