@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from estimators.orbit.model import Measurements, Model, Unknowns, measurements
 from estimators.orbit.options import OrbitOptions
 from estimators.orbit.parameters import Layout
-from estimators.orbit.rays import Rays, agreeing, triangulated
+from estimators.orbit.rays import agreeing
 from estimators.orbit.solve import Adjusted, Limits, Prior, Robust, adjust
+from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 from scenarios.orbits.data import OrbitData
 
 FloatArray = NDArray[np.float64]
@@ -19,6 +20,7 @@ IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _LEAST_SEEN = 2
+_ANCHOR_WEIGHT = 1e-4
 _LEAST_SECOND = 3
 
 
@@ -97,7 +99,7 @@ class Arc:
         """What is measured."""
         return self.model.measured
 
-    def rays(self, x: FloatArray, tilts: FloatArray) -> Rays:
+    def rays(self, x: FloatArray, tilts: FloatArray) -> LinesOfSight:
         """Turn sightings into lines in body axes."""
         measured, camera = self.measured, self.layout.knowledge.camera
         unknowns = Unknowns(x, tilts[: len(measured.times_s)], np.zeros((0, 3)))
@@ -108,7 +110,7 @@ class Arc:
         turns = measured.R_body_inertial[measured.image]
         attitudes = self.model.attitudes(unknowns)[measured.image]
         directions = np.einsum("kij,klj,kl->ki", turns, attitudes, rays)
-        return Rays(np.einsum("kij,kj->ki", turns, positions[measured.image]), directions)
+        return LinesOfSight(np.einsum("kij,kj->ki", turns, positions[measured.image]), directions)
 
     def unknowns(self, solution: Solution) -> Unknowns:
         """Begin with the solution; landmarks that have no place yet get one by their lines of sight."""
@@ -119,7 +121,9 @@ class Arc:
             anchors = np.zeros((len(self.data.landmarks.numbers), 3))
             anchors[:] = self.data.landmarks.positions_body_m
             anchor = anchors[np.minimum(self.landmarks, len(anchors) - 1)]
-            points[new] = triangulated(rays, self.measured.point, anchor)[new]
+            prior = np.tile(_ANCHOR_WEIGHT * np.eye(3), (len(anchor), 1, 1)), _ANCHOR_WEIGHT * anchor
+            matrix, right = triangulation_equations(rays, self.measured.point, prior)
+            points[new] = np.linalg.solve(matrix, right[..., None])[new, :, 0]
         return Unknowns(solution.x, solution.tilts[: len(self.measured.times_s)], points)
 
     def prior(self) -> Prior:
@@ -151,7 +155,7 @@ class Arc:
         rays = self.rays(solution.x, solution.tilts)
         sigma = np.hypot(measured.sigma_px * known.camera.pixel_angle_rad, known.attitude_sigma_rad)
         groups = agreeing(
-            rays.origins, rays.directions, measured.begin, self.options.edit_sigma * scale * sigma, _LEAST_SECOND
+            rays.origins_m, rays.directions, measured.begin, self.options.edit_sigma * scale * sigma, _LEAST_SECOND
         )
         numbering, kept = solution.numbering.copy(), solution.kept.copy()
         kept[self.rows[groups < 0]] = False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.orbit.jit import kernel
+from estimators.orbit.rays import kernel
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

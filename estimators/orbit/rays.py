@@ -2,36 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.orbit.jit import kernel
+from scenarios.compiled import compiler
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
-_ANCHOR_WEIGHT = 1e-4
 _LEAST_PARALLAX = 0.03
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rays:
-    """Lines of sight in body axes: (K, 3) camera positions, m, and (K, 3) unit directions."""
-
-    origins: FloatArray
-    directions: FloatArray
-
-
-def triangulated(rays: Rays, point: IndexArray, anchors: FloatArray) -> FloatArray:
-    """(L, 3) places nearest all rays of each landmark; where rays are parallel the anchors (L, 3) m decide."""
-    across = np.eye(3) - rays.directions[:, :, None] * rays.directions[:, None, :]
-    matrix = np.tile(_ANCHOR_WEIGHT * np.eye(3), (len(anchors), 1, 1))
-    right = _ANCHOR_WEIGHT * anchors
-    np.add.at(matrix, point, across)
-    np.add.at(right, point, np.einsum("kij,kj->ki", across, rays.origins))
-    return np.asarray(np.linalg.solve(matrix, right[..., None])[..., 0])
+kernel = compiler(Path(__file__).parent)
 
 
 @kernel

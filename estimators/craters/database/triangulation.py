@@ -16,6 +16,7 @@ from estimators.craters.database.pictures import Picture, placed_pictures
 from estimators.craters.matching.association import AssociationOptions, centre_noise
 from estimators.craters.matching.preliminary import ImagePairs, PreliminaryOptions, preliminary_pairs
 from estimators.craters.robust import huber_weights
+from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -61,26 +62,6 @@ def build_database(
     return BuiltDatabase(CraterDatabase(pictures, landmarks), pairs, found, numbering)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Sights:
-    """All sightings of landmarks.
-
-    Parameters
-    ----------
-    row
-        (s,) rows of their landmarks.
-    camera_m, direction
-        (s, 3) where the camera was, and unit vectors from there, in body axes.
-    weight
-        (s,) 1/m^2, the information of a rim's centre on the ground.
-    """
-
-    row: IndexArray
-    camera_m: FloatArray
-    direction: FloatArray
-    weight: FloatArray
-
-
 def triangulated(database: CraterDatabase, height_sigma_m: float, options: AssociationOptions) -> CraterDatabase:
     """Move each landmark to where its lines of sight meet best, with the shape's height as a prior.
 
@@ -90,21 +71,16 @@ def triangulated(database: CraterDatabase, height_sigma_m: float, options: Assoc
     another crater from deciding; they begin at 1.
     """
     landmarks = database.landmarks
-    sights = _all_sights(database, options)
-    across = np.eye(3) - np.einsum("ni,nj->nij", sights.direction, sights.direction)
-    information = across * sights.weight[:, None, None]
+    row, lines, information = _lines_of_sight(database, options)
     normal = landmarks.normal_body
     height = np.einsum("ni,nj->nij", normal, normal) / height_sigma_m**2
-    position, share = landmarks.position_body_m, np.ones(len(sights.row))
+    prior = height, np.einsum("nij,nj->ni", height, landmarks.position_body_m)
+    position, robust = landmarks.position_body_m, np.ones(len(row))
     for _ in range(_PASSES):
-        total, weighted = height.copy(), np.einsum("nij,nj->ni", height, landmarks.position_body_m)
-        weighed = information * share[:, None, None]
-        np.add.at(total, sights.row, weighed)
-        np.add.at(weighted, sights.row, np.einsum("nij,nj->ni", weighed, sights.camera_m))
-        covariance = np.linalg.inv(total)
-        position = np.einsum("nij,nj->ni", covariance, weighted)
-        off = np.einsum("nij,nj->ni", across, position[sights.row] - sights.camera_m)
-        share = huber_weights(np.linalg.norm(off, axis=1) * np.sqrt(sights.weight))
+        matrix, right = triangulation_equations(lines, row, prior, (information, robust))
+        covariance = np.linalg.inv(matrix)
+        position = np.einsum("nij,nj->ni", covariance, right)
+        robust = huber_weights(lines.distances(position[row]) * np.sqrt(information))
     moved: Landmarks = replace(
         landmarks,
         position_body_m=position,
@@ -113,15 +89,18 @@ def triangulated(database: CraterDatabase, height_sigma_m: float, options: Assoc
     return CraterDatabase(database.pictures, moved)
 
 
-def _all_sights(database: CraterDatabase, options: AssociationOptions) -> _Sights:
-    parts = [_sights_of(picture, database.landmarks, options) for picture in database.pictures]
+def _lines_of_sight(
+    database: CraterDatabase, options: AssociationOptions
+) -> tuple[IndexArray, LinesOfSight, FloatArray]:
+    """Return the rows (K,) of the landmarks of all sightings, their lines in body axes, and their information (K,)."""
+    parts = [_lines_of(picture, database.landmarks, options) for picture in database.pictures]
     if not parts:
-        return _Sights(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    row, camera_m, direction, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return _Sights(row, camera_m, direction, weight)
+        return np.zeros(0, np.int64), LinesOfSight(np.zeros((0, 3)), np.zeros((0, 3))), np.zeros(0)
+    row, camera_m, direction, information = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return row, LinesOfSight(camera_m, direction), information
 
 
-def _sights_of(
+def _lines_of(
     picture: Picture, landmarks: Landmarks, options: AssociationOptions
 ) -> tuple[IndexArray, FloatArray, FloatArray, FloatArray]:
     rows = np.searchsorted(landmarks.number, picture.landmark)
