@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.orbit.kernels import agreeing
 from estimators.orbit.model import Measurements, Model, Unknowns, measurements
-from estimators.orbit.options import OrbitOptions
-from estimators.orbit.parameters import Layout
-from estimators.orbit.rays import agreeing
+from estimators.orbit.parameters import Layout, OrbitOptions
 from estimators.orbit.solve import Adjusted, Limits, Prior, Robust, adjust
 from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 from scenarios.orbits.data import OrbitData

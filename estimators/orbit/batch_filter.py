@@ -14,8 +14,7 @@ from estimators.options import parse_options
 from estimators.orbit.arc import Arc, Solution
 from estimators.orbit.contract import Orbit, OrbitEstimate
 from estimators.orbit.model import Model, Unknowns, fly, measurements, motion_by_shared
-from estimators.orbit.options import OrbitOptions
-from estimators.orbit.parameters import Layout
+from estimators.orbit.parameters import Layout, OrbitOptions
 from estimators.orbit.solve import Adjusted, Limits, Robust
 from scenarios.dynamics.propagation import OrbitLostError
 from scenarios.orbits.data import OrbitData

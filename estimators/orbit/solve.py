@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from estimators.orbit.elimination import shared_links, subtract_landmarks, whitened
+from estimators.orbit.kernels import shared_links, subtract_landmarks, whitened
 from estimators.orbit.model import Model, Passes, Sightings, Unknowns
 from scenarios.dynamics.flight import Flight
 from scenarios.dynamics.propagation import OrbitLostError

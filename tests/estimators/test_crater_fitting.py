@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.optimize import minimize
 
-from estimators.craters.detection.fitting import fit_reweighted
+from estimators.craters.detection.candidates import fit_reweighted
 from scenarios.geometry import Ellipses
 from scenarios.geometry.conics import fit_conics, sampson_distances
 

@@ -10,12 +10,21 @@ from scipy.signal import correlate2d
 from training.lessons import displaced, lessons_of
 from training.network_training import Lessons, Schedule, fresh_network, loss, train
 
+from estimators.craters.detection.classic import ClassicOptions
 from estimators.craters.detection.merit import Field, side_merits
-from estimators.craters.detection.options import ClassicOptions
 from estimators.craters.detection.picture import noise_level, prepare
 from estimators.craters.learned.detector import blended
-from estimators.craters.learned.patches import SIDE, Network, Source, cut, windows
-from estimators.craters.learned.placing import ellipses_of, placed, shape_of, targets
+from estimators.craters.learned.network import (
+    SIDE,
+    Network,
+    Source,
+    cut,
+    ellipses_of,
+    placed,
+    shape_of,
+    targets,
+    windows,
+)
 from estimators.craters.learned.proposals import halved, propose, rings
 from scenarios.geometry import Ellipses
 

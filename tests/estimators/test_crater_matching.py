@@ -18,13 +18,11 @@ from estimators.craters.matching.association import (
     associate,
     centre_noise,
 )
-from estimators.craters.matching.context import ContextOptions, constellations, linear_transforms
+from estimators.craters.matching.context import ContextOptions, constellations, epipolar_offsets, linear_transforms
 from estimators.craters.matching.correlation import CorrelationOptions, pseudo_normalised, rectified
-from estimators.craters.matching.epipolar import epipolar_offsets
 from estimators.craters.matching.invariants import conic_invariants, unambiguous, vote_matrix
-from estimators.craters.matching.located import Located, hidden, locate
 from estimators.craters.matching.preliminary import preliminary_pairs
-from estimators.craters.matching.transfer import mapped, plane_homographies, transfer
+from estimators.craters.matching.transfer import Located, hidden, locate, mapped, plane_homographies, transfer
 from estimators.craters.registry import crater_matcher_class, crater_matcher_names
 from scenarios.craters.simulated import DetectionErrors
 from scenarios.errors import BoresightError

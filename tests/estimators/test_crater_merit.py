@@ -6,9 +6,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import minimize
 
-from estimators.craters.detection.confidence import confidence, suppress
 from estimators.craters.detection.merit import Field, merit, side_merits, side_weights
-from estimators.craters.detection.refinement import Scales, from_parameters, parameters, refine
+from estimators.craters.detection.refinement import Scales, confidence, from_parameters, parameters, refine, suppress
 from scenarios.geometry import Ellipses
 
 GAP = 0.5

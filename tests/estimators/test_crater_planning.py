@@ -7,8 +7,7 @@ import pytest
 from crater_looks import CAMERA, ellipsoid
 from scipy.spatial.transform import Rotation
 
-from estimators.craters.planning.files import read_plan, write_plan
-from estimators.craters.planning.plan import Ephemeris, plan_images, with_telemetry
+from estimators.craters.planning import Ephemeris, plan_images, read_plan, with_telemetry, write_plan
 from scenarios.errors import BoresightError
 from scenarios.geometry import Pose
 

@@ -12,14 +12,12 @@ from scipy.optimize import least_squares
 from campaign.kinds.single_image.check import check
 from estimators.contract import Estimate
 from estimators.craters.contract import CraterDetections
+from estimators.craters.database.build import triangulated
 from estimators.craters.database.files import CraterDatabase
 from estimators.craters.database.landmarks import Landmarks
 from estimators.craters.database.pictures import Picture
-from estimators.craters.database.triangulation import triangulated
 from estimators.craters.matching.association import AssociationOptions
-from estimators.craters.pose.estimator import CraterPose
-from estimators.craters.pose.expected import expected_craters
-from estimators.craters.pose.options import CraterPoseOptions
+from estimators.craters.pose import CraterPose, CraterPoseOptions, expected_craters
 from scenarios.craters.simulated import DetectionErrors
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, Pose, View, look_at, project_circles

@@ -8,18 +8,25 @@ from orbit_worlds import CAMERA, orbit_world
 from scipy.spatial.transform import Rotation
 
 from estimators.craters.contract import CraterDetections, CraterMatches
-from estimators.craters.database.files import LANDMARKS, PICTURES, CraterDatabase, read_matches, write_matches
-from estimators.craters.database.landmarks import Landmarks
+from estimators.craters.database.files import (
+    LANDMARKS,
+    PICTURES,
+    CraterDatabase,
+    DetectedImage,
+    read_detections,
+    read_matches,
+    write_detections,
+    write_matches,
+)
+from estimators.craters.database.landmarks import Landmarks, places_of_landmarks
 from estimators.craters.database.numbering import PairMatches
-from estimators.craters.database.orbit_input import places_of_landmarks, sequence_of_pictures
-from estimators.craters.database.pictures import Picture
-from estimators.craters.detection.files import DetectedImage, read_detections, write_detections
+from estimators.craters.database.pictures import Picture, sequence_of_pictures
 from estimators.craters.matching.preliminary import same_place
 from estimators.craters.matching.transfer import joint_covariance
-from estimators.craters.navigation.matched import believed, placed_images
+from estimators.craters.navigation.rounds import believed
 from estimators.craters.navigation.stages import Stages
 from estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
-from estimators.craters.navigation.trajectory import Trajectory
+from estimators.craters.navigation.trajectory import Trajectory, placed_images
 from scenarios.dynamics.flight import travelled
 from scenarios.dynamics.propagation import Pushes
 from scenarios.errors import BoresightError
@@ -102,7 +109,10 @@ def test_orbit_determination_reads_a_data_base_about_the_centre_of_mass(tmp_path
     made, attitudes = _database(np.random.default_rng(2))
     made.save(tmp_path)
     database = CraterDatabase.load(tmp_path)
-    pictures, places = sequence_of_pictures(database, CAMERA, ROTATION), places_of_landmarks(database, SHIFT_M)
+    pictures, places = (
+        sequence_of_pictures(database.pictures, CAMERA, ROTATION),
+        places_of_landmarks(database.landmarks, SHIFT_M),
+    )
     np.testing.assert_allclose(pictures.R_cam_inertial, attitudes, atol=1e-14)
     assert pictures.image.tolist() == [0, 0, 1, 1]
     assert pictures.landmark.tolist() == [0, 2, 0, 1]
@@ -128,9 +138,9 @@ def test_a_number_that_stands_twice_no_picture_and_another_camera_are_refused(tm
     with pytest.raises(BoresightError, match=r"pictures.txt:4: landmark 0 stands twice in picture 0"):
         CraterDatabase.load(tmp_path)
     with pytest.raises(BoresightError, match="no picture"):
-        sequence_of_pictures(CraterDatabase((), made.landmarks), CAMERA, ROTATION)
+        sequence_of_pictures((), CAMERA, ROTATION)
     with pytest.raises(BoresightError, match="picture 0 is of another camera"):
-        sequence_of_pictures(made, replace(CAMERA, fx_px=1.0), ROTATION)
+        sequence_of_pictures(made.pictures, replace(CAMERA, fx_px=1.0), ROTATION)
 
 
 def test_a_stage_is_made_once_and_a_failure_leaves_nothing(tmp_path):

@@ -10,10 +10,9 @@ from scipy.optimize import least_squares
 from estimators.orbit.arc import Arc, Solution
 from estimators.orbit.batch_filter import BatchFilter
 from estimators.orbit.contract import LandmarkFile, OrbitData, Pictures
+from estimators.orbit.kernels import agreeing
 from estimators.orbit.model import Unknowns, fly
-from estimators.orbit.options import OrbitOptions
-from estimators.orbit.parameters import Layout
-from estimators.orbit.rays import agreeing
+from estimators.orbit.parameters import Layout, OrbitOptions
 from estimators.orbit.registry import orbit_estimator_class
 from estimators.orbit.solve import Limits, Prior, Robust, adjust, linearise
 from scenarios.errors import BoresightError

@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 import estimators.craters.learned as learned
 from estimators.craters.detection.picture import noise_level, prepare
 from estimators.craters.learned.detector import WEIGHTS, CraterLearned, LearnedOptions
-from estimators.craters.learned.patches import NAMES, Network, Source
+from estimators.craters.learned.network import NAMES, Network, Source
 from estimators.craters.learned.proposals import propose
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.learned.patches import Source, cut
-from estimators.craters.learned.placing import ellipses_of, shape_of, targets
+from estimators.craters.learned.network import Source, cut, ellipses_of, shape_of, targets
 from scenarios.geometry import Ellipses
 from training.network_training import Lessons
 

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from campaign.kinds.crater_navigation.sights import Address, CraterSights, Image
 from campaign.trial.crater_score import check_detections
-from estimators.craters.detection.files import DetectedImage, read_detections, write_detections
+from estimators.craters.database.files import DetectedImage, read_detections, write_detections
 from estimators.craters.navigation.rounds import CraterNavigation
 from estimators.craters.navigation.stages import Stages
 from estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
-from estimators.craters.planning.files import read_plan, write_plan
-from estimators.craters.planning.plan import PlannedImage, plan_arc, with_telemetry
+from estimators.craters.planning import PlannedImage, plan_arc, read_plan, with_telemetry, write_plan
 from scenarios.atomic import write_atomically
 from scenarios.errors import BoresightError
 from scenarios.geometry import Pose, TriangleMesh, View

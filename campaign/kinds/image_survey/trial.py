@@ -22,7 +22,7 @@ from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from estimators.craters.contract import Ground
 from estimators.craters.matching.preliminary import lit_points
 from estimators.craters.navigation.stages import Stages
-from estimators.craters.planning.plan import PLANNER, PLANNER_VERSION
+from estimators.craters.planning import PLANNER, PLANNER_VERSION
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
 from scenarios.geometry import View

@@ -28,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimators.craters.contract import CraterMatches
+from estimators.craters.contract import CraterDetections, CraterMatches
 from estimators.craters.database.landmarks import Landmarks
 from estimators.craters.database.numbering import PairMatches
 from estimators.craters.database.pictures import Picture
@@ -41,7 +41,58 @@ _SEQUENCE_HEAD = "boresight picture sequence 1"
 _LANDMARK_HEAD = "boresight landmarks of craters 1"
 _UPPER = np.triu_indices(3)
 
-_HEAD = "boresight crater matches 1"
+_MATCHES_HEAD = "boresight crater matches 1"
+
+_DETECTIONS_HEAD = "boresight crater detections 1"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectedImage:
+    """What was found in an image, and why nothing could be; '' where it was searched."""
+
+    number: int
+    time_s: float
+    detections: CraterDetections
+    reason: str = ""
+
+
+def write_detections(path: Path, image: DetectedImage) -> None:
+    """Write the craters of an image, whole or not at all."""
+    found = image.detections
+    lines = [words("image", image.number, image.time_s, "_".join(image.reason.split()) or "-")]
+    for row, (centre, axes, angle, confidence) in enumerate(
+        zip(
+            found.ellipses.centre_px,
+            found.ellipses.semi_axes_px,
+            found.ellipses.angle_rad,
+            found.confidence,
+            strict=True,
+        )
+    ):
+        lines.append(words("crater", image.number, row, *centre, *axes, angle, confidence))
+    write_records(path, _DETECTIONS_HEAD, lines)
+
+
+def read_detections(path: Path) -> DetectedImage:
+    """Read the craters of an image.
+
+    Raises
+    ------
+    BoresightError
+        With file and line: a record is malformed, there is not one image, or rows do not count up from 0.
+    """
+    records = list(read_records(path, _DETECTIONS_HEAD, {"image": 3, "crater": 8}))
+    if [record.kind for record in records].count("image") != 1 or records[0].kind != "image":
+        raise BoresightError(f"{path}: a file of craters has one image, in its first record")
+    head, craters = records[0], records[1:]
+    number = head.integer(0)
+    for row, record in enumerate(craters):
+        if (record.integer(0), record.integer(1)) != (number, row):
+            raise record.wrong(f"row {record.integer(1)} of image {record.integer(0)}, not {row} of {number}")
+    values = np.array([record.numbers(2, 8) for record in craters]).reshape(-1, 6)
+    found = CraterDetections(Ellipses(values[:, :2], values[:, 2:4], values[:, 4]), values[:, 5])
+    reason = "" if head.fields[2] == "-" else head.fields[2].replace("_", " ")
+    return DetectedImage(number, head.numbers(1, 2)[0], found, reason)
 
 
 def write_matches(path: Path, found: Sequence[PairMatches]) -> None:
@@ -52,7 +103,7 @@ def write_matches(path: Path, found: Sequence[PairMatches]) -> None:
         lines.append(words("pair", *images, "_".join(pair.matches.reason.split()) or "-"))
         for (here, there), score in zip(pair.matches.pairs.tolist(), pair.matches.score, strict=True):
             lines.append(words("match", *images, here, there, score))
-    write_records(path, _HEAD, lines)
+    write_records(path, _MATCHES_HEAD, lines)
 
 
 def read_matches(path: Path) -> tuple[PairMatches, ...]:
@@ -66,7 +117,7 @@ def read_matches(path: Path) -> tuple[PairMatches, ...]:
     heads: list[Record] = []
     rows: list[list[Record]] = []
     seen: set[tuple[int, int]] = set()
-    for record in read_records(path, _HEAD, {"pair": 3, "match": 5}):
+    for record in read_records(path, _MATCHES_HEAD, {"pair": 3, "match": 5}):
         images = (record.integer(0), record.integer(1))
         if record.kind == "pair":
             if images in seen:

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from estimators.craters.contract import CraterImage, Ground
 from estimators.craters.database.numbering import Numbering
-from estimators.craters.matching.located import locate
 from estimators.craters.matching.preliminary import landmark_covariances
+from estimators.craters.matching.transfer import locate
 from scenarios.errors import BoresightError
+from scenarios.orbits.data import LandmarkFile
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -99,3 +100,12 @@ def _together(
         np.asarray(0.5 * (covariance + np.swapaxes(covariance, 1, 2)), dtype=np.float64),
         images.astype(np.int64),
     )
+
+
+def places_of_landmarks(landmarks: Landmarks, centre_of_mass_m: FloatArray) -> LandmarkFile:
+    """Write the landmarks of a data base with their places about the centre of mass, (3,) in the data base's axes.
+
+    A plate model's origin need not be the centre of mass: that of Eros at one density lies at (-23, 2, 47) m.
+    """
+    sigma = np.sqrt(np.trace(landmarks.covariance_m2, axis1=1, axis2=2) / 3.0)
+    return LandmarkFile(landmarks.number, landmarks.position_body_m - centre_of_mass_m, sigma)

@@ -12,6 +12,8 @@ from estimators.craters.contract import CraterImage
 from estimators.craters.database.numbering import Numbering
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Ellipses, Pose
+from scenarios.orbits.data import Pictures
+from scenarios.orbits.rotation import UniformRotation
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -74,3 +76,34 @@ def placed_pictures(images: Sequence[CraterImage], numbering: Numbering, placed:
         rows = np.flatnonzero(np.isin(picture.landmark, placed))
         pictures.append(replace(picture, landmark=picture.landmark[rows], ellipses=picture.ellipses[rows]))
     return tuple(pictures)
+
+
+def sequence_of_pictures(pictures: Sequence[Picture], camera: Camera, rotation: UniformRotation) -> Pictures:
+    """Write the pictures of a data base as orbit determination sees them: in inertial axes, times ascending.
+
+    Parameters
+    ----------
+    camera
+        What orbit determination calculates with.
+    rotation
+        Of the body, as the poses of the pictures were made with.
+
+    Raises
+    ------
+    BoresightError
+        If the data base has no picture, or one by another camera.
+    """
+    if not pictures:
+        raise BoresightError("the data base has no picture: there is nothing to determine an orbit from")
+    other = next((picture for picture in pictures if picture.camera != camera), None)
+    if other is not None:
+        raise BoresightError(f"picture {other.number} is of another camera than the orbit is to be determined with")
+    times = np.array([picture.time_s for picture in pictures])
+    attitudes = np.stack([picture.T_cam_body.rotation for picture in pictures])
+    return Pictures(
+        times,
+        np.asarray(attitudes @ rotation.at(times)),
+        np.repeat(np.arange(len(pictures)), [len(picture.landmark) for picture in pictures]),
+        np.concatenate([picture.landmark for picture in pictures]),
+        np.concatenate([picture.ellipses.centre_px for picture in pictures]),
+    )

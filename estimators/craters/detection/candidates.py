@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from estimators.craters.detection.edges import Edges
-from estimators.craters.detection.fitting import RIDGE, fit_reweighted
 from estimators.craters.detection.grouping import Arc
 from estimators.craters.detection.picture import Picture
 from scenarios.geometry import Ellipses, pixel_to_opencv
@@ -23,6 +22,42 @@ _SAMPLES = 16  # points that stand for an arc in the first fit
 _BAND = 0.12  # of the radius: edges so near to a first fit are fitted anew
 _LEAST_PROFILE = 0.3  # correlation with a rise from the shaded to the lit side
 _COUNT = 400  # pairs, the best by their first fit, that are fitted anew
+
+RIDGE = 1e-9
+"""Of fits to arcs, which leave the middle of an ellipse poorly known."""
+_CUTOFF = 2.5  # residuals of so many standard deviations count a quarter
+
+
+def fit_reweighted(points: FloatArray, weights: FloatArray, rounds: int = 6) -> FloatArray:
+    """Fit ellipses whose weights are renewed from the last fit: (m, 3, 3) conics, NaN where there is none.
+
+    A point's weight is its own over the square of the conic's slope there, so that the sum that the direct fit
+    minimises becomes that of squared distances, less what the weights of Geman and McClure take from points farther off
+    than the others.
+    """
+    conics = fit_conics(points, weights, RIDGE)
+    for _ in range(rounds):
+        far = sampson_distances(points, conics)
+        far = np.where(np.isfinite(far), far, 0.0)
+        spread = np.maximum(1.4826 * _median(np.abs(far), weights), 0.1)
+        robust = (1.0 + (far / (_CUTOFF * spread[:, None])) ** 2) ** -2.0
+        homogeneous = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
+        slope = np.linalg.norm(np.einsum("mij,mkj->mki", conics[:, :2], homogeneous), axis=-1)
+        mean = np.sqrt(np.sum(weights * slope**2, axis=1) / np.maximum(weights.sum(axis=1), 1e-12))
+        flat = np.maximum(slope / np.maximum(mean, 1e-30)[:, None], 0.2)
+        renewed = weights * robust / flat**2
+        good = np.isfinite(renewed).all(axis=1)
+        conics = np.where(
+            good[:, None, None], fit_conics(points, np.where(good[:, None], renewed, weights), RIDGE), np.nan
+        )
+    return conics
+
+
+def _median(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """Medians (m,) of the rows' values that have a weight."""
+    kept = np.where(weights > 0.0, values, np.nan)
+    kept[np.isnan(kept).all(axis=1)] = 0.0
+    return np.asarray(np.nanmedian(kept, axis=1), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

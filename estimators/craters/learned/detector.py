@@ -14,12 +14,21 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from estimators.craters.contract import CraterDetections
-from estimators.craters.detection.confidence import confidence, suppress
-from estimators.craters.detection.options import ClassicOptions
+from estimators.craters.detection.classic import ClassicOptions
 from estimators.craters.detection.picture import Picture, noise_level, prepare
-from estimators.craters.detection.refinement import SCALES_PX, refine, scales_of
-from estimators.craters.learned.patches import NAMES, OUTPUTS, SCALARS, SIDE, Network, Source, cut
-from estimators.craters.learned.placing import ellipses_of, placed, shape_of
+from estimators.craters.detection.refinement import SCALES_PX, confidence, refine, scales_of, suppress
+from estimators.craters.learned.network import (
+    NAMES,
+    OUTPUTS,
+    SCALARS,
+    SIDE,
+    Network,
+    Source,
+    cut,
+    ellipses_of,
+    placed,
+    shape_of,
+)
 from estimators.craters.learned.proposals import propose
 from estimators.options import parse_options
 from scenarios.errors import BoresightError

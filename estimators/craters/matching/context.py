@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, CraterMatches, Ground
-from estimators.craters.matching.epipolar import epipolar_offsets, size_ratios
-from estimators.craters.matching.result import too_few
+from estimators.craters.contract import CraterImage, CraterMatches, Ground, too_few
 from estimators.craters.matching.transfer import mapped
 from estimators.options import parse_options
-from scenarios.geometry import Ellipses
+from scenarios.geometry import Ellipses, cross_matrix
 from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
@@ -25,6 +23,8 @@ IndexArray = NDArray[np.int64]
 _NEIGHBOURS = 8
 _MOST_COMBINATIONS = 400
 _REFITS = 5
+
+_NO_BASELINE = 1e-6
 
 
 class ContextOptions(SpecModel):
@@ -207,3 +207,39 @@ def mutual(cost: FloatArray) -> IndexArray:
     least = (cost == cost.min(axis=1, keepdims=True)) & (cost == cost.min(axis=0, keepdims=True)) & np.isfinite(cost)
     once = least & (least.sum(axis=1, keepdims=True) == 1) & (least.sum(axis=0, keepdims=True) == 1)
     return np.argwhere(once).astype(np.int64)
+
+
+def epipolar_offsets(first: CraterImage, second: CraterImage) -> FloatArray:
+    """(n, m) px from each rim's centre in the second image to the epipolar line of each in the first.
+
+    Two images from one place have no epipolar lines: then the place itself is predicted by the attitudes.
+    """
+    one, other = first.frame.prior_T_cam_body, second.frame.prior_T_cam_body
+    rotation = other.rotation @ one.rotation.T
+    baseline = other.translation_m - rotation @ one.translation_m
+    here = _homogeneous(first.detections.ellipses.centre_px) @ np.linalg.inv(first.camera.matrix).T @ rotation.T
+    there = _homogeneous(second.detections.ellipses.centre_px)
+    length = float(np.linalg.norm(baseline))
+    if length <= _NO_BASELINE * float(np.linalg.norm(other.translation_m)):
+        places = here @ second.camera.matrix.T
+        return np.asarray(np.linalg.norm((places[:, :2] / places[:, 2:])[:, None] - there[None, :, :2], axis=2))
+    lines = here @ cross_matrix(baseline / length).T @ np.linalg.inv(second.camera.matrix)
+    return np.asarray(np.abs(lines @ there.T) / np.linalg.norm(lines[:, :2], axis=1, keepdims=True))
+
+
+def size_ratios(first: CraterImage, second: CraterImage) -> FloatArray:
+    """(n, m) ratio of the sizes s'/s, as if both cameras were as far from the body's origin and had one focal length.
+
+    The size is the longer semi-axis: foreshortening leaves it as it is.
+    """
+    sizes = [
+        image.detections.ellipses.semi_axes_px[:, 0]
+        * image.camera.pixel_angle_rad
+        * float(np.linalg.norm(image.frame.prior_T_cam_body.translation_m))
+        for image in (first, second)
+    ]
+    return np.asarray(sizes[1][None] / sizes[0][:, None])
+
+
+def _homogeneous(uv_px: FloatArray) -> FloatArray:
+    return np.column_stack([uv_px, np.ones(len(uv_px))])

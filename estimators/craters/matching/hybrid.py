@@ -23,13 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, CraterMatches, Ground
+from estimators.craters.contract import CraterImage, CraterMatches, Ground, too_few
 from estimators.craters.matching.context import ContextOptions, constellations, fitted_transform, nearest_couples
 from estimators.craters.matching.correlation import CorrelationMatcher, CorrelationOptions, near_expected
 from estimators.craters.matching.invariants import InvariantMatcher, InvariantOptions
-from estimators.craters.matching.located import locate
-from estimators.craters.matching.result import too_few
-from estimators.craters.matching.transfer import Transfer, transfer
+from estimators.craters.matching.transfer import Transfer, locate, transfer
 from estimators.options import parse_options
 from scenarios.spec.base import SpecModel
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from estimators.craters.contract import CraterImage, CraterMatches, Ground
-from estimators.craters.matching.result import too_few
+from estimators.craters.contract import CraterImage, CraterMatches, Ground, too_few
 from estimators.options import parse_options
 from scenarios.geometry import Ellipses
 from scenarios.spec.base import SpecModel

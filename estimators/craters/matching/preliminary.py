@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from estimators.craters.contract import CraterImage, Ground
-from estimators.craters.matching.located import Located, locate
+from estimators.craters.matching.transfer import Located, locate
 from scenarios.geometry import Camera, Pose
 from scenarios.spec.base import SpecModel
 

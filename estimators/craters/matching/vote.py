@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, CraterMatches, Ground
+from estimators.craters.contract import CraterImage, CraterMatches, Ground, too_few
 from estimators.craters.matching.association import Association, AssociationOptions, Expected, associate, centre_noise
-from estimators.craters.matching.located import locate
-from estimators.craters.matching.result import too_few
-from estimators.craters.matching.transfer import joint_covariance, transfer
+from estimators.craters.matching.transfer import joint_covariance, locate, transfer
 from estimators.options import parse_options
 from scenarios.spec.base import SpecModel
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -11,26 +12,34 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
-from estimators.craters.database.files import LANDMARKS, CraterDatabase
-from estimators.craters.database.landmarks import locate_landmarks
+from estimators.craters.contract import (
+    CraterDetections,
+    CraterDetector,
+    CraterImage,
+    CraterMatcher,
+    CraterMatches,
+    Ground,
+)
+from estimators.craters.database.files import LANDMARKS, CraterDatabase, read_matches, write_matches
+from estimators.craters.database.landmarks import locate_landmarks, places_of_landmarks
 from estimators.craters.database.numbering import Numbering, PairMatches, number_craters
-from estimators.craters.database.orbit_input import places_of_landmarks, sequence_of_pictures
-from estimators.craters.database.pictures import placed_pictures
+from estimators.craters.database.pictures import placed_pictures, sequence_of_pictures
 from estimators.craters.matching.preliminary import PreliminaryOptions, preliminary_pairs
-from estimators.craters.navigation.matched import believed, match_pairs, matching_key, placed_images
 from estimators.craters.navigation.stages import Stages
 from estimators.craters.navigation.task import Exposure, NavigationTask
-from estimators.craters.navigation.trajectory import Trajectory
+from estimators.craters.navigation.trajectory import Trajectory, placed_images
 from estimators.craters.registry import crater_detector_class, crater_matcher_class
 from estimators.options import parse_options
 from estimators.orbit.batch_filter import BatchFilter
 from estimators.orbit.contract import OrbitEstimate
-from estimators.orbit.options import OrbitOptions
+from estimators.orbit.parameters import OrbitOptions
 from scenarios.errors import BoresightError
 from scenarios.observation import Frame
 from scenarios.orbits.data import OrbitData
 from scenarios.spec.base import SpecModel
+
+_MATCHING = "matching"
+_BLOCK = 50
 
 FloatArray = NDArray[np.float64]
 
@@ -164,8 +173,8 @@ class CraterNavigation:
         known = task.knowledge
         data = OrbitData(
             known,
-            sequence_of_pictures(database, known.camera, known.field.rotation),
-            places_of_landmarks(database, task.shape.centre_of_mass_m),
+            sequence_of_pictures(database.pictures, known.camera, known.field.rotation),
+            places_of_landmarks(database.landmarks, task.shape.centre_of_mass_m),
             task.radiometry,
             wanted_s,
         )
@@ -176,3 +185,40 @@ class CraterNavigation:
     def _matcher_options(self, task: NavigationTask) -> dict[str, object]:
         """Tell a matcher that asks for it how uncertain the shape's height is."""
         return {"height_sigma_m": task.shape.height_sigma_m} if self.options.matcher == "vote" else {}
+
+
+def match_pairs(
+    images: Sequence[CraterImage], pairs: NDArray[np.int64], matcher: CraterMatcher, ground: Ground, stages: Stages
+) -> tuple[PairMatches, ...]:
+    """Match the pairs (k, 2) of images, by their places in the sequence."""
+    found: list[PairMatches] = []
+    for start in range(0, len(pairs), _BLOCK):
+        block = pairs[start : start + _BLOCK]
+
+        def match(path: Path, block: NDArray[np.int64] = block) -> None:
+            ones = [PairMatches(i, j, matcher.match(images[i], images[j], ground)) for i, j in block.tolist()]
+            write_matches(path, ones)
+
+        found += stages.kept(f"pairs-{start // _BLOCK:05d}.txt", _MATCHING, match, read_matches)
+    return tuple(found)
+
+
+def believed(found: Sequence[PairMatches], agreeing: int) -> tuple[PairMatches, ...]:
+    """Reject the pairs of images with fewer matches than ``agreeing``."""
+    return tuple(
+        replace(pair, matches=CraterMatches.none(f"{count} matches are fewer than the {agreeing} that have to agree"))
+        if 0 < (count := len(pair.matches.pairs)) < agreeing
+        else pair
+        for pair in found
+    )
+
+
+def matching_key(images: Sequence[CraterImage], *what: object) -> str:
+    """Hash poses, uncertainties and craters of images, and the repr of whatever else decides their matches."""
+    digest = hashlib.sha256(repr(what).encode())
+    for image in images:
+        pose, rims = image.frame.prior_T_cam_body, image.detections.ellipses
+        placed = (pose.rotation, pose.translation_m, image.frame.prior_covariance, image.common)
+        for part in (*placed, rims.centre_px, rims.semi_axes_px, rims.angle_rad):
+            digest.update(np.ascontiguousarray(part).tobytes())
+    return digest.hexdigest()[:16]

@@ -11,15 +11,22 @@ import numpy as np
 
 from campaign.data.craters.named_craters import GAZETTEER, read_gazetteer
 from estimators.craters.contract import CraterDetections, CraterMatches
-from estimators.craters.database.files import CraterDatabase, read_landmarks, read_matches, read_pictures, write_matches
+from estimators.craters.database.files import (
+    CraterDatabase,
+    DetectedImage,
+    read_detections,
+    read_landmarks,
+    read_matches,
+    read_pictures,
+    write_detections,
+    write_matches,
+)
 from estimators.craters.database.landmarks import Landmarks
 from estimators.craters.database.numbering import PairMatches
 from estimators.craters.database.pictures import Picture
-from estimators.craters.detection.files import DetectedImage, read_detections, write_detections
 from estimators.craters.learned.detector import read_network
-from estimators.craters.learned.patches import OUTPUTS, SCALARS
-from estimators.craters.planning.files import read_plan, write_plan
-from estimators.craters.planning.plan import PlannedImage
+from estimators.craters.learned.network import OUTPUTS, SCALARS
+from estimators.craters.planning import PlannedImage, read_plan, write_plan
 from estimators.descriptors.database import FILE as DESCRIPTORS
 from estimators.descriptors.database import DescriptorDatabase, ViewFeatures
 from estimators.landmark.database import LandmarkDatabase

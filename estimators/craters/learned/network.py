@@ -24,6 +24,8 @@ STRIDE = 2  # of every convolution
 NAMES = ("conv1", "bias1", "conv2", "bias2", "conv3", "bias3", "dense1", "bias4", "dense2", "bias5")
 OUTPUTS = 6  # log odds of a crater; displacement (2), log scale, elongation along and across the Sun (2)
 
+_LARGEST_STEP = 0.6  # of the radius or of its logarithm: what the network was taught
+
 
 def windows(x: FloatImage, size: int) -> FloatImage:
     """Lay the windows of a strided convolution out as (n, H', W', size * size * C); the border is padded by zeros."""
@@ -125,3 +127,47 @@ def cut(source: Source, ellipses: Ellipses) -> Patches:
         axis=1,
     )
     return Patches(np.clip(even, -4.0, 4.0)[..., None], np.clip(scalars, -3.0, 3.0).astype(np.float32))
+
+
+def shape_of(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:
+    """Describe shapes smoothly: (n, 3) log mean radius, and half the log ratio of the axes as a vector.
+
+    The vector (e cos 2p, e sin 2p) has p the angle from the Sun's direction to the longer axis; a circle's is 0.
+    """
+    axes = np.log(ellipses.semi_axes_px)
+    elongation = 0.5 * (axes[:, 0] - axes[:, 1])
+    angle = 2.0 * (ellipses.angle_rad - np.arctan2(sun_px[1], sun_px[0]))
+    return np.stack([axes.mean(axis=1), elongation * np.cos(angle), elongation * np.sin(angle)], axis=1)
+
+
+def ellipses_of(centre_px: FloatArray, shape: FloatArray, sun_px: FloatArray) -> Ellipses:
+    """Turn (n, 2) centres and (n, 3) shapes, as ``shape_of`` describes them, into rims."""
+    elongation = np.hypot(shape[:, 1], shape[:, 2])
+    angle = 0.5 * np.arctan2(shape[:, 2], shape[:, 1]) + np.arctan2(sun_px[1], sun_px[0])
+    axes = np.exp(shape[:, :1] + elongation[:, None] * np.array([1.0, -1.0]))
+    return Ellipses(centre_px, axes, angle % np.pi)
+
+
+def frame_of(sun_px: FloatArray) -> FloatArray:
+    """Return the (2, 2) matrix whose rows are the axes of patches: towards the Sun, and a quarter turn on."""
+    return np.array([sun_px, [-sun_px[1], sun_px[0]]])
+
+
+def targets(seen: Ellipses, truth: Ellipses, sun_px: FloatArray) -> FloatArray:
+    """Return what the network should say (n, 5) of patches about ``seen`` where the rims are ``truth``."""
+    radius = seen.radius_px[:, None]
+    moved = (truth.centre_px - seen.centre_px) @ frame_of(sun_px).T / radius
+    shape = shape_of(truth, sun_px)
+    shape[:, 0] -= np.log(radius[:, 0])
+    return np.concatenate([moved, shape], axis=1)
+
+
+def placed(seen: Ellipses, said: FloatArray, sun_px: FloatArray) -> Ellipses:
+    """Place rims as the network says (n, 5) of patches about ``seen``: the inverse of ``targets``."""
+    radius = seen.radius_px[:, None]
+    said = np.asarray(said, dtype=np.float64)
+    step = np.clip(said[:, :2], -_LARGEST_STEP, _LARGEST_STEP)
+    centre = seen.centre_px + radius * step @ frame_of(sun_px)
+    shape = said[:, 2:].copy()
+    shape[:, 0] = np.clip(shape[:, 0], -_LARGEST_STEP, _LARGEST_STEP) + np.log(radius[:, 0])
+    return ellipses_of(centre, shape, sun_px)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from estimators.craters.database.records import Record, read_records, words, write_records
 from scenarios.aim import KINDS, Kind, angles_deg, is_lit, of_kind
 from scenarios.dynamics.flight import flight
 from scenarios.dynamics.propagation import Pushes
@@ -24,6 +27,8 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _AT_ONCE = 64
+
+_HEAD = "boresight image plan 1"
 
 
 def plan_arc(
@@ -164,3 +169,45 @@ def _lit_nadir(ground: MeshGround, position: FloatArray, sun: FloatArray) -> Flo
         return None
     emission, incidence = angles_deg(points, normals, position, sun)
     return points[0] if is_lit(emission, incidence)[0] else None
+
+
+def write_plan(path: Path, images: Sequence[PlannedImage]) -> None:
+    """Write a plan, whole or not at all."""
+    lines = []
+    for image in images:
+        pointing = (*image.planned_R_cam_inertial.ravel(), *image.actual_R_cam_inertial.ravel())
+        lines.append(
+            words(
+                "image", image.number, image.time_s, image.kind, *image.target_body_m, *pointing, *image.sun_dir_nadir
+            )
+        )
+    write_records(path, _HEAD, lines)
+
+
+def read_plan(path: Path) -> tuple[PlannedImage, ...]:
+    """Read a plan.
+
+    Raises
+    ------
+    BoresightError
+        With file and line: a record is malformed, or a number stands twice.
+    """
+    images: list[PlannedImage] = []
+    seen: set[int] = set()
+    for record in read_records(path, _HEAD, {"image": 27}):
+        image = _image(record)
+        if image.number in seen:
+            raise record.wrong(f"image {image.number} stands twice")
+        seen.add(image.number)
+        images.append(image)
+    return tuple(images)
+
+
+def _image(record: Record) -> PlannedImage:
+    kinds: tuple[Kind, ...] = get_args(Kind)
+    kind = next((one for one in kinds if one == record.fields[2]), None)
+    if kind is None:
+        raise record.wrong(f"{record.fields[2]!r} is no kind of image; there are: {', '.join(kinds)}")
+    time_s, values = record.numbers(1, 2)[0], np.array(record.numbers(3, 27))
+    planned, actual = values[3:12].reshape(3, 3), values[12:21].reshape(3, 3)
+    return PlannedImage(record.integer(0), time_s, kind, values[:3], planned, actual, values[21:])

@@ -13,9 +13,8 @@ from estimators.craters.database.files import CraterDatabase
 from estimators.craters.database.landmarks import Landmarks, locate_landmarks
 from estimators.craters.database.numbering import Numbering, PairMatches, number_craters
 from estimators.craters.database.pictures import Picture, placed_pictures
-from estimators.craters.matching.association import AssociationOptions, centre_noise
+from estimators.craters.matching.association import AssociationOptions, centre_noise, huber_weights
 from estimators.craters.matching.preliminary import ImagePairs, PreliminaryOptions, preliminary_pairs
-from estimators.craters.robust import huber_weights
 from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 
 FloatArray = NDArray[np.float64]

@@ -8,24 +8,62 @@ from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from estimators.contract import Assets, Estimate, Stage, Stopwatch
-from estimators.craters.contract import CraterDetector
+from estimators.craters.contract import CraterDetector, Ground
 from estimators.craters.database.files import CraterDatabase
-from estimators.craters.matching.association import Association, associate
-from estimators.craters.pose.expected import adjusted, expected_craters
-from estimators.craters.pose.options import PRODUCT, CraterPoseOptions
+from estimators.craters.database.landmarks import Landmarks
+from estimators.craters.matching.association import (
+    Association,
+    AssociationOptions,
+    Expected,
+    adjusted,
+    associate,
+    centre_noise,
+)
+from estimators.craters.matching.transfer import hidden
 from estimators.craters.registry import crater_detector_class
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
-from scenarios.geometry import Camera, Ellipses, Pose, TriangleMesh
+from scenarios.geometry import Camera, Ellipses, Pose, TriangleMesh, View, cross_matrix, project_circles
 from scenarios.observation import Frame, Observation
 from scenarios.sequences.ground import MeshGround
+from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 
 _PASSES = 4
 _STILL_M = 0.1
+
+IndexArray = NDArray[np.int64]
+
+PRODUCT = "crater-database"
+
+
+class CraterDatabaseOptions(SpecModel):
+    """From how many images a data base is made, and by which detector."""
+
+    images: int = Field(150, ge=2, description="Rendered images of the body as the spacecraft knows it")
+    seed: int = Field(0, ge=0, description="Of their views")
+    phase_deg: tuple[float, float] = Field((20.0, 80.0), description="Range of their phase angles")
+    detector: str = Field("crater-classic", description="Name of the detector of craters")
+    most_detections: int = Field(20, ge=1, description="Of an image, the most confident ones")
+    association: AssociationOptions = Field(
+        AssociationOptions(), description="How well its detections are known: for matches and lines of sight"
+    )
+    height_sigma_m: float = Field(30.0, gt=0, description="Of the height of the a priori shape under a crater")
+
+
+class CraterPoseOptions(SpecModel):
+    """Options of the pose by craters."""
+
+    database: CraterDatabaseOptions = CraterDatabaseOptions()
+    association: AssociationOptions = AssociationOptions(redetected=0.3)
+    most_detections: int = Field(60, ge=1, description="Of the image, the most confident ones")
+    emission_deg: float = Field(65.0, gt=0.0, lt=90.0, description="Of the landmarks that are looked for, at the most")
+    incidence_deg: float = Field(80.0, gt=0.0, lt=90.0, description="The same of their incidence")
+    least: int = Field(4, ge=1, description="Landmarks that a pose needs: fewer hardly contradict each other")
 
 
 class CraterPose:
@@ -102,3 +140,41 @@ class CraterPose:
         except BoresightError as error:
             return str(error)
         return rims[: self._options.most_detections] if len(rims) else "no crater was detected in the image"
+
+
+def expected_craters(
+    landmarks: Landmarks, ground: Ground, frame: Frame, camera: Camera, pose: Pose, options: CraterPoseOptions
+) -> tuple[IndexArray, Expected]:
+    """Predict the rims of the landmarks that a pose should show: their rows, and what is expected.
+
+    The common error is that of the frame's prior pose, [rotation_rad, translation_m]; ``pose`` is where it is
+    linearised. The caller says of the mean of the error.
+    """
+    rows = np.flatnonzero(_may_be_seen(landmarks, frame, camera, pose, options))
+    position = pose.camera_position_m
+    rows = rows[~hidden(landmarks.position_body_m[rows], position, ground, 2.0 * landmarks.radius_m[rows])]
+    points, normals = landmarks.position_body_m[rows], landmarks.normal_body[rows]
+    view = View(camera, pose, pose.rotation.T @ frame.sun_dir_cam)
+    ellipses = project_circles(view, points, normals, landmarks.radius_m[rows])
+    turned = points @ pose.rotation.T
+    by_point = camera.jacobian(turned + pose.translation_m)
+    by_error = by_point @ np.concatenate([-cross_matrix(turned), np.broadcast_to(np.eye(3), (len(rows), 3, 3))], axis=2)
+    across = by_point @ pose.rotation
+    noise = centre_noise(ellipses, options.association)
+    noise = noise + across @ landmarks.covariance_m2[rows] @ np.swapaxes(across, 1, 2)
+    return rows, Expected(ellipses, by_error, frame.prior_covariance, noise, np.zeros(6))
+
+
+def _may_be_seen(
+    landmarks: Landmarks, frame: Frame, camera: Camera, pose: Pose, options: CraterPoseOptions
+) -> NDArray[np.bool_]:
+    """(n,) landmarks that face the camera and the Sun and may be in the frame by the prior's uncertainty."""
+    towards = pose.camera_position_m - landmarks.position_body_m
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    sun_dir_body = pose.rotation.T @ frame.sun_dir_cam
+    facing = np.einsum("ni,ni->n", towards, landmarks.normal_body) > np.cos(np.radians(options.emission_deg))
+    lit = landmarks.normal_body @ sun_dir_body > np.cos(np.radians(options.incidence_deg))
+    cam = pose.transform(landmarks.position_body_m)
+    spread_m = 3.0 * np.sqrt(np.trace(frame.prior_covariance[3:, 3:]))
+    spread_px = spread_m / np.linalg.norm(pose.translation_m) / camera.pixel_angle_rad
+    return np.asarray(facing & lit & (cam[:, 2] > 0.0) & camera.contains(camera.project(cam), -spread_px))
