@@ -116,7 +116,7 @@ class CraterMatches:
         return cls(np.zeros((0, 2), dtype=np.int64), np.zeros(0), reason)
 
 
-class Ground(Protocol):
+class GroundModel(Protocol):
     """The a priori shape, as lines of sight meet it."""
 
     def intersect(self, origin_body_m: FloatArray, directions_body: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -135,12 +135,12 @@ class CraterMatcher(Protocol):
         """Build from a campaign's options; raise BoresightError on a wrong one."""
         ...
 
-    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
+    def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
         """Match two images by their detections, their pixels and their prior poses."""
         ...
 
 
-def too_few(first: CraterImage, second: CraterImage, needed: int = 1) -> str:
+def too_few_craters(first: CraterImage, second: CraterImage, needed: int = 1) -> str:
     """Say which image has too few craters for a way of matching; '' where both have enough."""
     for image in (first, second):
         count = len(image.detections.ellipses)

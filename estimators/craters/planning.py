@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimators.craters.database.records import Record, read_records, words, write_records
+from estimators.craters.database.records import TextRecord, format_record, read_records, write_records
 from scenarios.aim import KINDS, Kind, angles_deg, is_lit, of_kind
 from scenarios.dynamics.flight import flight
 from scenarios.dynamics.propagation import Pushes
@@ -26,7 +26,7 @@ PLANNER, PLANNER_VERSION = "planner", 1
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_AT_ONCE = 64
+_BLOCK_SIZE = 64
 
 _HEAD = "boresight image plan 1"
 
@@ -154,8 +154,8 @@ def find_target(
     rays = places[rows] - position_body_m
     off_nadir = rays @ -position_body_m / np.linalg.norm(rays, axis=1)
     rows = rows[np.argsort(-off_nadir, kind="stable")]
-    for start in range(0, len(rows), _AT_ONCE):
-        some = rows[start : start + _AT_ONCE]
+    for start in range(0, len(rows), _BLOCK_SIZE):
+        some = rows[start : start + _BLOCK_SIZE]
         seen = ground.in_sight(places[some], normals[some], position_body_m)
         if seen.any():
             return np.asarray(places[some[int(np.argmax(seen))]], dtype=np.float64)
@@ -177,7 +177,7 @@ def write_plan(path: Path, images: Sequence[PlannedImage]) -> None:
     for image in images:
         pointing = (*image.planned_R_cam_inertial.ravel(), *image.actual_R_cam_inertial.ravel())
         lines.append(
-            words(
+            format_record(
                 "image", image.number, image.time_s, image.kind, *image.target_body_m, *pointing, *image.sun_dir_nadir
             )
         )
@@ -197,17 +197,17 @@ def read_plan(path: Path) -> tuple[PlannedImage, ...]:
     for record in read_records(path, _HEAD, {"image": 27}):
         image = _image(record)
         if image.number in seen:
-            raise record.wrong(f"image {image.number} stands twice")
+            raise record.error(f"image {image.number} stands twice")
         seen.add(image.number)
         images.append(image)
     return tuple(images)
 
 
-def _image(record: Record) -> PlannedImage:
+def _image(record: TextRecord) -> PlannedImage:
     kinds: tuple[Kind, ...] = get_args(Kind)
     kind = next((one for one in kinds if one == record.fields[2]), None)
     if kind is None:
-        raise record.wrong(f"{record.fields[2]!r} is no kind of image; there are: {', '.join(kinds)}")
+        raise record.error(f"{record.fields[2]!r} is no kind of image; there are: {', '.join(kinds)}")
     time_s, values = record.numbers(1, 2)[0], np.array(record.numbers(3, 27))
     planned, actual = values[3:12].reshape(3, 3), values[12:21].reshape(3, 3)
     return PlannedImage(record.integer(0), time_s, kind, values[:3], planned, actual, values[21:])

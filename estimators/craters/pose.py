@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from estimators.contract import Assets, Estimate, Stage, Stopwatch
-from estimators.craters.contract import CraterDetector, Ground
+from estimators.craters.contract import CraterDetector, GroundModel
 from estimators.craters.database.files import CraterDatabase
 from estimators.craters.database.landmarks import Landmarks
 from estimators.craters.matching.association import (
     Association,
-    AssociationOptions,
-    Expected,
-    adjusted,
+    CraterAssociationOptions,
+    ExpectedCraters,
+    adjust_robustly,
     associate,
     centre_noise,
 )
-from estimators.craters.matching.transfer import hidden
+from estimators.craters.matching.transfer import occluded
 from estimators.craters.registry import crater_detector_class
 from estimators.options import parse_options
 from scenarios.errors import BoresightError
@@ -34,7 +34,7 @@ from scenarios.spec.base import SpecModel
 FloatArray = NDArray[np.float64]
 
 _PASSES = 4
-_STILL_M = 0.1
+_CONVERGED_M = 0.1
 
 IndexArray = NDArray[np.int64]
 
@@ -49,8 +49,8 @@ class CraterDatabaseOptions(SpecModel):
     phase_deg: tuple[float, float] = Field((20.0, 80.0), description="Range of their phase angles")
     detector: str = Field("crater-classic", description="Name of the detector of craters")
     most_detections: int = Field(20, ge=1, description="Of an image, the most confident ones")
-    association: AssociationOptions = Field(
-        AssociationOptions(), description="How well its detections are known: for matches and lines of sight"
+    association: CraterAssociationOptions = Field(
+        CraterAssociationOptions(), description="How well its detections are known: for matches and lines of sight"
     )
     height_sigma_m: float = Field(30.0, gt=0, description="Of the height of the a priori shape under a crater")
 
@@ -59,7 +59,7 @@ class CraterPoseOptions(SpecModel):
     """Options of the pose by craters."""
 
     database: CraterDatabaseOptions = CraterDatabaseOptions()
-    association: AssociationOptions = AssociationOptions(redetected=0.3)
+    association: CraterAssociationOptions = CraterAssociationOptions(redetected=0.3)
     most_detections: int = Field(60, ge=1, description="Of the image, the most confident ones")
     emission_deg: float = Field(65.0, gt=0.0, lt=90.0, description="Of the landmarks that are looked for, at the most")
     incidence_deg: float = Field(80.0, gt=0.0, lt=90.0, description="The same of their incidence")
@@ -127,9 +127,9 @@ class CraterPose:
             found = associate(field, rims, area_px2, self._options.association)
             if found.reason:
                 break
-            found = adjusted(field, rims, found)
+            found = adjust_robustly(field, rims, found)
             before, error = error, error + found.error
-            if np.linalg.norm(error[3:] - before[3:]) < _STILL_M:
+            if np.linalg.norm(error[3:] - before[3:]) < _CONVERGED_M:
                 break
         return prior.perturbed(error[:3], error[3:]), found
 
@@ -143,16 +143,16 @@ class CraterPose:
 
 
 def expected_craters(
-    landmarks: Landmarks, ground: Ground, frame: Frame, camera: Camera, pose: Pose, options: CraterPoseOptions
-) -> tuple[IndexArray, Expected]:
+    landmarks: Landmarks, ground: GroundModel, frame: Frame, camera: Camera, pose: Pose, options: CraterPoseOptions
+) -> tuple[IndexArray, ExpectedCraters]:
     """Predict the rims of the landmarks that a pose should show: their rows, and what is expected.
 
     The common error is that of the frame's prior pose, [rotation_rad, translation_m]; ``pose`` is where it is
     linearised. The caller says of the mean of the error.
     """
-    rows = np.flatnonzero(_may_be_seen(landmarks, frame, camera, pose, options))
+    rows = np.flatnonzero(_possibly_visible(landmarks, frame, camera, pose, options))
     position = pose.camera_position_m
-    rows = rows[~hidden(landmarks.position_body_m[rows], position, ground, 2.0 * landmarks.radius_m[rows])]
+    rows = rows[~occluded(landmarks.position_body_m[rows], position, ground, 2.0 * landmarks.radius_m[rows])]
     points, normals = landmarks.position_body_m[rows], landmarks.normal_body[rows]
     view = View(camera, pose, pose.rotation.T @ frame.sun_dir_cam)
     ellipses = project_circles(view, points, normals, landmarks.radius_m[rows])
@@ -162,10 +162,10 @@ def expected_craters(
     across = by_point @ pose.rotation
     noise = centre_noise(ellipses, options.association)
     noise = noise + across @ landmarks.covariance_m2[rows] @ np.swapaxes(across, 1, 2)
-    return rows, Expected(ellipses, by_error, frame.prior_covariance, noise, np.zeros(6))
+    return rows, ExpectedCraters(ellipses, by_error, frame.prior_covariance, noise, np.zeros(6))
 
 
-def _may_be_seen(
+def _possibly_visible(
     landmarks: Landmarks, frame: Frame, camera: Camera, pose: Pose, options: CraterPoseOptions
 ) -> NDArray[np.bool_]:
     """(n,) landmarks that face the camera and the Sun and may be in the frame by the prior's uncertainty."""

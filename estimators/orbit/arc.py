@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.orbit.kernels import agreeing
-from estimators.orbit.model import Measurements, Model, Unknowns, measurements
-from estimators.orbit.parameters import Layout, OrbitOptions
-from estimators.orbit.solve import Adjusted, Limits, Prior, Robust, adjust
+from estimators.orbit.kernels import consistent_rays
+from estimators.orbit.model import MeasurementModel, Measurements, Unknowns, measurements_until
+from estimators.orbit.parameters import OrbitOptions, ParameterLayout
+from estimators.orbit.solve import GaussNewtonResult, HuberLoss, LandmarkPrior, StoppingCriteria, adjust
 from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 from scenarios.orbits.data import OrbitData
 
@@ -18,13 +18,13 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_LEAST_SEEN = 2
+_MIN_SEEN = 2
 _ANCHOR_WEIGHT = 1e-4
-_LEAST_SECOND = 3
+_MIN_SECOND = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solution:
+class BatchState:
     """What is believed so far.
 
     Parameters
@@ -48,7 +48,7 @@ class Solution:
     kept: BoolArray
 
     @classmethod
-    def begin(cls, data: OrbitData, layout: Layout) -> Solution:
+    def initial(cls, data: OrbitData, layout: ParameterLayout) -> BatchState:
         """Believe what is known before; landmarks have no place until they are seen."""
         numbering = np.searchsorted(np.sort(data.landmarks.numbers), data.pictures.landmark)
         rows = np.argsort(data.landmarks.numbers)[numbering].astype(np.int64)
@@ -58,7 +58,7 @@ class Solution:
 
 
 @dataclass(frozen=True, eq=False)
-class Arc:
+class DataArc:
     """The part of the data that ends at a time, laid out for the adjustment.
 
     Parameters
@@ -74,24 +74,28 @@ class Arc:
     """
 
     data: OrbitData
-    layout: Layout
+    layout: ParameterLayout
     options: OrbitOptions
-    model: Model
+    model: MeasurementModel
     rows: IndexArray
     landmarks: IndexArray
 
     @classmethod
-    def until(cls, data: OrbitData, layout: Layout, options: OrbitOptions, solution: Solution, end_s: float) -> Arc:
+    def until(
+        cls, data: OrbitData, layout: ParameterLayout, options: OrbitOptions, solution: BatchState, end_s: float
+    ) -> DataArc:
         """Take all sightings that count of landmarks that are seen twice."""
         pictures = data.pictures
         here = solution.kept & (pictures.times_s[pictures.image] <= end_s)
         seen = np.bincount(solution.numbering[here], minlength=len(solution.points))
-        here &= seen[solution.numbering] >= _LEAST_SEEN
-        landmarks = np.flatnonzero(seen >= _LEAST_SEEN)
+        here &= seen[solution.numbering] >= _MIN_SEEN
+        landmarks = np.flatnonzero(seen >= _MIN_SEEN)
         compact = np.full(len(solution.points), -1, dtype=np.int64)
         compact[landmarks] = np.arange(len(landmarks))
-        measured, rows = measurements(data, end_s, compact[solution.numbering], here, options.radiometry == "used")
-        return cls(data, layout, options, Model(layout, measured), rows, landmarks)
+        measured, rows = measurements_until(
+            data, end_s, compact[solution.numbering], here, options.radiometry == "used"
+        )
+        return cls(data, layout, options, MeasurementModel(layout, measured), rows, landmarks)
 
     @property
     def measured(self) -> Measurements:
@@ -102,7 +106,7 @@ class Arc:
         """Turn sightings into lines in body axes."""
         measured, camera = self.measured, self.layout.knowledge.camera
         unknowns = Unknowns(x, tilts[: len(measured.times_s)], np.zeros((0, 3)))
-        positions = self.model.fly(x).states[measured.image_epoch, :3]
+        positions = self.model.propagate(x).states[measured.image_epoch, :3]
         seen = (measured.uv_px - [camera.cx_px, camera.cy_px]) / [camera.fx_px, camera.fy_px]
         rays = np.column_stack([seen / (1.0 + self.layout.focal(x)), np.ones(len(seen))])
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -111,7 +115,7 @@ class Arc:
         directions = np.einsum("kij,klj,kl->ki", turns, attitudes, rays)
         return LinesOfSight(np.einsum("kij,kj->ki", turns, positions[measured.image]), directions)
 
-    def unknowns(self, solution: Solution) -> Unknowns:
+    def unknowns(self, solution: BatchState) -> Unknowns:
         """Begin with the solution; landmarks that have no place yet get one by their lines of sight."""
         points = solution.points[self.landmarks].copy()
         new = np.isnan(points[:, 0])
@@ -125,7 +129,7 @@ class Arc:
             points[new] = np.linalg.solve(matrix, right[..., None])[new, :, 0]
         return Unknowns(solution.x, solution.tilts[: len(self.measured.times_s)], points)
 
-    def prior(self) -> Prior:
+    def prior(self) -> LandmarkPrior:
         """Return what is known of the landmarks before, where that is to count."""
         listed = self.data.landmarks
         information = np.zeros(len(self.landmarks))
@@ -134,9 +138,11 @@ class Arc:
         points[old] = listed.positions_body_m[self.landmarks[old]]
         if self.options.landmarks == "prior":
             information[old] = listed.sigma_m[self.landmarks[old]] ** -2.0
-        return Prior(points, information)
+        return LandmarkPrior(points, information)
 
-    def adjusted(self, solution: Solution, robust: Robust, limits: Limits) -> tuple[Solution, Adjusted]:
+    def adjust(
+        self, solution: BatchState, robust: HuberLoss, limits: StoppingCriteria
+    ) -> tuple[BatchState, GaussNewtonResult]:
         """Adjust the solution to the arc."""
         found = adjust(self.model, self.prior(), self.unknowns(solution), robust, limits)
         unknowns = found.linear.unknowns
@@ -145,7 +151,7 @@ class Arc:
         points[self.landmarks] = unknowns.points
         return replace(solution, x=unknowns.x, tilts=tilts, points=points), found
 
-    def split(self, solution: Solution, scale: float) -> tuple[Solution, int]:
+    def split(self, solution: BatchState, scale: float) -> tuple[BatchState, int]:
         """Leave out sightings that do not meet those of their number, and give a new one to those that meet elsewhere.
 
         Also returns how many numbers were split.
@@ -153,8 +159,8 @@ class Arc:
         measured, known = self.measured, self.layout.knowledge
         rays = self.rays(solution.x, solution.tilts)
         sigma = np.hypot(measured.sigma_px * known.camera.pixel_angle_rad, known.attitude_sigma_rad)
-        groups = agreeing(
-            rays.origins_m, rays.directions, measured.begin, self.options.edit_sigma * scale * sigma, _LEAST_SECOND
+        groups = consistent_rays(
+            rays.origins_m, rays.directions, measured.begin, self.options.edit_sigma * scale * sigma, _MIN_SECOND
         )
         numbering, kept = solution.numbering.copy(), solution.kept.copy()
         kept[self.rows[groups < 0]] = False

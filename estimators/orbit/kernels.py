@@ -12,13 +12,13 @@ from scenarios.compiled import compiler
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
-_LEAST_PARALLAX = 0.03
+_MIN_PARALLAX = 0.03
 
 kernel = compiler(Path(__file__).parent)
 
 
 @kernel
-def whitened(
+def whiten_landmarks(
     begin: IndexArray, by_point: FloatArray, by_image: FloatArray, residuals: FloatArray, damping: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return ``L`` (L, 3, 3), ``L^-1 b`` (L, 3) and ``H' P L^-T`` (K, 7, 3) of each landmark and sighting.
@@ -107,7 +107,7 @@ def subtract_landmarks(
 
 
 @kernel
-def agreeing(
+def consistent_rays(
     origins: FloatArray, directions: FloatArray, begin: IndexArray, tolerance: FloatArray, least: int
 ) -> IndexArray:
     """(K,): 0 for the largest set of rays of a landmark that meet in one place, 1 for the next, -1 for what is left.
@@ -117,12 +117,12 @@ def agreeing(
     """
     found = np.full(len(origins), -1)
     for j in range(len(begin) - 1):
-        first = _largest(origins, directions, begin[j], begin[j + 1], tolerance, found, 0)
+        first = _label_largest_set(origins, directions, begin[j], begin[j + 1], tolerance, found, 0)
         if first < 2:
             for k in range(begin[j], begin[j + 1]):
                 found[k] = 0  # too few to tell
             continue
-        second = _largest(origins, directions, begin[j], begin[j + 1], tolerance, found, 1)
+        second = _label_largest_set(origins, directions, begin[j], begin[j + 1], tolerance, found, 1)
         if second < least:
             for k in range(begin[j], begin[j + 1]):
                 if found[k] == 1:
@@ -131,7 +131,7 @@ def agreeing(
 
 
 @kernel
-def _largest(
+def _label_largest_set(
     origins: FloatArray,
     directions: FloatArray,
     first: int,
@@ -146,24 +146,24 @@ def _largest(
         for b in range(a + 1, last):
             if found[a] != -1 or found[b] != -1:
                 continue
-            if not _meet(origins, directions, a, b, place):
+            if not _ray_midpoint(origins, directions, a, b, place):
                 continue
             count = 0
             for k in range(first, last):
-                if found[k] == -1 and _off(origins, directions, k, place) < tolerance[k]:
+                if found[k] == -1 and _angle_off_ray(origins, directions, k, place) < tolerance[k]:
                     count += 1
             if count > best:
                 best, best_a, best_b = count, a, b
     if best > 0:
-        _meet(origins, directions, best_a, best_b, place)
+        _ray_midpoint(origins, directions, best_a, best_b, place)
         for k in range(first, last):
-            if found[k] == -1 and _off(origins, directions, k, place) < tolerance[k]:
+            if found[k] == -1 and _angle_off_ray(origins, directions, k, place) < tolerance[k]:
                 found[k] = label
     return best
 
 
 @kernel
-def _meet(origins: FloatArray, directions: FloatArray, a: int, b: int, place: FloatArray) -> bool:
+def _ray_midpoint(origins: FloatArray, directions: FloatArray, a: int, b: int, place: FloatArray) -> bool:
     """Fill the middle of the shortest line between two rays; False where they are all but parallel."""
     aa, ab, ao, bo = 1.0, 0.0, 0.0, 0.0
     for i in range(3):
@@ -172,7 +172,7 @@ def _meet(origins: FloatArray, directions: FloatArray, a: int, b: int, place: Fl
         ao += directions[a, i] * offset
         bo += directions[b, i] * offset
     determinant = aa - ab * ab
-    if determinant < _LEAST_PARALLAX**2:
+    if determinant < _MIN_PARALLAX**2:
         return False
     s, t = (ao - ab * bo) / determinant, (ab * ao - bo) / determinant
     for i in range(3):
@@ -181,7 +181,7 @@ def _meet(origins: FloatArray, directions: FloatArray, a: int, b: int, place: Fl
 
 
 @kernel
-def _off(origins: FloatArray, directions: FloatArray, k: int, place: FloatArray) -> float:
+def _angle_off_ray(origins: FloatArray, directions: FloatArray, k: int, place: FloatArray) -> float:
     """Angle between a ray and the direction to a place, rad; large where it is behind."""
     along, squares = 0.0, 0.0
     for i in range(3):

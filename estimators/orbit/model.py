@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimators.orbit.parameters import Layout
+from estimators.orbit.parameters import ParameterLayout
 from scenarios.dynamics.flight import Flight, flight
 from scenarios.orbits.data import OrbitData, Radiometry
 
@@ -77,7 +77,7 @@ class Measurements:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sightings:
+class SightingResiduals:
     """Residuals seen less predicted, px, and derivatives of the prediction, px by unit.
 
     Parameters
@@ -99,7 +99,7 @@ class Sightings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Passes:
+class TrackingResiduals:
     """Residuals of ranges and rates in their sigmas, (M,), and derivatives of the prediction by ``x``, (M, n)."""
 
     residuals: FloatArray
@@ -107,28 +107,28 @@ class Passes:
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class MeasurementModel:
     """Predicts the measurements of an arc."""
 
-    layout: Layout
+    layout: ParameterLayout
     measured: Measurements
 
-    def fly(self, x: FloatArray) -> Flight:
+    def propagate(self, x: FloatArray) -> Flight:
         """Follow the orbit over the arc."""
-        return fly(self.layout, x, self.measured.epochs_s)
+        return propagate_orbit(self.layout, x, self.measured.epochs_s)
 
     def shared(self, unknowns: Unknowns, flown: Flight) -> FloatArray:
         """(I, 7, n): derivatives of each camera's position, rotation and focal length by the shared unknowns."""
         layout, known = self.layout, self.layout.knowledge
         found = np.zeros((len(self.measured.times_s), 7, layout.size))
-        found[:, :3] = motion_by_shared(layout, unknowns.x, flown, slice(0, 3))[self.measured.image_epoch]
+        found[:, :3] = state_derivatives(layout, unknowns.x, flown, slice(0, 3))[self.measured.image_epoch]
         mounting = layout.part("mounting")
         if mounting.stop > mounting.start:
-            found[:, 3:6, mounting] = known.misalignment_sigma_rad * _turns(unknowns.tilts)
+            found[:, 3:6, mounting] = known.misalignment_sigma_rad * _tilt_rotations(unknowns.tilts)
         found[:, 6, layout.part("focal")] = known.focal_sigma
         return found
 
-    def sightings(self, unknowns: Unknowns, flown: Flight) -> Sightings:
+    def sightings(self, unknowns: Unknowns, flown: Flight) -> SightingResiduals:
         """Predict where each landmark is seen."""
         measured, layout = self.measured, self.layout
         image, camera = measured.image, layout.knowledge.camera
@@ -151,21 +151,21 @@ class Model:
         by_image[:, 0, 6], by_image[:, 1, 6] = across / focal, down / focal
         by_point = by_inertial @ np.swapaxes(R_body_inertial, 1, 2)
         seen = measured.uv_px - [camera.cx_px, camera.cy_px]
-        return Sightings(seen - np.stack([across, down], -1), by_image, by_point, in_front)
+        return SightingResiduals(seen - np.stack([across, down], -1), by_image, by_point, in_front)
 
     def attitudes(self, unknowns: Unknowns) -> FloatArray:
         """(I, 3, 3) R_cam_inertial: an image's own error, the mounting, what is reported."""
         mounting = Rotation.from_rotvec(self.layout.mounting(unknowns.x)).as_matrix()
-        return np.asarray(_turns(unknowns.tilts) @ mounting @ self.measured.R_cam_inertial)
+        return np.asarray(_tilt_rotations(unknowns.tilts) @ mounting @ self.measured.R_cam_inertial)
 
-    def passes(self, x: FloatArray, flown: Flight) -> Passes:
+    def passes(self, x: FloatArray, flown: Flight) -> TrackingResiduals:
         """Predict ranges and rates."""
         layout, radio = self.layout, self.measured.radiometry
         if radio is None:
-            return Passes(np.zeros(0), np.zeros((0, layout.size)))
+            return TrackingResiduals(np.zeros(0), np.zeros((0, layout.size)))
         rows = np.searchsorted(self.measured.epochs_s, radio.times_s)
         states = flown.states[rows]
-        motion = motion_by_shared(layout, x, flown, slice(0, 6))[rows]
+        motion = state_derivatives(layout, x, flown, slice(0, 6))[rows]
         by_range = -np.einsum("i,nip->np", radio.earth_dir, motion[:, :3])
         by_rate = -np.einsum("i,nip->np", radio.earth_dir, motion[:, 3:])
         by_range[:, layout.part("bias")] = layout.bias_sigma_m
@@ -174,16 +174,16 @@ class Model:
         residuals = np.r_[ranges / radio.range_sigma_m, rates / radio.range_rate_sigma_m_s]
         by = np.vstack([by_range / radio.range_sigma_m, by_rate / radio.range_rate_sigma_m_s])
         there = np.isfinite(residuals)
-        return Passes(residuals[there], by[there])
+        return TrackingResiduals(residuals[there], by[there])
 
 
-def _turns(tilts: FloatArray) -> FloatArray:
+def _tilt_rotations(tilts: FloatArray) -> FloatArray:
     """(I, 3, 3) rotations by pan and tilt."""
     vectors = np.column_stack([tilts, np.zeros(len(tilts))])
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
-def fly(layout: Layout, x: FloatArray, times_s: FloatArray) -> Flight:
+def propagate_orbit(layout: ParameterLayout, x: FloatArray, times_s: FloatArray) -> Flight:
     """Follow the orbit of some unknowns, or take one of the last that were followed."""
     key = (x.tobytes(), times_s.tobytes())
     if key not in layout.flights:
@@ -195,7 +195,7 @@ def fly(layout: Layout, x: FloatArray, times_s: FloatArray) -> Flight:
     return layout.flights[key]
 
 
-def motion_by_shared(layout: Layout, x: FloatArray, flown: Flight, rows: slice) -> FloatArray:
+def state_derivatives(layout: ParameterLayout, x: FloatArray, flown: Flight, rows: slice) -> FloatArray:
     """(T, rows, n): derivatives of the state by the shared unknowns."""
     found = np.zeros((len(flown.states), rows.stop - rows.start, layout.size))
     found[:, :, layout.part("state")] = flown.by_state[:, rows] * layout.state_sigma
@@ -206,7 +206,7 @@ def motion_by_shared(layout: Layout, x: FloatArray, flown: Flight, rows: slice) 
     return found
 
 
-def measurements(
+def measurements_until(
     data: OrbitData, until_s: float, numbering: IndexArray, kept: BoolArray, with_radiometry: bool
 ) -> tuple[Measurements, IndexArray]:
     """Take what there is up to a time: also the rows of ``data.pictures`` that each sighting came from.

@@ -47,7 +47,7 @@ class OrbitOptions(SpecModel):
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class ParameterLayout:
     """Where each shared unknown stands in the vector ``x``: a value is what is known before plus sigma times x.
 
     What is certain before (sigma 0) has no place. In order: state at the epoch, forces (ratio of GM, factor on
@@ -77,7 +77,7 @@ class Layout:
     flights: dict[tuple[bytes, bytes], Flight] = dataclasses.field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, data: OrbitData, options: OrbitOptions) -> Layout:
+    def of(cls, data: OrbitData, options: OrbitOptions) -> ParameterLayout:
         """Choose the unknowns by what is uncertain."""
         known = data.knowledge
         field = HarmonicField(
@@ -135,10 +135,10 @@ class Layout:
         Those by GM and sunlight are by ratios to what they are at ``x``.
         """
         scale = self.force_sigma.copy()
-        scale[:2] /= 1.0 + self._added(x)[:2]
+        scale[:2] /= 1.0 + self._corrections(x)[:2]
         return np.asarray(scale[self.forces])
 
-    def _added(self, x: FloatArray) -> FloatArray:
+    def _corrections(self, x: FloatArray) -> FloatArray:
         added = np.zeros(self.field.parameters)
         added[self.forces] = self.force_sigma[self.forces] * x[self.part("forces")]
         return added
@@ -154,7 +154,7 @@ class Layout:
 
     def field_at(self, x: FloatArray) -> HarmonicField:
         """Return the forces with their estimated parameters."""
-        added = self._added(x)
+        added = self._corrections(x)
         return self.field.changed(1.0 + added[0], 1.0 + added[1], added[2:])
 
     def mounting(self, x: FloatArray) -> FloatArray:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from estimators.orbit.kernels import shared_links, subtract_landmarks, whitened
-from estimators.orbit.model import Model, Passes, Sightings, Unknowns
+from estimators.orbit.kernels import shared_links, subtract_landmarks, whiten_landmarks
+from estimators.orbit.model import MeasurementModel, SightingResiduals, TrackingResiduals, Unknowns
 from scenarios.dynamics.flight import Flight
 from scenarios.dynamics.propagation import OrbitLostError
 
@@ -18,11 +18,11 @@ BoolArray = NDArray[np.bool_]
 
 _POINT_DAMPING = 1.0 / 20_000.0**2
 _DAMPING_FIRST = 1e-3
-_MOST_DAMPING = 1e8
+_MAX_DAMPING = 1e8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Robust:
+class HuberLoss:
     """Huber's loss of a sighting's length in sigmas; ``limit`` infinite for least squares.
 
     Parameters
@@ -53,19 +53,19 @@ class Robust:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Linear:
+class Linearisation:
     """A model about some unknowns: its residuals with derivatives, and what they cost."""
 
     unknowns: Unknowns
     flown: Flight
-    sightings: Sightings
-    passes: Passes
+    sightings: SightingResiduals
+    passes: TrackingResiduals
     lengths: FloatArray
     cost: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prior:
+class LandmarkPrior:
     """Of landmarks: (L, 3) places and (L,) 1 / sigma^2, 0 where they are free."""
 
     points: FloatArray
@@ -73,7 +73,7 @@ class Prior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class GaussNewtonStep:
     """A Gauss-Newton step, the decrease of the cost that it promises, and the factor of the reduced matrix."""
 
     x: FloatArray
@@ -84,7 +84,7 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class StoppingCriteria:
     """When to end: after so many steps, or when the cost would fall by less than a tolerance and a share of itself."""
 
     steps: int
@@ -93,11 +93,11 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Adjusted:
+class GaussNewtonResult:
     """Where the steps ended."""
 
-    linear: Linear
-    step: Step
+    linear: Linearisation
+    step: GaussNewtonStep
     converged: bool
     steps: int
 
@@ -108,7 +108,7 @@ class Adjusted:
         return np.asarray(inverse @ inverse.T)
 
 
-def linearise(model: Model, prior: Prior, unknowns: Unknowns, robust: Robust) -> Linear:
+def linearise(model: MeasurementModel, prior: LandmarkPrior, unknowns: Unknowns, robust: HuberLoss) -> Linearisation:
     """Work out residuals and derivatives.
 
     Raises
@@ -116,7 +116,7 @@ def linearise(model: Model, prior: Prior, unknowns: Unknowns, robust: Robust) ->
     OrbitLostError
         If the orbit leads into the body.
     """
-    flown = model.fly(unknowns.x)
+    flown = model.propagate(unknowns.x)
     sightings, passes = model.sightings(unknowns, flown), model.passes(unknowns.x, flown)
     lengths = np.linalg.norm(sightings.residuals, axis=1) / model.measured.sigma_px
     known = model.layout.knowledge
@@ -125,10 +125,12 @@ def linearise(model: Model, prior: Prior, unknowns: Unknowns, robust: Robust) ->
     cost += 0.5 * float(unknowns.x @ model.layout.information @ unknowns.x)
     cost += 0.5 * float(np.sum((unknowns.tilts / known.attitude_sigma_rad) ** 2))
     cost += 0.5 * float(np.sum(prior.information[:, None] * (unknowns.points - prior.points) ** 2))
-    return Linear(unknowns, flown, sightings, passes, lengths, cost)
+    return Linearisation(unknowns, flown, sightings, passes, lengths, cost)
 
 
-def step_from(model: Model, prior: Prior, here: Linear, robust: Robust, damping: float) -> Step:
+def gauss_newton_step(
+    model: MeasurementModel, prior: LandmarkPrior, here: Linearisation, robust: HuberLoss, damping: float
+) -> GaussNewtonStep:
     """Solve the normal equations, whose diagonal is raised by ``damping`` times itself.
 
     Pan and tilt of each image and the landmarks' places are eliminated in turn: the landmarks by blocks, and of the
@@ -144,10 +146,10 @@ def step_from(model: Model, prior: Prior, here: Linear, robust: Robust, damping:
     by_image, by_point = here.sightings.by_image * scale[..., None], here.sightings.by_point * scale[..., None]
 
     held = prior.information + _POINT_DAMPING * (1.0 + damping * 1e4)
-    factors, pulls, links = whitened(measured.begin, by_point, by_image, residuals, held)
+    factors, pulls, links = whiten_landmarks(measured.begin, by_point, by_image, residuals, held)
     if np.any(prior.information):
         toward = (prior.information[:, None] * (prior.points - unknowns.points))[..., None]
-        pulls = pulls + _solved(factors, toward)[..., 0]
+        pulls = pulls + _solve(factors, toward)[..., 0]
 
     shared = model.shared(unknowns, here.flown)
     common = shared_links(measured.begin, measured.image, links, shared)
@@ -197,16 +199,18 @@ def step_from(model: Model, prior: Prior, here: Linear, robust: Robust, damping:
     by_common = np.einsum("ldp,p->ld", common, x)
     np.add.at(by_common, measured.point, np.einsum("krd,kr->kd", links[:, 3:5], tilts[measured.image]))
     whitened_points = pulls - by_common
-    points = _solved(np.swapaxes(factors, 1, 2), whitened_points[..., None])[..., 0]
+    points = _solve(np.swapaxes(factors, 1, 2), whitened_points[..., None])[..., 0]
     promised = 0.5 * float(right @ moved + np.sum(pulls**2))
-    return Step(x, tilts, points, promised, factor)
+    return GaussNewtonStep(x, tilts, points, promised, factor)
 
 
-def _solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
+def _solve(matrices: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(matrices, right))
 
 
-def adjust(model: Model, prior: Prior, start: Unknowns, robust: Robust, limits: Limits) -> Adjusted:
+def adjust(
+    model: MeasurementModel, prior: LandmarkPrior, start: Unknowns, robust: HuberLoss, limits: StoppingCriteria
+) -> GaussNewtonResult:
     """Take Gauss-Newton steps, damped where they fail, until one promises too little to be worth another.
 
     Raises
@@ -215,28 +219,30 @@ def adjust(model: Model, prior: Prior, start: Unknowns, robust: Robust, limits: 
         If the orbit that it begins with leads into the body.
     """
     here, damping = linearise(model, prior, start, robust), 0.0
-    step = step_from(model, prior, here, robust, damping)
+    step = gauss_newton_step(model, prior, here, robust, damping)
     for count in range(1, limits.steps + 1):
         little = step.promised < limits.tolerance + limits.share * here.cost
         moved = Unknowns(start.x + step.x, start.tilts + step.tilts, start.points + step.points)
-        there = _tried(model, prior, moved, robust)
+        there = _linearise_or_none(model, prior, moved, robust)
         if there is None or there.cost > here.cost * (1.0 + 1e-9):
             if little:
-                return Adjusted(here, step, True, count)
+                return GaussNewtonResult(here, step, True, count)
             damping = max(_DAMPING_FIRST, 10.0 * damping)
-            if damping > _MOST_DAMPING:
-                return Adjusted(here, step, False, count)
+            if damping > _MAX_DAMPING:
+                return GaussNewtonResult(here, step, False, count)
         else:
             done = little and damping <= _DAMPING_FIRST
             start, here = moved, there
             damping = 0.0 if damping <= _DAMPING_FIRST else 0.1 * damping
             if done:
-                return Adjusted(here, step, True, count)
-        step = step_from(model, prior, here, robust, damping)
-    return Adjusted(here, step, False, limits.steps)
+                return GaussNewtonResult(here, step, True, count)
+        step = gauss_newton_step(model, prior, here, robust, damping)
+    return GaussNewtonResult(here, step, False, limits.steps)
 
 
-def _tried(model: Model, prior: Prior, unknowns: Unknowns, robust: Robust) -> Linear | None:
+def _linearise_or_none(
+    model: MeasurementModel, prior: LandmarkPrior, unknowns: Unknowns, robust: HuberLoss
+) -> Linearisation | None:
     try:
         return linearise(model, prior, unknowns, robust)
     except OrbitLostError:

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.contract import CraterImage, CraterMatcher, Ground
+from estimators.craters.contract import CraterImage, CraterMatcher, GroundModel
 from estimators.craters.database.files import CraterDatabase
 from estimators.craters.database.landmarks import Landmarks, locate_landmarks
 from estimators.craters.database.numbering import Numbering, PairMatches, number_craters
-from estimators.craters.database.pictures import Picture, placed_pictures
-from estimators.craters.matching.association import AssociationOptions, centre_noise, huber_weights
+from estimators.craters.database.pictures import SequencePicture, numbered_pictures
+from estimators.craters.matching.association import CraterAssociationOptions, centre_noise, huber_weights
 from estimators.craters.matching.preliminary import ImagePairs, PreliminaryOptions, preliminary_pairs
 from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 
@@ -24,7 +24,7 @@ _PASSES = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BuiltDatabase:
+class CraterDatabaseBuild:
     """A data base, and how it came about.
 
     Parameters
@@ -48,20 +48,22 @@ class BuiltDatabase:
 def build_database(
     images: Sequence[CraterImage],
     matcher: CraterMatcher,
-    ground: Ground,
+    ground: GroundModel,
     options: PreliminaryOptions | None = None,
-) -> BuiltDatabase:
+) -> CraterDatabaseBuild:
     """Match all images that may show the same craters, and number and place what they have in common."""
     options = options or PreliminaryOptions()
     pairs = preliminary_pairs(images, ground, options)
     found = tuple(PairMatches(int(i), int(j), matcher.match(images[i], images[j], ground)) for i, j in pairs.pairs)
     numbering = number_craters([len(image.detections.ellipses) for image in images], found)
     landmarks = locate_landmarks(images, numbering, ground, options.height_sigma_m)
-    pictures = placed_pictures(images, numbering, landmarks.number)
-    return BuiltDatabase(CraterDatabase(pictures, landmarks), pairs, found, numbering)
+    pictures = numbered_pictures(images, numbering, landmarks.number)
+    return CraterDatabaseBuild(CraterDatabase(pictures, landmarks), pairs, found, numbering)
 
 
-def triangulated(database: CraterDatabase, height_sigma_m: float, options: AssociationOptions) -> CraterDatabase:
+def triangulate_landmarks(
+    database: CraterDatabase, height_sigma_m: float, options: CraterAssociationOptions
+) -> CraterDatabase:
     """Move each landmark to where its lines of sight meet best, with the shape's height as a prior.
 
     The normal equations of the points x: sum over pictures of w (I - d d^T) / s^2 (x - c) = 0, where a line leaves the
@@ -89,7 +91,7 @@ def triangulated(database: CraterDatabase, height_sigma_m: float, options: Assoc
 
 
 def _lines_of_sight(
-    database: CraterDatabase, options: AssociationOptions
+    database: CraterDatabase, options: CraterAssociationOptions
 ) -> tuple[IndexArray, LinesOfSight, FloatArray]:
     """Return the rows (K,) of the landmarks of all sightings, their lines in body axes, and their information (K,)."""
     parts = [_lines_of(picture, database.landmarks, options) for picture in database.pictures]
@@ -100,7 +102,7 @@ def _lines_of_sight(
 
 
 def _lines_of(
-    picture: Picture, landmarks: Landmarks, options: AssociationOptions
+    picture: SequencePicture, landmarks: Landmarks, options: CraterAssociationOptions
 ) -> tuple[IndexArray, FloatArray, FloatArray, FloatArray]:
     rows = np.searchsorted(landmarks.number, picture.landmark)
     pose = picture.T_cam_body

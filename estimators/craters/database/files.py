@@ -31,8 +31,8 @@ import numpy as np
 from estimators.craters.contract import CraterDetections, CraterMatches
 from estimators.craters.database.landmarks import Landmarks
 from estimators.craters.database.numbering import PairMatches
-from estimators.craters.database.pictures import Picture
-from estimators.craters.database.records import Record, read_records, words, write_records
+from estimators.craters.database.pictures import SequencePicture
+from estimators.craters.database.records import TextRecord, format_record, read_records, write_records
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Ellipses, Pose
 
@@ -47,7 +47,7 @@ _DETECTIONS_HEAD = "boresight crater detections 1"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DetectedImage:
+class ImageDetections:
     """What was found in an image, and why nothing could be; '' where it was searched."""
 
     number: int
@@ -56,10 +56,10 @@ class DetectedImage:
     reason: str = ""
 
 
-def write_detections(path: Path, image: DetectedImage) -> None:
+def write_detections(path: Path, image: ImageDetections) -> None:
     """Write the craters of an image, whole or not at all."""
     found = image.detections
-    lines = [words("image", image.number, image.time_s, "_".join(image.reason.split()) or "-")]
+    lines = [format_record("image", image.number, image.time_s, "_".join(image.reason.split()) or "-")]
     for row, (centre, axes, angle, confidence) in enumerate(
         zip(
             found.ellipses.centre_px,
@@ -69,11 +69,11 @@ def write_detections(path: Path, image: DetectedImage) -> None:
             strict=True,
         )
     ):
-        lines.append(words("crater", image.number, row, *centre, *axes, angle, confidence))
+        lines.append(format_record("crater", image.number, row, *centre, *axes, angle, confidence))
     write_records(path, _DETECTIONS_HEAD, lines)
 
 
-def read_detections(path: Path) -> DetectedImage:
+def read_detections(path: Path) -> ImageDetections:
     """Read the craters of an image.
 
     Raises
@@ -88,11 +88,11 @@ def read_detections(path: Path) -> DetectedImage:
     number = head.integer(0)
     for row, record in enumerate(craters):
         if (record.integer(0), record.integer(1)) != (number, row):
-            raise record.wrong(f"row {record.integer(1)} of image {record.integer(0)}, not {row} of {number}")
+            raise record.error(f"row {record.integer(1)} of image {record.integer(0)}, not {row} of {number}")
     values = np.array([record.numbers(2, 8) for record in craters]).reshape(-1, 6)
     found = CraterDetections(Ellipses(values[:, :2], values[:, 2:4], values[:, 4]), values[:, 5])
     reason = "" if head.fields[2] == "-" else head.fields[2].replace("_", " ")
-    return DetectedImage(number, head.numbers(1, 2)[0], found, reason)
+    return ImageDetections(number, head.numbers(1, 2)[0], found, reason)
 
 
 def write_matches(path: Path, found: Sequence[PairMatches]) -> None:
@@ -100,9 +100,9 @@ def write_matches(path: Path, found: Sequence[PairMatches]) -> None:
     lines = []
     for pair in found:
         images = (pair.first, pair.second)
-        lines.append(words("pair", *images, "_".join(pair.matches.reason.split()) or "-"))
+        lines.append(format_record("pair", *images, "_".join(pair.matches.reason.split()) or "-"))
         for (here, there), score in zip(pair.matches.pairs.tolist(), pair.matches.score, strict=True):
-            lines.append(words("match", *images, here, there, score))
+            lines.append(format_record("match", *images, here, there, score))
     write_records(path, _MATCHES_HEAD, lines)
 
 
@@ -114,25 +114,25 @@ def read_matches(path: Path) -> tuple[PairMatches, ...]:
     BoresightError
         With file and line: a record is malformed, a match does not follow its pair, or a pair stands twice.
     """
-    heads: list[Record] = []
-    rows: list[list[Record]] = []
+    heads: list[TextRecord] = []
+    rows: list[list[TextRecord]] = []
     seen: set[tuple[int, int]] = set()
     for record in read_records(path, _MATCHES_HEAD, {"pair": 3, "match": 5}):
         images = (record.integer(0), record.integer(1))
         if record.kind == "pair":
             if images in seen:
-                raise record.wrong(f"images {images[0]} and {images[1]} stand twice")
+                raise record.error(f"images {images[0]} and {images[1]} stand twice")
             seen.add(images)
             heads.append(record)
             rows.append([])
         elif not heads or (heads[-1].integer(0), heads[-1].integer(1)) != images:
-            raise record.wrong(f"a match of images {images[0]} and {images[1]} does not follow that pair")
+            raise record.error(f"a match of images {images[0]} and {images[1]} does not follow that pair")
         else:
             rows[-1].append(record)
     return tuple(_pair(head, own) for head, own in zip(heads, rows, strict=True))
 
 
-def _pair(head: Record, rows: Sequence[Record]) -> PairMatches:
+def _pair(head: TextRecord, rows: Sequence[TextRecord]) -> PairMatches:
     pairs = np.array([[row.integer(2), row.integer(3)] for row in rows], dtype=np.int64).reshape(-1, 2)
     score = np.array([row.numbers(4, 5)[0] for row in rows], dtype=np.float64)
     reason = "" if head.fields[2] == "-" else head.fields[2].replace("_", " ")
@@ -149,7 +149,7 @@ class CraterDatabase:
         If a picture shows a landmark that there is not.
     """
 
-    pictures: tuple[Picture, ...]
+    pictures: tuple[SequencePicture, ...]
     landmarks: Landmarks
 
     def __post_init__(self) -> None:
@@ -173,7 +173,7 @@ class CraterDatabase:
             raise BoresightError(f"{folder}: {error}") from error
 
 
-def write_pictures(path: Path, pictures: Sequence[Picture]) -> None:
+def write_pictures(path: Path, pictures: Sequence[SequencePicture]) -> None:
     """Write a picture-sequence file."""
     lines = []
     for p in pictures:
@@ -181,15 +181,15 @@ def write_pictures(path: Path, pictures: Sequence[Picture]) -> None:
         size = (camera.width_px, camera.height_px)
         optics = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
         pose = (*p.T_cam_body.rotation.ravel(), *p.T_cam_body.translation_m)
-        lines.append(words("picture", p.number, p.time_s, *size, *optics, *pose, *p.sun_dir_cam))
+        lines.append(format_record("picture", p.number, p.time_s, *size, *optics, *pose, *p.sun_dir_cam))
         for number, centre, axes, angle in zip(
             p.landmark, p.ellipses.centre_px, p.ellipses.semi_axes_px, p.ellipses.angle_rad, strict=True
         ):
-            lines.append(words("sighting", p.number, int(number), *centre, *axes, angle))
+            lines.append(format_record("sighting", p.number, int(number), *centre, *axes, angle))
     write_records(path, _SEQUENCE_HEAD, lines)
 
 
-def read_pictures(path: Path) -> tuple[Picture, ...]:
+def read_pictures(path: Path) -> tuple[SequencePicture, ...]:
     """Read a picture-sequence file.
 
     Raises
@@ -198,25 +198,25 @@ def read_pictures(path: Path) -> tuple[Picture, ...]:
         With file and line: a record is malformed, a picture or a landmark in a picture stands twice, or a sighting
         does not follow its picture.
     """
-    heads: list[Record] = []
-    sightings: list[list[Record]] = []
+    heads: list[TextRecord] = []
+    sightings: list[list[TextRecord]] = []
     seen: set[int] = set()
     shown: set[int] = set()
     for record in read_records(path, _SEQUENCE_HEAD, {"picture": 23, "sighting": 7}):
         number = record.integer(0)
         if record.kind == "picture":
             if number in seen:
-                raise record.wrong(f"picture {number} stands twice")
+                raise record.error(f"picture {number} stands twice")
             seen.add(number)
             shown = set()
             heads.append(record)
             sightings.append([])
             continue
         if not heads or heads[-1].integer(0) != number:
-            raise record.wrong(f"a sighting of picture {number} does not follow that picture")
+            raise record.error(f"a sighting of picture {number} does not follow that picture")
         landmark = record.integer(1)
         if landmark in shown:
-            raise record.wrong(f"landmark {landmark} stands twice in picture {number}")
+            raise record.error(f"landmark {landmark} stands twice in picture {number}")
         shown.add(landmark)
         sightings[-1].append(record)
     return tuple(_picture(head, rows) for head, rows in zip(heads, sightings, strict=True))
@@ -227,7 +227,7 @@ def write_landmarks(path: Path, landmarks: Landmarks) -> None:
     upper = landmarks.covariance_m2[:, _UPPER[0], _UPPER[1]]
     values = np.column_stack([landmarks.position_body_m, landmarks.normal_body, landmarks.radius_m, upper])
     lines = [
-        words("landmark", int(number), *row, int(images))
+        format_record("landmark", int(number), *row, int(images))
         for number, row, images in zip(landmarks.number, values, landmarks.images, strict=True)
     ]
     write_records(path, _LANDMARK_HEAD, lines)
@@ -247,9 +247,9 @@ def read_landmarks(path: Path) -> Landmarks:
     for record in read_records(path, _LANDMARK_HEAD, {"landmark": 15}):
         number = record.integer(0)
         if number in numbers[-1:] or (numbers and number < numbers[-1] and number in numbers):
-            raise record.wrong(f"landmark {number} stands twice: every crater has one number")
+            raise record.error(f"landmark {number} stands twice: every crater has one number")
         if numbers and number < numbers[-1]:
-            raise record.wrong(f"landmark {number} stands after {numbers[-1]}: they have to ascend")
+            raise record.error(f"landmark {number} stands after {numbers[-1]}: they have to ascend")
         numbers.append(number)
         rows.append(record.numbers(1, 14))
         images.append(record.integer(14))
@@ -266,13 +266,13 @@ def read_landmarks(path: Path) -> Landmarks:
     )
 
 
-def _picture(head: Record, rows: Sequence[Record]) -> Picture:
+def _picture(head: TextRecord, rows: Sequence[TextRecord]) -> SequencePicture:
     values = head.numbers(1, 23)
     width, height = head.integer(2), head.integer(3)
     camera = Camera(width, height, values[3], values[4], values[5], values[6])
     pose = Pose(np.array(values[7:16]).reshape(3, 3), np.array(values[16:19]))
     rims = np.array([row.numbers(2, 7) for row in rows]).reshape(-1, 5)
-    return Picture(
+    return SequencePicture(
         head.integer(0),
         values[0],
         camera,

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.contract import CraterImage, Ground
+from estimators.craters.contract import CraterImage, GroundModel
 from estimators.craters.database.numbering import Numbering
 from estimators.craters.matching.preliminary import landmark_covariances
-from estimators.craters.matching.transfer import locate
+from estimators.craters.matching.transfer import locate_craters
 from scenarios.errors import BoresightError
 from scenarios.orbits.data import LandmarkFile
 
@@ -58,7 +58,7 @@ class Landmarks:
 
 
 def locate_landmarks(
-    images: Sequence[CraterImage], numbering: Numbering, ground: Ground, height_sigma_m: float
+    images: Sequence[CraterImage], numbering: Numbering, ground: GroundModel, height_sigma_m: float
 ) -> Landmarks:
     """Place every numbered crater where its images, located on the shape by their prior poses, agree best.
 
@@ -67,7 +67,7 @@ def locate_landmarks(
     """
     parts = []
     for image, numbers in zip(images, numbering.numbers, strict=True):
-        located = locate(image, ground)
+        located = locate_craters(image, ground)
         known = (numbers >= 0) & located.on_body
         ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
         radii = image.detections.ellipses.semi_axes_px[:, 0] * image.camera.pixel_angle_rad * ranges
@@ -75,11 +75,13 @@ def locate_landmarks(
         values = (numbers, located.points_body_m, located.normals_body, np.log(radii), spread)
         parts.append(tuple(value[known] for value in values))
     if not parts:
-        return _together(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3, 3)))
-    return _together(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        return _average_by_number(
+            np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3, 3))
+        )
+    return _average_by_number(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _together(
+def _average_by_number(
     numbers: IndexArray, points: FloatArray, normals: FloatArray, log_radii: FloatArray, spread: FloatArray
 ) -> Landmarks:
     """Average what the images say of each number, positions by their information."""
@@ -102,7 +104,7 @@ def _together(
     )
 
 
-def places_of_landmarks(landmarks: Landmarks, centre_of_mass_m: FloatArray) -> LandmarkFile:
+def landmarks_for_orbit(landmarks: Landmarks, centre_of_mass_m: FloatArray) -> LandmarkFile:
     """Write the landmarks of a data base with their places about the centre of mass, (3,) in the data base's axes.
 
     A plate model's origin need not be the centre of mass: that of Eros at one density lies at (-23, 2, 47) m.

@@ -67,15 +67,15 @@ def number_craters(sizes: Sequence[int], found: Sequence[PairMatches]) -> Number
         If a match names an image or a detection that there is not.
     """
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-    edges, scores = _edges(starts, found)
+    edges, scores = _all_pairs(starts, found)
     image_of = np.repeat(np.arange(len(sizes)), np.diff(starts))
     order = np.lexsort((np.arange(len(edges)), -scores, -_confirmations(edges, len(image_of))))
-    groups, conflicts = _joined(edges[order], image_of)
-    numbers = _counted(groups)
+    groups, conflicts = _join_groups(edges[order], image_of)
+    numbers = _numbers_of_groups(groups)
     return Numbering(tuple(numbers[a:b] for a, b in pairwise(starts)), conflicts)
 
 
-def _edges(starts: IndexArray, found: Sequence[PairMatches]) -> tuple[IndexArray, FloatArray]:
+def _all_pairs(starts: IndexArray, found: Sequence[PairMatches]) -> tuple[IndexArray, FloatArray]:
     """Write all matches as couples (e, 2) of detections counted over all images, and their scores (e,)."""
     sizes, parts = np.diff(starts), [np.zeros((0, 2), dtype=np.int64)]
     for one in found:
@@ -98,7 +98,7 @@ def _confirmations(edges: IndexArray, count: int) -> IndexArray:
     return np.array([len(others[a] & others[b]) for a, b in edges.tolist()], dtype=np.int64)
 
 
-def _joined(edges: IndexArray, image_of: IndexArray) -> tuple[list[list[int]], int]:
+def _join_groups(edges: IndexArray, image_of: IndexArray) -> tuple[list[list[int]], int]:
     """Join detections into groups, in the order of the matches: the groups, and how many matches were refused."""
     group_of = list(range(len(image_of)))
     members = [[k] for k in range(len(image_of))]
@@ -121,7 +121,7 @@ def _joined(edges: IndexArray, image_of: IndexArray) -> tuple[list[list[int]], i
     return members, conflicts
 
 
-def _counted(groups: Sequence[Sequence[int]]) -> IndexArray:
+def _numbers_of_groups(groups: Sequence[Sequence[int]]) -> IndexArray:
     """Count groups of two and more in the order of their first detection."""
     numbers = np.full(sum(map(len, groups)), NO_NUMBER, dtype=np.int64)
     matched = sorted((sorted(group) for group in groups if len(group) > 1), key=lambda group: group[0])

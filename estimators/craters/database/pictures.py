@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ IndexArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class SequencePicture:
     """One image as orbit determination sees it.
 
     Parameters
@@ -57,28 +57,29 @@ class Picture:
             raise BoresightError(f"picture {self.number} has landmark {int(values[np.argmax(counts > 1)])} twice")
 
 
-def pictures_of(images: Sequence[CraterImage], numbering: Numbering) -> tuple[Picture, ...]:
-    """Write images with their numbered craters as pictures in the order of time."""
+def numbered_pictures(
+    images: Sequence[CraterImage], numbering: Numbering, placed: IndexArray
+) -> tuple[SequencePicture, ...]:
+    """Convert images to pictures in the order of time, with the numbered craters that have a position.
+
+    Parameters
+    ----------
+    placed
+        (n,) numbers of the landmarks with a position; sightings of other numbers are left out.
+    """
     pictures = []
     for image, numbers in zip(images, numbering.numbers, strict=True):
-        rows = np.flatnonzero(numbers >= 0)
+        rows = np.flatnonzero((numbers >= 0) & np.isin(numbers, placed))
         rows = rows[np.argsort(numbers[rows], kind="stable")]
         frame, rims = image.frame, image.detections.ellipses[rows]
         pose = frame.prior_T_cam_body
-        pictures.append(Picture(image.number, frame.time_s, image.camera, pose, frame.sun_dir_cam, numbers[rows], rims))
+        pictures.append(
+            SequencePicture(image.number, frame.time_s, image.camera, pose, frame.sun_dir_cam, numbers[rows], rims)
+        )
     return tuple(sorted(pictures, key=lambda picture: (picture.time_s, picture.number)))
 
 
-def placed_pictures(images: Sequence[CraterImage], numbering: Numbering, placed: IndexArray) -> tuple[Picture, ...]:
-    """Write the same without the sightings of craters whose number is not among the (n,) that have a place."""
-    pictures = []
-    for picture in pictures_of(images, numbering):
-        rows = np.flatnonzero(np.isin(picture.landmark, placed))
-        pictures.append(replace(picture, landmark=picture.landmark[rows], ellipses=picture.ellipses[rows]))
-    return tuple(pictures)
-
-
-def sequence_of_pictures(pictures: Sequence[Picture], camera: Camera, rotation: UniformRotation) -> Pictures:
+def pictures_for_orbit(pictures: Sequence[SequencePicture], camera: Camera, rotation: UniformRotation) -> Pictures:
     """Write the pictures of a data base as orbit determination sees them: in inertial axes, times ascending.
 
     Parameters

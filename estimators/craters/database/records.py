@@ -14,11 +14,11 @@ from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
 from scenarios.limits import LARGEST_NUMBER
 
-_MOST_DIGITS = 18  # more may not fit 64 bits
+_MAX_DIGITS = 18  # more may not fit 64 bits
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class TextRecord:
     """A line of a file: where it stands, its kind and its fields."""
 
     path: Path
@@ -26,16 +26,16 @@ class Record:
     kind: str
     fields: tuple[str, ...]
 
-    def wrong(self, what: str) -> BoresightError:
+    def error(self, what: str) -> BoresightError:
         """Make the error that names this line."""
         return BoresightError(f"{self.path}:{self.line}: {what}")
 
     def integer(self, field: int) -> int:
         """Read a field as a whole number that is not negative."""
         text = self.fields[field]
-        if not text.isdecimal() or len(text) > _MOST_DIGITS:
-            raise self.wrong(
-                f"field {field + 1} of the {self.kind} is {text!r}, not a whole number of at most {_MOST_DIGITS} digits"
+        if not text.isdecimal() or len(text) > _MAX_DIGITS:
+            raise self.error(
+                f"field {field + 1} of the {self.kind} is {text!r}, not a whole number of at most {_MAX_DIGITS} digits"
             )
         return int(text)
 
@@ -48,7 +48,7 @@ class Record:
             except ValueError:
                 value = float("nan")
             if not abs(value) <= LARGEST_NUMBER:
-                raise self.wrong(
+                raise self.error(
                     f"field {field + 1} of the {self.kind} is {self.fields[field]!r}, not a finite number of any use"
                 )
             values.append(value)
@@ -66,7 +66,7 @@ def write_records(path: Path, head: str, lines: Iterable[str]) -> None:
     write_text(path, "".join(f"{line}\n" for line in (f"# {head}", *lines)))
 
 
-def read_records(path: Path, head: str, fields: Mapping[str, int]) -> Iterator[Record]:
+def read_records(path: Path, head: str, fields: Mapping[str, int]) -> Iterator[TextRecord]:
     """Read the records of a file; ``fields`` tells how many each kind has.
 
     Raises
@@ -81,18 +81,18 @@ def read_records(path: Path, head: str, fields: Mapping[str, int]) -> Iterator[R
     if not lines or lines[0] != f"# {head}":
         raise BoresightError(f"{path}:1: the first line is not '# {head}'")
     for number, line in enumerate(lines[1:], start=2):
-        words = line.split()
-        if not words or words[0].startswith("#"):
+        parts = line.split()
+        if not parts or parts[0].startswith("#"):
             continue
-        record = Record(path, number, words[0], tuple(words[1:]))
+        record = TextRecord(path, number, parts[0], tuple(parts[1:]))
         if record.kind not in fields:
-            raise record.wrong(f"{record.kind!r} is no kind of record; there are: {', '.join(sorted(fields))}")
+            raise record.error(f"{record.kind!r} is no kind of record; there are: {', '.join(sorted(fields))}")
         if len(record.fields) != fields[record.kind]:
             wanted = fields[record.kind]
-            raise record.wrong(f"a {record.kind} has {wanted} fields, not {len(record.fields)}")
+            raise record.error(f"a {record.kind} has {wanted} fields, not {len(record.fields)}")
         yield record
 
 
-def words(*values: str | float) -> str:
+def format_record(*values: str | float) -> str:
     """Write values as one line: whole numbers and texts as they are, others exactly."""
     return " ".join(str(v) if isinstance(v, int | str) else repr(float(v)) for v in values)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from estimators.craters.detection.edges import Edges
-from estimators.craters.detection.grouping import Arc
-from estimators.craters.detection.picture import Picture
+from estimators.craters.detection.edges import EdgePixels
+from estimators.craters.detection.grouping import RimArc
+from estimators.craters.detection.preparation import PreparedImage
 from scenarios.geometry import Ellipses, pixel_to_opencv
 from scenarios.geometry.conics import fit_conics, sampson_distances
 
@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 _SAMPLES = 16  # points that stand for an arc in the first fit
 _BAND = 0.12  # of the radius: edges so near to a first fit are fitted anew
-_LEAST_PROFILE = 0.3  # correlation with a rise from the shaded to the lit side
+_MIN_PROFILE = 0.3  # correlation with a rise from the shaded to the lit side
 _COUNT = 400  # pairs, the best by their first fit, that are fitted anew
 
 RIDGE = 1e-9
@@ -61,7 +61,7 @@ def _median(values: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
+class EllipseCandidates:
     """Ellipses of groups of rim edges.
 
     Parameters
@@ -74,7 +74,7 @@ class Candidates:
     support: FloatArray
 
     @classmethod
-    def joined(cls, parts: Sequence[Candidates]) -> Candidates:
+    def joined(cls, parts: Sequence[EllipseCandidates]) -> EllipseCandidates:
         """Join several."""
         return cls(
             Ellipses.joined([part.ellipses for part in parts]),
@@ -82,20 +82,20 @@ class Candidates:
         )
 
 
-def candidates_of(
+def fit_candidates(
     pairs: IndexArray,
-    shaded: list[Arc],
-    lit: list[Arc],
-    edges: Edges,
-    picture: Picture,
+    shaded: list[RimArc],
+    lit: list[RimArc],
+    edges: EdgePixels,
+    picture: PreparedImage,
     radius_px: tuple[float, float],
     axis_ratio_min: float,
-) -> Candidates:
+) -> EllipseCandidates:
     """Fit an ellipse to each pair, then to all edges that lie on it."""
-    nothing = Candidates(Ellipses.none(), np.empty(0))
+    nothing = EllipseCandidates(Ellipses.none(), np.empty(0))
     if len(pairs) == 0:
         return nothing
-    points, normals = _stacked(pairs, shaded, lit)
+    points, normals = _sample_pairs(pairs, shaded, lit)
     ellipses, good = Ellipses.among(fit_conics(points, np.ones(points.shape[:2]), RIDGE))
     agree = normal_agreement(ellipses, points[good], normals[good])
     sane = plausible(ellipses, radius_px, axis_ratio_min, picture) & (agree > 0.85)
@@ -103,21 +103,20 @@ def candidates_of(
     first = ellipses[np.flatnonzero(sane)[order]]
     if len(first) == 0:
         return nothing
-    points, weights, signed = edges_near(first, edges, picture)
+    points, weights = edges_near(first, edges, picture)
     refitted, good = Ellipses.among(fit_reweighted(points, weights))
     sane = plausible(refitted, radius_px, axis_ratio_min, picture)
     support = rim_support(refitted, points[good], weights[good])
     both = support.min(axis=1) > 0.25
-    rising = profile(refitted, picture) > _LEAST_PROFILE
+    rising = profile_correlation(refitted, picture) > _MIN_PROFILE
     keep = sane & both & rising
-    del signed
-    return Candidates(refitted[keep], support[keep].mean(axis=1))
+    return EllipseCandidates(refitted[keep], support[keep].mean(axis=1))
 
 
-def _stacked(pairs: IndexArray, shaded: list[Arc], lit: list[Arc]) -> tuple[FloatArray, FloatArray]:
+def _sample_pairs(pairs: IndexArray, shaded: list[RimArc], lit: list[RimArc]) -> tuple[FloatArray, FloatArray]:
     """Points and outward normals (k, 2 * _SAMPLES, 2) of pairs."""
 
-    def sampled(arcs: list[Arc]) -> tuple[FloatArray, FloatArray]:
+    def sampled(arcs: list[RimArc]) -> tuple[FloatArray, FloatArray]:
         rows = [np.linspace(0, len(arc.uv_px) - 1, _SAMPLES).round().astype(np.int64) for arc in arcs]
         points = np.stack([arc.uv_px[row] for arc, row in zip(arcs, rows, strict=True)])
         return points, np.stack([arc.outward[row] for arc, row in zip(arcs, rows, strict=True)])
@@ -141,7 +140,7 @@ def normal_agreement(ellipses: Ellipses, points: FloatArray, normals: FloatArray
 
 
 def plausible(
-    ellipses: Ellipses, radius_px: tuple[float, float], axis_ratio_min: float, picture: Picture
+    ellipses: Ellipses, radius_px: tuple[float, float], axis_ratio_min: float, picture: PreparedImage
 ) -> NDArray[np.bool_]:
     """Tell which have a crater's size and shape, and their centre on the ground."""
     height, width = picture.ground.shape
@@ -155,8 +154,8 @@ def plausible(
     )
 
 
-def edges_near(ellipses: Ellipses, edges: Edges, picture: Picture) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Gather the edges that lie on each rim and point as its side must: points, weights, signed normals, padded."""
+def edges_near(ellipses: Ellipses, edges: EdgePixels, picture: PreparedImage) -> tuple[FloatArray, FloatArray]:
+    """Gather the edges that lie on each rim and point as its side must: points and weights, padded."""
     tree = cKDTree(edges.uv_px)
     unit = edges.gradient / np.linalg.norm(edges.gradient, axis=1, keepdims=True)
     conics = ellipses.conics()
@@ -172,14 +171,10 @@ def edges_near(ellipses: Ellipses, edges: Edges, picture: Picture) -> tuple[Floa
         signed = normal * np.sign(normal @ picture.sun_px)[:, None]
         chosen.append(np.sort(rows[np.einsum("ki,ki->k", signed, unit[rows]) > 0.8]))
     width = max(6, *(len(rows) for rows in chosen))
-    points, weights, normals = (
-        np.zeros((len(chosen), width, 2)),
-        np.zeros((len(chosen), width)),
-        np.zeros((len(chosen), width, 2)),
-    )
+    points, weights = np.zeros((len(chosen), width, 2)), np.zeros((len(chosen), width))
     for i, rows in enumerate(chosen):
-        points[i, : len(rows)], weights[i, : len(rows)], normals[i, : len(rows)] = edges.uv_px[rows], 1.0, unit[rows]
-    return points, weights, normals
+        points[i, : len(rows)], weights[i, : len(rows)] = edges.uv_px[rows], 1.0
+    return points, weights
 
 
 def rim_support(ellipses: Ellipses, points: FloatArray, weights: FloatArray, sectors: int = 36) -> FloatArray:
@@ -199,7 +194,7 @@ def rim_support(ellipses: Ellipses, points: FloatArray, weights: FloatArray, sec
     return np.stack([hit[:, : sectors // 2].mean(axis=1), hit[:, sectors // 2 :].mean(axis=1)], axis=1)
 
 
-def profile(ellipses: Ellipses, picture: Picture, steps: int = 11) -> FloatArray:
+def profile_correlation(ellipses: Ellipses, picture: PreparedImage, steps: int = 11) -> FloatArray:
     """Correlate the brightness inside, along the Sun's direction, with a rise from the shaded to the lit side: (n,)."""
     along = np.linspace(0.8, -0.8, steps)
     aside = np.array([-0.3, 0.0, 0.3])
@@ -209,13 +204,6 @@ def profile(ellipses: Ellipses, picture: Picture, steps: int = 11) -> FloatArray
     toward = np.einsum("nij,j->ni", inverse, sun)
     toward /= np.sqrt(np.maximum(np.einsum("ni,i->n", toward, sun), 1e-12))[:, None]
     side = np.array([-sun[1], sun[0]])
-    across = (
-        side
-        * np.sqrt(
-            np.maximum(1.0 / np.maximum(np.einsum("i,nij,j->n", side, np.linalg.inv(inverse), side), 1e-12), 0.0)
-        )[:, None]
-    )
-    del across
     grid = ellipses.centre_px[:, None, None] + along[:, None, None] * toward[:, None, None, :]
     reach = np.sqrt(ellipses.semi_axes_px.prod(axis=1))
     grid = grid + aside[None, None, :, None] * (reach[:, None] * side)[:, None, None, :]

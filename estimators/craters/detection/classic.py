@@ -10,11 +10,18 @@ import numpy as np
 from pydantic import Field
 
 from estimators.craters.contract import CraterDetections
-from estimators.craters.detection.candidates import Candidates, candidates_of
-from estimators.craters.detection.edges import Edges, canny
-from estimators.craters.detection.grouping import Arc, arcs_of, pair_arcs, sunward
-from estimators.craters.detection.picture import Picture, prepare
-from estimators.craters.detection.refinement import SCALES_PX, Scales, confidence, refine, scales_of, suppress
+from estimators.craters.detection.candidates import EllipseCandidates, fit_candidates
+from estimators.craters.detection.edges import EdgePixels, canny
+from estimators.craters.detection.grouping import RimArc, pair_arcs, rim_arcs, sunward_edges
+from estimators.craters.detection.preparation import PreparedImage, prepare_image
+from estimators.craters.detection.refinement import (
+    SCALES_PX,
+    GradientScales,
+    confidence,
+    gradient_scales,
+    refine,
+    suppress_duplicates,
+)
 from estimators.options import parse_options
 from scenarios.geometry import Camera, Ellipses
 from scenarios.observation import Frame
@@ -63,7 +70,7 @@ class ClassicOptions(SpecModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stages:
+class DetectionStages:
     """What each stage found, as the paper's figure 2 draws it.
 
     Parameters
@@ -78,10 +85,10 @@ class Stages:
         Figure 2d.
     """
 
-    picture: Picture
-    edges: tuple[Edges, Edges]
-    shaded: tuple[Arc, ...]
-    lit: tuple[Arc, ...]
+    picture: PreparedImage
+    edges: tuple[EdgePixels, EdgePixels]
+    shaded: tuple[RimArc, ...]
+    lit: tuple[RimArc, ...]
     fitted: Ellipses
     refined: Ellipses
     detections: CraterDetections
@@ -107,53 +114,57 @@ class CraterClassic:
         Raises
         ------
         BoresightError
-            As ``prepare``.
+            As ``prepare_image``.
         """
         return self.stages(frame, camera).detections
 
-    def stages(self, frame: Frame, camera: Camera) -> Stages:
+    def stages(self, frame: Frame, camera: Camera) -> DetectionStages:
         """Run and keep what each stage found.
 
         Raises
         ------
         BoresightError
-            As ``prepare``.
+            As ``prepare_image``.
         """
         o = self.options
-        picture = prepare(frame, camera, o.window_px)
+        picture = prepare_image(frame, camera, o.window_px)
         small = canny(picture, o.small_kernel_px, o.strong_share, o.weak_ratio)
         large = canny(picture, o.large_kernel_px, o.strong_share, o.weak_ratio)
-        shaded, lit = list[Arc](), list[Arc]()
+        shaded, lit = list[RimArc](), list[RimArc]()
         groups = []
         for edges in (small, large):
-            one, other, found = self._grouped(edges, picture)
+            one, other, found = self._fit_groups(edges, picture)
             shaded += one
             lit += other
             groups.append(found)
-        fitted = Candidates.joined(groups).ellipses
-        scales = scales_of(picture, [s[0] for s in SCALES_PX], [s[1] for s in SCALES_PX], o.softness)
-        refined, detections = self._settled(fitted, scales, picture)
-        return Stages(picture, (small, large), tuple(shaded), tuple(lit), fitted, refined, detections)
+        fitted = EllipseCandidates.joined(groups).ellipses
+        scales = gradient_scales(picture, [s[0] for s in SCALES_PX], [s[1] for s in SCALES_PX], o.softness)
+        refined, detections = self._refine_and_select(fitted, scales, picture)
+        return DetectionStages(picture, (small, large), tuple(shaded), tuple(lit), fitted, refined, detections)
 
-    def _grouped(self, edges: Edges, picture: Picture) -> tuple[list[Arc], list[Arc], Candidates]:
+    def _fit_groups(
+        self, edges: EdgePixels, picture: PreparedImage
+    ) -> tuple[list[RimArc], list[RimArc], EllipseCandidates]:
         o = self.options
-        rising = sunward(edges, picture, np.radians(o.sunward_deg))
-        arcs = arcs_of(rising, picture, np.radians(o.turn_deg), np.radians(o.bend_deg), o.arc_points)
+        rising = sunward_edges(edges, picture, np.radians(o.sunward_deg))
+        arcs = rim_arcs(rising, picture, np.radians(o.turn_deg), np.radians(o.bend_deg), o.arc_points)
         shaded = [arc for arc in arcs if not arc.lit]
         lit = [arc for arc in arcs if arc.lit]
         radius = (o.radius_min_px, o.radius_max_px)
         pairs = pair_arcs(shaded, lit, picture, radius)
-        return shaded, lit, candidates_of(pairs, shaded, lit, rising, picture, radius, o.axis_ratio_min)
+        return shaded, lit, fit_candidates(pairs, shaded, lit, rising, picture, radius, o.axis_ratio_min)
 
-    def _settled(self, fitted: Ellipses, scales: Scales, picture: Picture) -> tuple[Ellipses, CraterDetections]:
+    def _refine_and_select(
+        self, fitted: Ellipses, scales: GradientScales, picture: PreparedImage
+    ) -> tuple[Ellipses, CraterDetections]:
         """Refine, weigh, drop duplicates, and take the place of the steepest gradient out to the crest."""
         o = self.options
         gap = float(np.sin(np.radians(o.transition_deg)))
         first = confidence(fitted, scales, picture.sun_px, gap)
-        fitted = fitted[suppress(fitted, first, 0.15, 1.15)][:120]
+        fitted = fitted[suppress_duplicates(fitted, first, 0.15, 1.15)][:120]
         refined = refine(fitted, scales, picture.sun_px, gap, o.rounds)
         value = confidence(refined, scales, picture.sun_px, gap)
-        rows = suppress(refined, value, 0.6, 1.6)
+        rows = suppress_duplicates(refined, value, 0.6, 1.6)
         kept = refined[rows]
         crest = Ellipses(kept.centre_px, kept.semi_axes_px * o.crest_scale, kept.angle_rad)
         return refined, CraterDetections.above(o.confidence_min, crest, value[rows])

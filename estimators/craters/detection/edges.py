@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.detection.picture import Picture
+from estimators.craters.detection.preparation import PreparedImage
 from scenarios.geometry import pixel_from_opencv
 
 FloatArray = NDArray[np.float64]
@@ -31,7 +31,7 @@ class Gradient:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Edges:
+class EdgePixels:
     """Edge pixels of one pass.
 
     Parameters
@@ -65,7 +65,7 @@ def noise_gain(kernel_px: int) -> float:
     return float(np.linalg.norm(derive) * np.linalg.norm(smooth) / ramp)
 
 
-def canny(picture: Picture, kernel_px: int, strong_share: float, weak_ratio: float) -> Edges:
+def canny(picture: PreparedImage, kernel_px: int, strong_share: float, weak_ratio: float) -> EdgePixels:
     """Run one pass: the upper threshold is passed by ``strong_share`` of the ground, the lower is a part of it.
 
     Parameters
@@ -82,10 +82,10 @@ def canny(picture: Picture, kernel_px: int, strong_share: float, weak_ratio: flo
     v16 = np.clip(np.rint(scale * gradient.along_v), -32767, 32767).astype(np.int16)
     u16[~above], v16[~above] = 0, 0
     found = cv2.Canny(u16, v16, scale * weak_ratio * upper, scale * upper, L2gradient=True) > 0
-    return _at(found & picture.ground, gradient, strength)
+    return _place_subpixel(found & picture.ground, gradient, strength)
 
 
-def _at(mask: NDArray[np.bool_], gradient: Gradient, strength: NDArray[np.float32]) -> Edges:
+def _place_subpixel(mask: NDArray[np.bool_], gradient: Gradient, strength: NDArray[np.float32]) -> EdgePixels:
     """Place each pixel's edge on the vertex of a parabola through the strengths along its gradient."""
     rows, columns = np.nonzero(mask)
     g = np.stack([gradient.along_u[rows, columns], gradient.along_v[rows, columns]], axis=1).astype(np.float64)
@@ -101,7 +101,7 @@ def _at(mask: NDArray[np.bool_], gradient: Gradient, strength: NDArray[np.float3
     bend = before - 2.0 * middle + after
     offset = np.where(bend < 0.0, 0.5 * (before - after) / np.minimum(bend, -1e-12), 0.0)
     place = np.stack([columns, rows], axis=1) + np.clip(offset, -0.6, 0.6)[:, None] * n
-    return Edges(pixel_from_opencv(place), g, mask)
+    return EdgePixels(pixel_from_opencv(place), g, mask)
 
 
 def _sample(field: NDArray[np.float32], u: NDArray[np.float32], v: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -16,8 +16,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from estimators.craters.detection.edges import Edges
-from estimators.craters.detection.picture import Picture
+from estimators.craters.detection.edges import EdgePixels
+from estimators.craters.detection.preparation import PreparedImage
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -25,7 +25,7 @@ _LINK_PX = 1.9  # neighbours on the grid of pixels, a diagonal and what subpixel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Arc:
+class RimArc:
     """A convex edge of one side of a rim.
 
     Parameters
@@ -46,14 +46,14 @@ class Arc:
     turn_rad: float
 
 
-def sunward(edges: Edges, picture: Picture, within_rad: float) -> Edges:
+def sunward_edges(edges: EdgePixels, picture: PreparedImage, within_rad: float) -> EdgePixels:
     """Keep the edge pixels whose brightness rises towards the Sun."""
     along = edges.gradient @ picture.sun_px
     keep = along > np.cos(within_rad) * np.linalg.norm(edges.gradient, axis=1)
-    return Edges(edges.uv_px[keep], edges.gradient[keep], edges.mask)
+    return EdgePixels(edges.uv_px[keep], edges.gradient[keep], edges.mask)
 
 
-def chains_of(edges: Edges, bend_rad: float) -> list[IndexArray]:
+def edge_chains(edges: EdgePixels, bend_rad: float) -> list[IndexArray]:
     """Link neighbouring pixels whose gradients differ by less than ``bend_rad``; return the rows of each chain."""
     n = len(edges.uv_px)
     if n == 0:
@@ -87,7 +87,9 @@ def turning_points(angle: FloatArray, least: float) -> list[int]:
     return knots
 
 
-def arcs_of(edges: Edges, picture: Picture, least_turn_rad: float, bend_rad: float, least_points: int) -> list[Arc]:
+def rim_arcs(
+    edges: EdgePixels, picture: PreparedImage, least_turn_rad: float, bend_rad: float, least_points: int
+) -> list[RimArc]:
     """Cut the chains of sunward edges into convex arcs and tell lit from shaded ones.
 
     Parameters
@@ -101,8 +103,8 @@ def arcs_of(edges: Edges, picture: Picture, least_turn_rad: float, bend_rad: flo
     """
     sun = picture.sun_px
     across = np.array([-sun[1], sun[0]])
-    arcs: list[Arc] = []
-    for rows in chains_of(edges, bend_rad):
+    arcs: list[RimArc] = []
+    for rows in edge_chains(edges, bend_rad):
         if len(rows) < least_points:
             continue
         rows = rows[np.argsort(edges.uv_px[rows] @ across, kind="stable")]
@@ -115,7 +117,7 @@ def arcs_of(edges: Edges, picture: Picture, least_turn_rad: float, bend_rad: flo
                 continue
             part = rows[start : stop + 1]
             lit = turn < 0.0
-            arcs.append(Arc(edges.uv_px[part], (-1.0 if lit else 1.0) * unit[start : stop + 1], lit, abs(turn)))
+            arcs.append(RimArc(edges.uv_px[part], (-1.0 if lit else 1.0) * unit[start : stop + 1], lit, abs(turn)))
     return arcs
 
 
@@ -137,7 +139,7 @@ class ArcTable:
     radius: FloatArray
 
     @classmethod
-    def of(cls, arcs: list[Arc], picture: Picture) -> ArcTable:
+    def of(cls, arcs: list[RimArc], picture: PreparedImage) -> ArcTable:
         """Measure arcs."""
         sun = picture.sun_px
         side = np.array([-sun[1], sun[0]])
@@ -147,14 +149,16 @@ class ArcTable:
         return cls(low, high, np.array(p), 0.5 * (low + high), np.array([arc_radius(arc) for arc in arcs]))
 
 
-def arc_radius(arc: Arc) -> float:
+def arc_radius(arc: RimArc) -> float:
     """Fit x = c + R n to the places and outward normals of an arc by least squares in c and R."""
     dx = arc.uv_px - arc.uv_px.mean(axis=0)
     dn = arc.outward - arc.outward.mean(axis=0)
     return float(max(np.sum(dx * dn) / max(np.sum(dn * dn), 1e-12), 1.0))
 
 
-def pair_arcs(shaded: list[Arc], lit: list[Arc], picture: Picture, radius_px: tuple[float, float]) -> IndexArray:
+def pair_arcs(
+    shaded: list[RimArc], lit: list[RimArc], picture: PreparedImage, radius_px: tuple[float, float]
+) -> IndexArray:
     """Pair shaded arcs with lit ones that can be two sides of one rim: (k, 2) rows of both lists.
 
     The lit one lies away from the Sun, at no more than the diameter that the arcs' bends tell; their extents across the

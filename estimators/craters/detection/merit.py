@@ -13,13 +13,13 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Field:
+class GradientField:
     """A field of vectors over the pixels, (H, W, 2), interpolated between their centres."""
 
     values: FloatArray
 
     @classmethod
-    def of_gradient(cls, along_u: NDArray[np.float32], along_v: NDArray[np.float32], floor: float) -> Field:
+    def of_gradient(cls, along_u: NDArray[np.float32], along_v: NDArray[np.float32], floor: float) -> GradientField:
         """Divide gradients g by sqrt(g^2 + floor^2): directions alone where ``floor`` is 0."""
         g = np.stack([along_u, along_v], axis=-1).astype(np.float64)
         length = np.sqrt(np.einsum("hwi,hwi->hw", g, g) + floor**2)
@@ -47,7 +47,7 @@ class Field:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rim:
+class RimSamples:
     """Points of n rims, (n, k, 2), their outward normals, and how both change with (u0, v0, a, b, angle)."""
 
     points: FloatArray
@@ -56,7 +56,7 @@ class Rim:
     normals_by: FloatArray
 
     @classmethod
-    def of(cls, ellipses: Ellipses, count: int) -> Rim:
+    def of(cls, ellipses: Ellipses, count: int) -> RimSamples:
         """Spread points by equation (2)."""
         t = np.arange(count) * (2.0 * np.pi / count)
         cos, sin = np.cos(t), np.sin(t)
@@ -104,7 +104,7 @@ def side_weights(toward_sun: FloatArray, gap: float) -> tuple[FloatArray, FloatA
 
 
 def merit(
-    ellipses: Ellipses, field: Field, sun_px: FloatArray, gap: float, count: int = 72
+    ellipses: Ellipses, field: GradientField, sun_px: FloatArray, gap: float, count: int = 72
 ) -> tuple[FloatArray, FloatArray]:
     """Mean over both sides of a rim of the image's gradient along the signed normal, equation (3).
 
@@ -116,19 +116,21 @@ def merit(
     merit, derivatives
         (n,) and (n, 5) by u0, v0, a, b and the angle.
     """
-    value, by = _sides(ellipses, field, sun_px, gap, count)
+    value, by = _side_merits(ellipses, field, sun_px, gap, count)
     return value.mean(axis=1), by.mean(axis=1)
 
 
-def side_merits(ellipses: Ellipses, field: Field, sun_px: FloatArray, gap: float, count: int = 72) -> FloatArray:
+def side_merits(
+    ellipses: Ellipses, field: GradientField, sun_px: FloatArray, gap: float, count: int = 72
+) -> FloatArray:
     """Means (n, 2) of the shaded and the lit side of a rim, as ``merit``."""
-    return _sides(ellipses, field, sun_px, gap, count)[0]
+    return _side_merits(ellipses, field, sun_px, gap, count)[0]
 
 
-def _sides(
-    ellipses: Ellipses, field: Field, sun_px: FloatArray, gap: float, count: int
+def _side_merits(
+    ellipses: Ellipses, field: GradientField, sun_px: FloatArray, gap: float, count: int
 ) -> tuple[FloatArray, FloatArray]:
-    rim = Rim.of(ellipses, count)
+    rim = RimSamples.of(ellipses, count)
     g, g_by_uv = field.at(rim.points)
     cosine = rim.normals @ sun_px
     weight, slope = side_weights(cosine, gap)

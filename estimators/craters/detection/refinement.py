@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.craters.detection.edges import gradient_of
-from estimators.craters.detection.merit import Field, merit, side_merits
-from estimators.craters.detection.picture import Picture
+from estimators.craters.detection.merit import GradientField, merit, side_merits
+from estimators.craters.detection.preparation import PreparedImage
 from scenarios.geometry import Ellipses
 
 FloatArray = NDArray[np.float64]
 _HALVINGS = 5  # of a step that does not rise enough
 _ARMIJO = 0.1  # part of the rise that the slope promises
-_STILL_PX = 2e-3  # rims that move less stay
+_CONVERGED_PX = 2e-3  # rims that move less stay
 
 SCALES_PX = ((5, 14.0), (9, 40.0), (17, np.inf))  # kernel, and the radius up to which it is used
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scales:
+class GradientScales:
     """Gradient fields of growing kernels, each for rims up to a radius.
 
     Parameters
@@ -35,8 +35,8 @@ class Scales:
         Mean radius up to which each is meant; the last has no limit.
     """
 
-    locating: tuple[Field, ...]
-    pointing: tuple[Field, ...]
+    locating: tuple[GradientField, ...]
+    pointing: tuple[GradientField, ...]
     up_to_px: tuple[float, ...]
 
     def of(self, radius_px: FloatArray) -> NDArray[np.int64]:
@@ -44,7 +44,9 @@ class Scales:
         return np.searchsorted(np.array(self.up_to_px[:-1]), radius_px)
 
 
-def scales_of(picture: Picture, kernels_px: Sequence[int], up_to_px: Sequence[float], soft: float) -> Scales:
+def gradient_scales(
+    picture: PreparedImage, kernels_px: Sequence[int], up_to_px: Sequence[float], soft: float
+) -> GradientScales:
     """Differentiate at each kernel.
 
     Parameters
@@ -56,12 +58,12 @@ def scales_of(picture: Picture, kernels_px: Sequence[int], up_to_px: Sequence[fl
     for kernel in kernels_px:
         gradient = gradient_of(picture.even, kernel)
         middle = float(np.median(gradient.strength[picture.ground]))
-        locating.append(Field.of_gradient(gradient.along_u, gradient.along_v, soft * middle))
-        pointing.append(Field.of_gradient(gradient.along_u, gradient.along_v, 1e-3 * middle))
-    return Scales(tuple(locating), tuple(pointing), tuple(up_to_px))
+        locating.append(GradientField.of_gradient(gradient.along_u, gradient.along_v, soft * middle))
+        pointing.append(GradientField.of_gradient(gradient.along_u, gradient.along_v, 1e-3 * middle))
+    return GradientScales(tuple(locating), tuple(pointing), tuple(up_to_px))
 
 
-def refine(ellipses: Ellipses, scales: Scales, sun_px: FloatArray, gap: float, rounds: int) -> Ellipses:
+def refine(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: float, rounds: int) -> Ellipses:
     """Maximise each rim's merit over its centre, axes and angle.
 
     A rim that leaves its start by more than a third of its radius, or loses its shape, stays where it was.
@@ -78,14 +80,16 @@ def refine(ellipses: Ellipses, scales: Scales, sun_px: FloatArray, gap: float, r
     found = start.copy()
     for i in np.unique(rows):
         chosen = rows == i
-        found[chosen] = _climb(start[chosen], scales.locating[i], sun_px, gap, rounds)
+        found[chosen] = _conjugate_gradients(start[chosen], scales.locating[i], sun_px, gap, rounds)
     radius = ellipses.radius_px
     far = np.linalg.norm(found[:, :2] - start[:, :2], axis=1) > radius / 3.0
     bent = np.abs(np.log(found[:, 2:4] / start[:, 2:4])).max(axis=1) > 0.4
     return from_parameters(np.where((far | bent)[:, None], start, found))
 
 
-def _climb(start: FloatArray, field: Field, sun_px: FloatArray, gap: float, rounds: int) -> FloatArray:
+def _conjugate_gradients(
+    start: FloatArray, field: GradientField, sun_px: FloatArray, gap: float, rounds: int
+) -> FloatArray:
     """Run conjugate gradients (Polak and Ribiere, restarted where they lead downhill) on all rows at once.
 
     Steps are scaled so that all five parameters move the rim alike: an angle by the difference of the axes.
@@ -122,7 +126,7 @@ def _climb(start: FloatArray, field: Field, sun_px: FloatArray, gap: float, roun
             length = np.where(open_rows, 0.4 * length, length)
             if not open_rows.any():
                 break
-        if np.abs(taken - step).max(initial=0.0) < _STILL_PX:
+        if np.abs(taken - step).max(initial=0.0) < _CONVERGED_PX:
             break
         turn = np.einsum("ni,ni->n", new_slope - slope, new_slope)
         turn = np.maximum(turn / np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-30), 0.0)
@@ -146,7 +150,7 @@ def from_parameters(rows: FloatArray) -> Ellipses:
     return Ellipses(rows[:, :2], axes, (rows[:, 4] + np.where(swap, np.pi / 2, 0.0)) % np.pi)
 
 
-def confidence(ellipses: Ellipses, scales: Scales, sun_px: FloatArray, gap: float) -> FloatArray:
+def confidence(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: float) -> FloatArray:
     """Mean over both sides' points of the gradient's direction along the signed normal, equation (4): (n,), at most 1.
 
     It is the smaller of both sides' means: a terminator or a ridge lights up one side as well as any rim.
@@ -159,7 +163,9 @@ def confidence(ellipses: Ellipses, scales: Scales, sun_px: FloatArray, gap: floa
     return values
 
 
-def suppress(ellipses: Ellipses, score: FloatArray, least_apart: float, least_ratio: float) -> NDArray[np.int64]:
+def suppress_duplicates(
+    ellipses: Ellipses, score: FloatArray, least_apart: float, least_ratio: float
+) -> NDArray[np.int64]:
     """Keep the best of those that tell of one crater: rows, the highest score first.
 
     Parameters

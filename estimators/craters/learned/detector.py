@@ -15,18 +15,18 @@ from pydantic import Field
 
 from estimators.craters.contract import CraterDetections
 from estimators.craters.detection.classic import ClassicOptions
-from estimators.craters.detection.picture import Picture, noise_level, prepare
-from estimators.craters.detection.refinement import SCALES_PX, confidence, refine, scales_of, suppress
+from estimators.craters.detection.preparation import PreparedImage, noise_level, prepare_image
+from estimators.craters.detection.refinement import SCALES_PX, confidence, gradient_scales, refine, suppress_duplicates
 from estimators.craters.learned.network import (
     NAMES,
     OUTPUTS,
     SCALARS,
     SIDE,
     Network,
-    Source,
-    cut,
+    PatchSource,
+    cut_patches,
     ellipses_of,
-    placed,
+    rims_from_outputs,
     shape_of,
 )
 from estimators.craters.learned.proposals import propose
@@ -41,11 +41,11 @@ FloatArray = NDArray[np.float64]
 WEIGHTS = "weights.npz"
 MIRRORED = np.array([1.0, 1.0, -1.0, 1.0, 1.0, -1.0])  # signs of the outputs where the patch is mirrored
 
-_LEAST_MERIT = 0.6  # of what is climbed to, equation (4) of Cheng et al. (2003)
-_FARTHEST = 0.25  # from the network's place, in radii
+_MIN_MERIT = 0.6  # of what is climbed to, equation (4) of Cheng et al. (2003)
+_MAX_DISTANCE = 0.25  # from the network's place, in radii
 
 
-def blended(seen: Ellipses, picture: Picture, from_px: float, options: ClassicOptions) -> Ellipses:
+def blend_with_gradient(seen: Ellipses, picture: PreparedImage, from_px: float, options: ClassicOptions) -> Ellipses:
     """Move rims of a mean radius of ``from_px`` or more halfway to the maximum of the merit next to them, (2) and (3).
 
     Where the maximum is far off or poor, the rim stays as the network has it.
@@ -54,12 +54,12 @@ def blended(seen: Ellipses, picture: Picture, from_px: float, options: ClassicOp
     if not len(rows):
         return seen
     said, gap = seen[rows], float(np.sin(np.radians(options.transition_deg)))
-    scales = scales_of(picture, [s[0] for s in SCALES_PX], [s[1] for s in SCALES_PX], options.softness)
+    scales = gradient_scales(picture, [s[0] for s in SCALES_PX], [s[1] for s in SCALES_PX], options.softness)
     steepest = Ellipses(said.centre_px, said.semi_axes_px / options.crest_scale, said.angle_rad)
     steepest = refine(steepest, scales, picture.sun_px, gap, options.rounds)
     merit = confidence(steepest, scales, picture.sun_px, gap)
     apart = np.linalg.norm(steepest.centre_px - said.centre_px, axis=1)
-    good = (merit > _LEAST_MERIT) & (apart < _FARTHEST * said.radius_px)
+    good = (merit > _MIN_MERIT) & (apart < _MAX_DISTANCE * said.radius_px)
     crest = Ellipses(steepest.centre_px, steepest.semi_axes_px * options.crest_scale, steepest.angle_rad)[good]
     said, rows = said[good], rows[good]
     shape = 0.5 * (shape_of(said, picture.sun_px) + shape_of(crest, picture.sun_px))
@@ -94,7 +94,7 @@ class LearnedOptions(SpecModel):
 
 
 @lru_cache(maxsize=1)
-def own_network() -> Network:
+def packaged_network() -> Network:
     """Load the network that lies beside this module.
 
     Raises
@@ -144,7 +144,7 @@ class CraterLearned:
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Self:
         """Build from a campaign's options; raise BoresightError on a wrong one."""
-        return cls(parse_options(LearnedOptions, options, cls.name), own_network())
+        return cls(parse_options(LearnedOptions, options, cls.name), packaged_network())
 
     def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
         """Find rims, the most probable first; the confidence is a probability as far as training made it one.
@@ -152,21 +152,21 @@ class CraterLearned:
         Raises
         ------
         BoresightError
-            As ``prepare``.
+            As ``prepare_image``.
         """
         o = self.options
-        picture = prepare(frame, camera, o.window_px)
-        source = Source.of(frame.image, picture, frame.sun_dir_cam, noise_level(frame.image, picture.ground))
+        picture = prepare_image(frame, camera, o.window_px)
+        source = PatchSource.of(frame.image, picture, frame.sun_dir_cam, noise_level(frame.image, picture.ground))
         seen = propose(picture, o.levels, o.merit_min, o.proposals).ellipses
-        seen, odds = self.settled(source, seen)
+        seen, odds = self.refine_proposals(source, seen)
         keep = (seen.radius_px >= o.radius_min_px) & (picture.on_ground(seen) >= o.ground_min)
         seen, odds = seen[keep], odds[keep]
-        rows = suppress(seen, odds, 0.6, 1.6)
+        rows = suppress_duplicates(seen, odds, 0.6, 1.6)
         sure = 1.0 / (1.0 + np.exp(-odds[rows]))
-        rims = blended(seen[rows], picture, o.blend_from_px, ClassicOptions())
+        rims = blend_with_gradient(seen[rows], picture, o.blend_from_px, ClassicOptions())
         return CraterDetections.above(o.confidence_min, rims, sure)
 
-    def settled(self, source: Source, seen: Ellipses) -> tuple[Ellipses, FloatArray]:
+    def refine_proposals(self, source: PatchSource, seen: Ellipses) -> tuple[Ellipses, FloatArray]:
         """Let the network place rims and look again; return them with their log odds.
 
         After each look duplicates go, and what is unlikely even where the network would have it.
@@ -176,16 +176,16 @@ class CraterLearned:
             if len(seen) == 0:
                 return seen, odds
             last = turn + 1 == self.options.rounds
-            said = self._say(source, seen, mirror=self.options.mirror and last)
+            said = self._network_outputs(source, seen, mirror=self.options.mirror and last)
             odds = said[:, 0]
-            seen = placed(seen, said[:, 1:], source.sun_px)
+            seen = rims_from_outputs(seen, said[:, 1:], source.sun_px)
             if not last:
-                rows = suppress(seen, odds, 0.2, 1.2)
+                rows = suppress_duplicates(seen, odds, 0.2, 1.2)
                 seen, odds = seen[rows[odds[rows] > -4.0]], odds[rows[odds[rows] > -4.0]]
         return seen, odds
 
-    def _say(self, source: Source, seen: Ellipses, mirror: bool) -> FloatArray:
-        patches = cut(source, seen)
+    def _network_outputs(self, source: PatchSource, seen: Ellipses, mirror: bool) -> FloatArray:
+        patches = cut_patches(source, seen)
         said = self.network.forward(patches.pixels, patches.scalars).astype(np.float64)
         if not mirror:
             return said

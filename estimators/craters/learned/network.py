@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.detection.picture import Picture
+from estimators.craters.detection.preparation import PreparedImage
 from estimators.craters.learned.proposals import pyramid
 from scenarios.geometry import Ellipses, pixel_to_opencv
 
@@ -55,7 +55,7 @@ class Network:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Source:
+class PatchSource:
     """An image with its halves, and what belongs to it.
 
     Parameters
@@ -76,20 +76,20 @@ class Source:
     noise: float
 
     @classmethod
-    def of(cls, image: FloatImage, picture: Picture, sun_dir_cam: FloatArray, noise: float) -> Source:
+    def of(cls, image: FloatImage, picture: PreparedImage, sun_dir_cam: FloatArray, noise: float) -> PatchSource:
         """Halve an image until a patch of the largest rim needs no more."""
         return cls(tuple(pyramid(image, 5)), picture.sun_px, float(sun_dir_cam[2]), noise)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Patches:
+class RimPatches:
     """Patches (n, SIDE, SIDE, 1) of zero mean and unit variance, and (n, SCALARS) numbers beside them."""
 
     pixels: FloatImage
     scalars: FloatImage
 
 
-def grid(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:
+def patch_grid(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:
     """Return the places (n, SIDE, SIDE, 2) of the samples: columns run towards the Sun, rows a quarter turn on."""
     steps = (np.arange(SIDE) + 0.5) * (2.0 * REACH / SIDE) - REACH
     side = np.array([-sun_px[1], sun_px[0]])
@@ -97,7 +97,7 @@ def grid(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:
     return np.asarray(ellipses.centre_px[:, None, None] + ellipses.radius_px[:, None, None, None] * unit)
 
 
-def cut(source: Source, ellipses: Ellipses) -> Patches:
+def cut_patches(source: PatchSource, ellipses: Ellipses) -> RimPatches:
     """Cut a patch around each rim, from the level whose pixels are about as far apart as the samples."""
     n = len(ellipses)
     pixels = np.zeros((n, SIDE, SIDE), dtype=np.float32)
@@ -105,7 +105,7 @@ def cut(source: Source, ellipses: Ellipses) -> Patches:
     level = np.clip(np.round(np.log2(np.maximum(step, 1e-6))), 0, len(source.levels) - 1).astype(np.int64)
     for i in np.unique(level):
         rows = np.flatnonzero(level == i)
-        place = pixel_to_opencv(grid(ellipses[rows], source.sun_px) / 2.0**i).astype(np.float32)
+        place = pixel_to_opencv(patch_grid(ellipses[rows], source.sun_px) / 2.0**i).astype(np.float32)
         for part in np.array_split(np.arange(len(rows)), len(rows) // 500 + 1):
             flat = place[part].reshape(len(part), -1, 2)
             found = cv2.remap(
@@ -126,7 +126,7 @@ def cut(source: Source, ellipses: Ellipses) -> Patches:
         ],
         axis=1,
     )
-    return Patches(np.clip(even, -4.0, 4.0)[..., None], np.clip(scalars, -3.0, 3.0).astype(np.float32))
+    return RimPatches(np.clip(even, -4.0, 4.0)[..., None], np.clip(scalars, -3.0, 3.0).astype(np.float32))
 
 
 def shape_of(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:
@@ -148,26 +148,26 @@ def ellipses_of(centre_px: FloatArray, shape: FloatArray, sun_px: FloatArray) ->
     return Ellipses(centre_px, axes, angle % np.pi)
 
 
-def frame_of(sun_px: FloatArray) -> FloatArray:
+def patch_axes(sun_px: FloatArray) -> FloatArray:
     """Return the (2, 2) matrix whose rows are the axes of patches: towards the Sun, and a quarter turn on."""
     return np.array([sun_px, [-sun_px[1], sun_px[0]]])
 
 
-def targets(seen: Ellipses, truth: Ellipses, sun_px: FloatArray) -> FloatArray:
+def target_outputs(seen: Ellipses, truth: Ellipses, sun_px: FloatArray) -> FloatArray:
     """Return what the network should say (n, 5) of patches about ``seen`` where the rims are ``truth``."""
     radius = seen.radius_px[:, None]
-    moved = (truth.centre_px - seen.centre_px) @ frame_of(sun_px).T / radius
+    moved = (truth.centre_px - seen.centre_px) @ patch_axes(sun_px).T / radius
     shape = shape_of(truth, sun_px)
     shape[:, 0] -= np.log(radius[:, 0])
     return np.concatenate([moved, shape], axis=1)
 
 
-def placed(seen: Ellipses, said: FloatArray, sun_px: FloatArray) -> Ellipses:
-    """Place rims as the network says (n, 5) of patches about ``seen``: the inverse of ``targets``."""
+def rims_from_outputs(seen: Ellipses, said: FloatArray, sun_px: FloatArray) -> Ellipses:
+    """Place rims as the network says (n, 5) of patches about ``seen``: the inverse of ``target_outputs``."""
     radius = seen.radius_px[:, None]
     said = np.asarray(said, dtype=np.float64)
     step = np.clip(said[:, :2], -_LARGEST_STEP, _LARGEST_STEP)
-    centre = seen.centre_px + radius * step @ frame_of(sun_px)
+    centre = seen.centre_px + radius * step @ patch_axes(sun_px)
     shape = said[:, 2:].copy()
     shape[:, 0] = np.clip(shape[:, 0], -_LARGEST_STEP, _LARGEST_STEP) + np.log(radius[:, 0])
     return ellipses_of(centre, shape, sun_px)

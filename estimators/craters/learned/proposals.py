@@ -11,7 +11,7 @@ from scipy import fft
 
 from estimators.craters.detection.edges import gradient_of
 from estimators.craters.detection.merit import side_weights
-from estimators.craters.detection.picture import Picture
+from estimators.craters.detection.preparation import PreparedImage
 from scenarios.geometry import Ellipses, pixel_to_opencv
 
 FloatArray = NDArray[np.float64]
@@ -24,7 +24,7 @@ _GAP = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rings:
+class RingTemplates:
     """m templates at one level.
 
     Parameters
@@ -39,7 +39,7 @@ class Rings:
     kernels: FloatImage
 
 
-def rings(sun_px: FloatArray) -> Rings:
+def ring_templates(sun_px: FloatArray) -> RingTemplates:
     """Draw templates for a direction of the Sun: on each side the signed normals, spread between pixels."""
     shape = []
     for radius in RADII_PX:
@@ -58,7 +58,7 @@ def rings(sun_px: FloatArray) -> Rings:
         part = np.where(sign * weight > 0.0, weight, 0.0)
         part = part / np.abs(part).sum(axis=1, keepdims=True)
         _splat(kernels[:, side], pixel_to_opencv(points), part[..., None] * normals)
-    return Rings(rows, kernels.astype(np.float32))
+    return RingTemplates(rows, kernels.astype(np.float32))
 
 
 def _splat(kernels: FloatArray, place: FloatArray, values: FloatArray) -> None:
@@ -90,7 +90,7 @@ def pyramid(image: FloatImage, levels: int) -> list[FloatImage]:
     return found
 
 
-def directions(image: FloatImage, noise: float, softness: float) -> FloatImage:
+def soft_directions(image: FloatImage, noise: float, softness: float) -> FloatImage:
     """Gradients (H, W, 2) over their length softened by ``softness`` medians or four times the noise's."""
     gradient = gradient_of(image, 3)
     strength = gradient.strength
@@ -107,18 +107,18 @@ class Proposals:
     merit: FloatArray
 
 
-def propose(picture: Picture, levels: int, least_merit: float, count: int, softness: float = 1.0) -> Proposals:
+def propose(picture: PreparedImage, levels: int, least_merit: float, count: int, softness: float = 1.0) -> Proposals:
     """Find the best place, size and shape around each local maximum of the templates' merit.
 
     A template's merit is the smaller of its two sides' means: a terminator or a ridge has one good side alone.
     """
-    templates = rings(picture.sun_px)
+    templates = ring_templates(picture.sun_px)
     found, merits = [], []
     for level, image in enumerate(pyramid(picture.even, levels)):
         if min(image.shape) < 2 * templates.kernels.shape[2]:
             break
         noise = float(np.median(picture.noise[picture.ground])) * 0.43 / 2.0**level
-        score, best = _scores(directions(image, noise, softness), templates)
+        score, best = _scores(soft_directions(image, noise, softness), templates)
         rows, columns = _maxima(score, least_merit)
         shape = templates.shape[best[rows, columns]]
         centre = np.stack([columns + 0.5, rows + 0.5], axis=1) * 2.0**level
@@ -131,7 +131,7 @@ def propose(picture: Picture, levels: int, least_merit: float, count: int, softn
     return Proposals(Ellipses(chosen[:, :2], chosen[:, 2:4], chosen[:, 4]), merit[order].astype(np.float64))
 
 
-def _scores(field: FloatImage, templates: Rings) -> tuple[FloatImage, NDArray[np.int64]]:
+def _scores(field: FloatImage, templates: RingTemplates) -> tuple[FloatImage, NDArray[np.int64]]:
     """Return the best merit (H, W) of all templates at each pixel, and whose it is."""
     height, width = field.shape[:2]
     half = templates.kernels.shape[2] // 2

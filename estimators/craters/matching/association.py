@@ -27,7 +27,7 @@ IndexArray = NDArray[np.int64]
 _REFITS = 10
 _HUBER_PASSES = 10
 _VOTES_AT_ONCE = 64
-_MOST_WORK = 2_000_000
+_MAX_WORK = 2_000_000
 _SHAPE_SPREAD = 0.3
 _IMPOSSIBLE = -60.0
 
@@ -43,7 +43,7 @@ def huber_weights(sigmas: FloatArray) -> FloatArray:
     return np.asarray(_LIMIT_SIGMA / np.maximum(sigmas, _LIMIT_SIGMA), dtype=np.float64)
 
 
-class AssociationOptions(SpecModel):
+class CraterAssociationOptions(SpecModel):
     """How far a detection may be from what is expected of it, and how sure a couple must be."""
 
     centre_sigma_px: float = Field(0.7, gt=0.0, description="Of the centre of a rim, both detections together")
@@ -56,7 +56,7 @@ class AssociationOptions(SpecModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Expected:
+class ExpectedCraters:
     """What should be seen.
 
     Parameters
@@ -111,36 +111,38 @@ class _Likelihoods:
     density_px2: float
 
 
-def centre_noise(ellipses: Ellipses, options: AssociationOptions) -> FloatArray:
+def centre_noise(ellipses: Ellipses, options: CraterAssociationOptions) -> FloatArray:
     """(n, 2, 2) covariance of the places of rims, by the detector alone."""
     sigma = np.hypot(options.centre_sigma_px, options.centre_sigma_radii * ellipses.radius_px)
     return np.asarray(sigma[:, None, None] ** 2 * np.eye(2), dtype=np.float64)
 
 
-def associate(expected: Expected, seen: Ellipses, area_px2: float, options: AssociationOptions) -> Association:
+def associate(
+    expected: ExpectedCraters, seen: Ellipses, area_px2: float, options: CraterAssociationOptions
+) -> Association:
     """Find the couples of expected craters and detections in an image of ``area_px2``."""
     size = len(expected.covariance)
     none = Association(np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(size), expected.covariance)
     if len(expected.ellipses) == 0 or len(seen) == 0:
         what = "no crater is expected in the image" if len(expected.ellipses) == 0 else "the image has no crater"
-        return _without(none, what)
+        return _no_association(none, what)
     likelihoods = _Likelihoods(_shape_ratios(expected.ellipses, seen, options), len(seen) / area_px2)
     foretold = expected.ellipses.centre_px + expected.by_error @ expected.mean
     offsets = seen.centre_px[None] - foretold[:, None]
-    elected = _elected(expected, offsets, likelihoods, options)
+    elected = _best_supported_pair(expected, offsets, likelihoods, options)
     if len(elected) == 0:
-        return _without(none, "no detection fits an expected crater in place, size and shape")
-    return _refined(expected, offsets, elected, likelihoods, options)
+        return _no_association(none, "no detection fits an expected crater in place, size and shape")
+    return _refine(expected, offsets, elected, likelihoods, options)
 
 
-def _without(none: Association, reason: str) -> Association:
+def _no_association(none: Association, reason: str) -> Association:
     return Association(none.pairs, none.probability, none.error, none.covariance, reason)
 
 
-def _shape_ratios(expected: Ellipses, seen: Ellipses, options: AssociationOptions) -> FloatArray:
+def _shape_ratios(expected: Ellipses, seen: Ellipses, options: CraterAssociationOptions) -> FloatArray:
     """(n, m) log-likelihood ratios of size and ratio of axes: of the couple against the other shapes of the image."""
     sigma = np.array([options.size_sigma, options.axes_sigma])
-    here, there = _shape(expected), _shape(seen)
+    here, there = _log_shape(expected), _log_shape(seen)
     own = _log_normal((here[:, None] - there[None]) / sigma) - np.log(sigma).sum()
     spread = np.full(2, _SHAPE_SPREAD)
     others = _log_normal((there[:, None] - there[None]) / spread) - np.log(spread).sum()
@@ -148,7 +150,7 @@ def _shape_ratios(expected: Ellipses, seen: Ellipses, options: AssociationOption
     return np.asarray(own - clutter[None], dtype=np.float64)
 
 
-def _shape(ellipses: Ellipses) -> FloatArray:
+def _log_shape(ellipses: Ellipses) -> FloatArray:
     """(n, 2) logarithms of the radius and of the ratio of axes."""
     a, b = np.log(ellipses.semi_axes_px).T
     return np.column_stack([0.5 * (a + b), b - a])
@@ -160,7 +162,7 @@ def _log_normal(standard: FloatArray) -> FloatArray:
 
 
 def _log_ratios(
-    residuals: FloatArray, spread: FloatArray, likelihoods: _Likelihoods, options: AssociationOptions
+    residuals: FloatArray, spread: FloatArray, likelihoods: _Likelihoods, options: CraterAssociationOptions
 ) -> FloatArray:
     """(..., n, m) log-odds of each couple against its detection being clutter.
 
@@ -180,8 +182,8 @@ def _log_ratios(
     return np.asarray(np.maximum(place + likelihoods.shape + odds, _IMPOSSIBLE), dtype=np.float64)
 
 
-def _elected(
-    expected: Expected, offsets: FloatArray, likelihoods: _Likelihoods, options: AssociationOptions
+def _best_supported_pair(
+    expected: ExpectedCraters, offsets: FloatArray, likelihoods: _Likelihoods, options: CraterAssociationOptions
 ) -> IndexArray:
     """Return the couple, (1, 2), whose offset has most support; (0, 2) where no couple is possible.
 
@@ -191,7 +193,7 @@ def _elected(
     prior = H @ P @ np.swapaxes(H, 1, 2) + R
     far = np.einsum("nmi,nij,nmj->nm", offsets, np.linalg.inv(prior), offsets)
     couples = np.argwhere((far < options.gate_sigma**2) & (likelihoods.shape > -0.5 * options.gate_sigma**2))
-    voters = max(1, _MOST_WORK // offsets[..., 0].size)
+    voters = max(1, _MAX_WORK // offsets[..., 0].size)
     if len(couples) > voters:
         odds = _log_ratios(offsets, prior, likelihoods, options)[couples[:, 0], couples[:, 1]]
         couples = couples[np.sort(np.argsort(-odds, kind="stable")[:voters])]
@@ -205,12 +207,12 @@ def _elected(
 
 
 def _support(
-    expected: Expected,
+    expected: ExpectedCraters,
     offsets: FloatArray,
     couples: IndexArray,
     prior: FloatArray,
     likelihoods: _Likelihoods,
-    options: AssociationOptions,
+    options: CraterAssociationOptions,
 ) -> FloatArray:
     """(v,) log-likelihood ratio of all couples, each detection once, when the field is that of one couple."""
     H, P, R = expected.by_error, expected.covariance, expected.noise_px2
@@ -227,12 +229,16 @@ def _support(
     return np.asarray(once - 0.5 * far)
 
 
-def _refined(
-    expected: Expected, offsets: FloatArray, pairs: IndexArray, likelihoods: _Likelihoods, options: AssociationOptions
+def _refine(
+    expected: ExpectedCraters,
+    offsets: FloatArray,
+    pairs: IndexArray,
+    likelihoods: _Likelihoods,
+    options: CraterAssociationOptions,
 ) -> Association:
     """Start from the couple with most support, and go on with all couples of the field until they stay the same."""
     for _ in range(_REFITS):
-        error, covariance = given(expected, offsets, pairs)
+        error, covariance = condition_on_pairs(expected, offsets, pairs)
         H = expected.by_error
         spread = H @ covariance @ np.swapaxes(H, 1, 2) + expected.noise_px2
         ratios = _log_ratios(offsets - (H @ error)[:, None], spread, likelihoods, options)
@@ -240,9 +246,9 @@ def _refined(
         if np.array_equal(found, pairs) or len(found) == 0:
             break
         pairs = found
-    probability = _foretold(expected, offsets, pairs, likelihoods, options)
+    probability = _leave_one_out_probability(expected, offsets, pairs, likelihoods, options)
     sure = probability >= options.probability
-    error, covariance = given(expected, offsets, pairs[sure])
+    error, covariance = condition_on_pairs(expected, offsets, pairs[sure])
     reason = "" if sure.any() else f"of {len(pairs)} possible matches none is sure"
     return Association(pairs[sure], probability[sure], expected.mean + error, covariance, reason)
 
@@ -254,7 +260,7 @@ def _one_to_one(ratios: FloatArray) -> IndexArray:
     return np.column_stack([rows[taken], columns[taken]]).astype(np.int64)
 
 
-def _joint(expected: Expected, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
+def _joint(expected: ExpectedCraters, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
     """Stack the derivatives (2k, s) of couples, and the covariance (2k, 2k) of their offsets."""
     H = expected.by_error[pairs[:, 0]].reshape(-1, len(expected.covariance))
     joint = H @ expected.covariance @ H.T
@@ -263,7 +269,9 @@ def _joint(expected: Expected, pairs: IndexArray) -> tuple[FloatArray, FloatArra
     return H, joint
 
 
-def given(expected: Expected, offsets: FloatArray, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
+def condition_on_pairs(
+    expected: ExpectedCraters, offsets: FloatArray, pairs: IndexArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the common error less its mean, (s,) and (s, s), given couples (k, 2) and all offsets (n, m, 2)."""
     P = expected.covariance
     H, joint = _joint(expected, pairs)
@@ -273,8 +281,12 @@ def given(expected: Expected, offsets: FloatArray, pairs: IndexArray) -> tuple[F
     return np.asarray(error, dtype=np.float64), 0.5 * (covariance + covariance.T)
 
 
-def _foretold(
-    expected: Expected, offsets: FloatArray, pairs: IndexArray, likelihoods: _Likelihoods, options: AssociationOptions
+def _leave_one_out_probability(
+    expected: ExpectedCraters,
+    offsets: FloatArray,
+    pairs: IndexArray,
+    likelihoods: _Likelihoods,
+    options: CraterAssociationOptions,
 ) -> FloatArray:
     """(k,) probability of each couple by what all the others foretell, against other couples of both and clutter.
 
@@ -289,28 +301,32 @@ def _foretold(
         block = slice(2 * row, 2 * row + 2)
         spread = np.linalg.inv(weights[block, block])
         place = offsets[i, k] - spread @ weighted[row]
-        own = _log_ratios((offsets[i] - place)[None], spread[None], _of(likelihoods, i), options)[0]
+        own = _log_ratios((offsets[i] - place)[None], spread[None], _row_of(likelihoods, i), options)[0]
         probability[row] = np.exp(own[k]) / (1.0 + np.exp(own).sum())
-    rivals = _rivals(expected, offsets, pairs, likelihoods, options)
+    rivals = _rival_probability(expected, offsets, pairs, likelihoods, options)
     return np.minimum(probability, rivals)
 
 
-def _of(likelihoods: _Likelihoods, row: int) -> _Likelihoods:
+def _row_of(likelihoods: _Likelihoods, row: int) -> _Likelihoods:
     return _Likelihoods(likelihoods.shape[row : row + 1], likelihoods.density_px2)
 
 
-def _rivals(
-    expected: Expected, offsets: FloatArray, pairs: IndexArray, likelihoods: _Likelihoods, options: AssociationOptions
+def _rival_probability(
+    expected: ExpectedCraters,
+    offsets: FloatArray,
+    pairs: IndexArray,
+    likelihoods: _Likelihoods,
+    options: CraterAssociationOptions,
 ) -> FloatArray:
     """(k,) probability of each couple against the other expected craters of its detection."""
-    error, covariance = given(expected, offsets, pairs)
+    error, covariance = condition_on_pairs(expected, offsets, pairs)
     H = expected.by_error
     spread = H @ covariance @ np.swapaxes(H, 1, 2) + expected.noise_px2
     ratios = np.exp(_log_ratios(offsets - (H @ error)[:, None], spread, likelihoods, options))
     return np.asarray(ratios[pairs[:, 0], pairs[:, 1]] / (1.0 + ratios[:, pairs[:, 1]].sum(axis=0)))
 
 
-def adjusted(expected: Expected, seen: Ellipses, found: Association) -> Association:
+def adjust_robustly(expected: ExpectedCraters, seen: Ellipses, found: Association) -> Association:
     """Adjust the common error anew by Huber's loss: centres of rims have heavier tails than a Gaussian.
 
     The noise of each couple is divided by its weight until the weights stand still; the prior keeps its weight.
@@ -324,5 +340,5 @@ def adjusted(expected: Expected, seen: Ellipses, found: Association) -> Associat
         sigmas = np.sqrt(np.einsum("ni,nij,nj->n", left, np.linalg.inv(noise), left))
         weighed = expected.noise_px2.copy()
         weighed[i] = noise / huber_weights(sigmas)[:, None, None]
-        error, covariance = given(replace(expected, noise_px2=weighed), offsets, found.pairs)
+        error, covariance = condition_on_pairs(replace(expected, noise_px2=weighed), offsets, found.pairs)
     return replace(found, error=expected.mean + error, covariance=covariance)

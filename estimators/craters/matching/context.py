@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, CraterMatches, Ground, too_few
-from estimators.craters.matching.transfer import mapped
+from estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
+from estimators.craters.matching.transfer import map_ellipses
 from estimators.options import parse_options
 from scenarios.geometry import Ellipses, cross_matrix
 from scenarios.spec.base import SpecModel
@@ -21,7 +21,7 @@ BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
 
 _NEIGHBOURS = 8
-_MOST_COMBINATIONS = 400
+_MAX_COMBINATIONS = 400
 _REFITS = 5
 
 _NO_BASELINE = 1e-6
@@ -58,23 +58,23 @@ class ContextMatcher:
         """Build from a campaign's options."""
         return cls(parse_options(ContextOptions, options, cls.name))
 
-    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
+    def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
         """Match by the relative positions and the shapes of craters; the shape of the body is not asked."""
         del ground
         options = self._options
-        if reason := too_few(first, second, needed=options.agreeing + 1):
+        if reason := too_few_craters(first, second, needed=options.agreeing + 1):
             return CraterMatches.none(reason)
         near = epipolar_offsets(first, second) < options.epipolar_px
         candidates = near & (np.abs(np.log(size_ratios(first, second))) < np.log(options.size_ratio))
         here, there = first.detections.ellipses, second.detections.ellipses
-        pairs, votes = constellations(here, there, candidates, options, (first.number, second.number))
+        pairs, votes = match_constellations(here, there, candidates, options, (first.number, second.number))
         if len(pairs) == 0:
             tried = f"no linear transform takes more than {options.agreeing} craters along"
             return CraterMatches.none(f"{tried} in {options.loops} loops")
         return CraterMatches(pairs, votes.astype(np.float64))
 
 
-def constellations(
+def match_constellations(
     first: Ellipses, second: Ellipses, candidates: BoolArray, options: ContextOptions, seed: tuple[int, int]
 ) -> tuple[IndexArray, IndexArray]:
     """Match craters by linear transforms: couples (k, 2), and how many agreed with the transform of each, (k,).
@@ -87,7 +87,7 @@ def constellations(
     for triangle in _triangles(first.centre_px, usable, options, np.random.default_rng(seed)):
         if not left[triangle].any(axis=1).all():
             continue
-        pairs = _confirmed(first, second, left, triangle, options)
+        pairs = _best_combination(first, second, left, triangle, options)
         if len(pairs) > options.agreeing:
             found.append(pairs)
             left[pairs[:, 0]] = False
@@ -111,7 +111,7 @@ def fitted_transform(here: FloatArray, there: FloatArray) -> FloatArray:
     return np.vstack([solution.T, [0.0, 0.0, 1.0]])
 
 
-def agreeing(
+def agreeing_craters(
     transforms: FloatArray, first: Ellipses, second: Ellipses, candidates: BoolArray, options: ContextOptions
 ) -> BoolArray:
     """(c, n, m) which craters agree in place and in both axes after each of c transforms."""
@@ -119,7 +119,7 @@ def agreeing(
     offsets = np.linalg.norm(places[:, :, None] - second.centre_px, axis=3)
     agree = (offsets < options.place_px) & candidates
     which, rows, columns = np.nonzero(agree)
-    ellipses, real = mapped(first[rows], transforms[which])
+    ellipses, real = map_ellipses(first[rows], transforms[which])
     ratios = np.full((len(rows), 2), np.inf)
     ratios[real] = np.abs(np.log(ellipses.semi_axes_px / second.semi_axes_px[columns[real]]))
     agree[which, rows, columns] = (ratios < np.log(options.axes_ratio)).all(axis=1)
@@ -149,7 +149,7 @@ def _height(corners: FloatArray) -> float:
     return abs(float(sides[0, 0] * sides[1, 1] - sides[0, 1] * sides[1, 0])) / max(longest2, 1e-12)
 
 
-def _confirmed(
+def _best_combination(
     first: Ellipses, second: Ellipses, candidates: BoolArray, triangle: IndexArray, options: ContextOptions
 ) -> IndexArray:
     """Try all combinations of candidates for a triangle; return the couples of the one that most agree with."""
@@ -161,7 +161,7 @@ def _confirmed(
     upright = np.linalg.det(transforms) > 0.0  # the far side of a surface is never seen
     if not upright.any():
         return none
-    agree = agreeing(transforms[upright], first, second, candidates, options)
+    agree = agreeing_craters(transforms[upright], first, second, candidates, options)
     counts = np.minimum(agree.any(axis=2).sum(axis=1), agree.any(axis=1).sum(axis=1))
     best = int(np.argmax(counts))
     if counts[best] <= options.agreeing:
@@ -173,7 +173,7 @@ def _combinations(candidates: BoolArray) -> IndexArray:
     """(c, 3) choices of three different candidates; the first of them where they are very many."""
     choices = product(*(np.flatnonzero(row) for row in candidates))
     different = [choice for choice in choices if len(set(choice)) == 3]
-    return np.array(different[:_MOST_COMBINATIONS], dtype=np.int64).reshape(-1, 3)
+    return np.array(different[:_MAX_COMBINATIONS], dtype=np.int64).reshape(-1, 3)
 
 
 def _refitted(
@@ -194,13 +194,13 @@ def nearest_couples(
     transform: FloatArray, first: Ellipses, second: Ellipses, candidates: BoolArray, options: ContextOptions
 ) -> IndexArray:
     """List couples (k, 2) that agree and are each other's nearest."""
-    agree = agreeing(transform[None], first, second, candidates, options)[0]
+    agree = agreeing_craters(transform[None], first, second, candidates, options)[0]
     places = first.centre_px @ transform[:2, :2].T + transform[:2, 2]
     distance = np.linalg.norm(places[:, None] - second.centre_px, axis=2)
-    return mutual(np.where(agree, distance, np.inf))
+    return mutual_best(np.where(agree, distance, np.inf))
 
 
-def mutual(cost: FloatArray) -> IndexArray:
+def mutual_best(cost: FloatArray) -> IndexArray:
     """List couples (k, 2) of a cost matrix (n, m) that are the least of their row and of their column, and finite."""
     if cost.size == 0:
         return np.zeros((0, 2), dtype=np.int64)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, CraterMatches, Ground, too_few
-from estimators.craters.matching.context import mutual
-from estimators.craters.matching.transfer import Transfer, joint_covariance, locate, transfer
+from estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
+from estimators.craters.matching.context import mutual_best
+from estimators.craters.matching.transfer import CraterTransfer, joint_covariance, locate_craters, transfer_craters
 from estimators.options import parse_options
 from scenarios.geometry import Ellipses
 from scenarios.spec.base import SpecModel
@@ -51,18 +51,18 @@ class CorrelationMatcher:
         """Build from a campaign's options."""
         return cls(parse_options(CorrelationOptions, options, cls.name))
 
-    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
+    def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
         """Match by pixels, where the light is similar."""
-        if reason := too_few(first, second):
+        if reason := too_few_craters(first, second):
             return CraterMatches.none(reason)
         angle_deg = np.degrees(sun_angle_rad(first, second))
         if angle_deg > self._options.sun_deg:
             return CraterMatches.none(f"the directions of the Sun differ by {angle_deg:.3g} deg: too much to correlate")
-        expected = transfer(first, second, locate(first, ground), ground)
+        expected = transfer_craters(first, second, locate_craters(first, ground), ground)
         if len(expected.rows) == 0:
             return CraterMatches.none("no crater of the first image is in sight of the second by the prior poses")
         near = near_expected(expected, first, second, self._options)
-        return correlated(expected, first, second, near, self._options)
+        return confirm_by_correlation(expected, first, second, near, self._options)
 
 
 def sun_angle_rad(first: CraterImage, second: CraterImage) -> float:
@@ -72,7 +72,7 @@ def sun_angle_rad(first: CraterImage, second: CraterImage) -> float:
 
 
 def near_expected(
-    expected: Transfer, first: CraterImage, second: CraterImage, options: CorrelationOptions
+    expected: CraterTransfer, first: CraterImage, second: CraterImage, options: CorrelationOptions
 ) -> NDArray[np.bool_]:
     """(p, m) which craters of the second image are near an expected one in place and size."""
     seen, H = second.detections.ellipses, expected.by_error
@@ -83,8 +83,8 @@ def near_expected(
     return np.asarray((far < options.gate_sigma**2) & (np.abs(ratio) < np.log(options.size_ratio)))
 
 
-def correlated(
-    expected: Transfer,
+def confirm_by_correlation(
+    expected: CraterTransfer,
     first: CraterImage,
     second: CraterImage,
     near: NDArray[np.bool_],
@@ -94,10 +94,10 @@ def correlated(
     best = np.full(near.shape, -np.inf)
     image, other = _pixels(first), _pixels(second)
     for p in np.flatnonzero(near.any(axis=1)):
-        template = rectified(image, expected.homographies[p], expected.ellipses[p : p + 1], options)
+        template = rectify_template(image, expected.homographies[p], expected.ellipses[p : p + 1], options)
         for k in np.flatnonzero(near[p]):
-            best[p, k] = _confirmation(template, other, second.detections.ellipses.centre_px[k], options)
-    pairs = mutual(np.where(best > options.accepted, -best, np.inf))
+            best[p, k] = _best_correlation(template, other, second.detections.ellipses.centre_px[k], options)
+    pairs = mutual_best(np.where(best > options.accepted, -best, np.inf))
     if len(pairs) == 0:
         tried = int(near.sum())
         return CraterMatches.none(f"none of {tried} couples near their predicted place correlates")
@@ -105,7 +105,9 @@ def correlated(
     return CraterMatches(rows, best[pairs[:, 0], pairs[:, 1]])
 
 
-def rectified(image: ImageArray, homography: FloatArray, ellipse: Ellipses, options: CorrelationOptions) -> ImageArray:
+def rectify_template(
+    image: ImageArray, homography: FloatArray, ellipse: Ellipses, options: CorrelationOptions
+) -> ImageArray:
     """Resample a crater of the first image as the second should show it, (2 h + 1, 2 h + 1); NaN out of the image.
 
     The predicted centre of the crater lies in the middle of the middle pixel.
@@ -139,7 +141,9 @@ def pseudo_normalised(template: FloatArray, windows: FloatArray) -> FloatArray:
     return np.asarray(2.0 * covariance / np.maximum(total, 1e-300))  # eq. (6)
 
 
-def _confirmation(template: ImageArray, image: ImageArray, centre_px: FloatArray, options: CorrelationOptions) -> float:
+def _best_correlation(
+    template: ImageArray, image: ImageArray, centre_px: FloatArray, options: CorrelationOptions
+) -> float:
     """Return the highest correlation about a crater where it lies near the crater's centre; else minus infinity."""
     half, reach = template.shape[0] // 2, options.search_px
     column, row = np.floor(centre_px).astype(int)

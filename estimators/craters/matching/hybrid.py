@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, CraterMatches, Ground, too_few
-from estimators.craters.matching.context import ContextOptions, constellations, fitted_transform, nearest_couples
+from estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
+from estimators.craters.matching.context import ContextOptions, fitted_transform, match_constellations, nearest_couples
 from estimators.craters.matching.correlation import CorrelationMatcher, CorrelationOptions, near_expected
 from estimators.craters.matching.invariants import InvariantMatcher, InvariantOptions
-from estimators.craters.matching.transfer import Transfer, locate, transfer
+from estimators.craters.matching.transfer import CraterTransfer, locate_craters, transfer_craters
 from estimators.options import parse_options
 from scenarios.spec.base import SpecModel
 
@@ -64,30 +64,32 @@ class HybridMatcher:
         """Build from a campaign's options."""
         return cls(parse_options(HybridOptions, options, cls.name))
 
-    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
+    def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
         """Match by whatever the two images admit."""
-        if reason := too_few(first, second):
+        if reason := too_few_craters(first, second):
             return CraterMatches.none(reason)
-        expected = transfer(first, second, locate(first, ground), ground)
+        expected = transfer_craters(first, second, locate_craters(first, ground), ground)
         if len(expected.rows) == 0:
             return CraterMatches.none("no crater of the first image is in sight of the second by the prior poses")
         near = near_expected(expected, first, second, self._options.correlation)
         correlated = self._correlation.match(first, second, ground)
-        certain = _as_expected(correlated.pairs, expected, near)
+        certain = _pairs_of_expected(correlated.pairs, expected, near)
         seed, seen = (first.number, second.number), second.detections.ellipses
-        others, _ = constellations(expected.ellipses, seen, near, self._options.context, seed)
+        others, _ = match_constellations(expected.ellipses, seen, near, self._options.context, seed)
         if len(others) == 0:
-            others = _as_expected(self._invariants.match(first, second, ground).pairs, expected, near)
-        found = _merged(certain, others)
+            others = _pairs_of_expected(self._invariants.match(first, second, ground).pairs, expected, near)
+        found = _merge_pairs(certain, others)
         if len(found) == 0:
             return CraterMatches.none(f"neither context nor invariants match a crater, and {correlated.reason}")
-        pairs = _merged(certain, self._followed(expected, second, near, found))
+        pairs = _merge_pairs(certain, self._follow_common_shift(expected, second, near, found))
         if len(pairs) == 0:
             return CraterMatches.none(f"{len(found)} matches of constellations do not agree with each other")
         score = np.isin(pairs[:, 0], certain[:, 0]).astype(np.float64) + 1.0
         return CraterMatches(np.column_stack([expected.rows[pairs[:, 0]], pairs[:, 1]]), score)
 
-    def _followed(self, expected: Transfer, second: CraterImage, near: BoolArray, found: IndexArray) -> IndexArray:
+    def _follow_common_shift(
+        self, expected: CraterTransfer, second: CraterImage, near: BoolArray, found: IndexArray
+    ) -> IndexArray:
         """Find the couples (k, 2) that agree with the common error of what was found."""
         options, seen = self._options, second.detections.ellipses
         here = expected.ellipses
@@ -104,14 +106,14 @@ class HybridMatcher:
         return pairs
 
 
-def _as_expected(pairs: IndexArray, expected: Transfer, near: BoolArray) -> IndexArray:
+def _pairs_of_expected(pairs: IndexArray, expected: CraterTransfer, near: BoolArray) -> IndexArray:
     """Take couples of detections to couples of expected craters and detections; those that the poses admit."""
     place = {int(row): p for p, row in enumerate(expected.rows)}
     known = [(place[int(i)], int(k)) for i, k in pairs if int(i) in place]
     return np.array([(p, k) for p, k in known if near[p, k]], dtype=np.int64).reshape(-1, 2)
 
 
-def _merged(certain: IndexArray, others: IndexArray) -> IndexArray:
+def _merge_pairs(certain: IndexArray, others: IndexArray) -> IndexArray:
     """Add the couples of ``others`` that share no crater with those of ``certain``."""
     free = ~np.isin(others[:, 0], certain[:, 0]) & ~np.isin(others[:, 1], certain[:, 1])
     return np.concatenate([certain, others[free]])

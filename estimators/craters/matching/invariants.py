@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from estimators.craters.contract import CraterImage, CraterMatches, Ground, too_few
+from estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
 from estimators.options import parse_options
 from scenarios.geometry import Ellipses
 from scenarios.spec.base import SpecModel
@@ -49,13 +49,13 @@ class InvariantMatcher:
         """Build from a campaign's options."""
         return cls(parse_options(InvariantOptions, options, cls.name))
 
-    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
+    def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
         """Match by invariants alone; the shape is not asked."""
         del ground
-        if reason := too_few(first, second, needed=2):
+        if reason := too_few_craters(first, second, needed=2):
             return CraterMatches.none(reason)
         votes = vote_matrix(first.detections.ellipses, second.detections.ellipses, self._options.tolerance)
-        pairs = unambiguous(votes, self._options.votes, self._options.margin)
+        pairs = unambiguous_pairs(votes, self._options.votes, self._options.margin)
         if len(pairs) <= self._options.couples:
             return CraterMatches.none(f"{len(pairs)} couples of craters have enough votes of conic invariants")
         return CraterMatches(pairs, votes[pairs[:, 0], pairs[:, 1]].astype(np.float64))
@@ -99,7 +99,7 @@ def vote_matrix(first: Ellipses, second: Ellipses, tolerance: float) -> IndexArr
     return votes
 
 
-def unambiguous(votes: IndexArray, threshold: int, margin: float | None = None) -> IndexArray:
+def unambiguous_pairs(votes: IndexArray, threshold: int, margin: float | None = None) -> IndexArray:
     """List the couples (k, 2) with more votes than the threshold that have no rival in their row and column.
 
     A rival is a couple with more votes than the threshold as well; with a ``margin``, whichever couple has so many

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, Ground
-from estimators.craters.matching.transfer import Located, locate
+from estimators.craters.contract import CraterImage, GroundModel
+from estimators.craters.matching.transfer import LocatedCraters, locate_craters
 from scenarios.geometry import Camera, Pose
 from scenarios.spec.base import SpecModel
 
@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
 
-_AT_ONCE = 64
+_BLOCK_SIZE = 64
 
 
 class PreliminaryOptions(SpecModel):
@@ -63,25 +63,27 @@ class _Landmarks:
 
 
 def preliminary_pairs(
-    images: Sequence[CraterImage], ground: Ground, options: PreliminaryOptions | None = None
+    images: Sequence[CraterImage], ground: GroundModel, options: PreliminaryOptions | None = None
 ) -> ImagePairs:
     """Find the pairs of images whose landmarks may be the same and whose lit regions overlap."""
     options = options or PreliminaryOptions()
     if not images:
         return ImagePairs(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))
     landmarks = _all_landmarks(images, ground, options)
-    couples = same_place(landmarks.points_m, landmarks.covariance_m2, options.gate_sigma, landmarks.by_common)
+    couples = couples_at_same_place(
+        landmarks.points_m, landmarks.covariance_m2, options.gate_sigma, landmarks.by_common
+    )
     ratio = np.abs(np.diff(landmarks.log_radius[couples], axis=1)[:, 0])
     between = landmarks.image[couples]
     between = np.sort(between[(ratio < np.log(options.size_ratio)) & (between[:, 0] != between[:, 1])], axis=1)
     pairs, counts = np.unique(between.reshape(-1, 2), axis=0, return_counts=True)
-    lit = [_lit(image, ground, options.footprint) for image in images]
+    lit = [_lit_points_of(image, ground, options.footprint) for image in images]
     shares = np.array([_overlap(images[i], images[j], lit[i], lit[j]) for i, j in pairs])
     kept = (counts >= options.landmarks) & (shares >= options.overlap)
     return ImagePairs(pairs[kept], counts[kept], shares[kept])
 
 
-def same_place(
+def couples_at_same_place(
     points_m: FloatArray, covariances_m2: FloatArray, gate_sigma: float, by_common: FloatArray | None = None
 ) -> IndexArray:
     """List couples (k, 2) of landmarks (n, 3) whose places agree within their uncertainty (n, 3, 3).
@@ -93,8 +95,8 @@ def same_place(
     shared = np.zeros((n, 3, 0)) if by_common is None else by_common
     reach = gate_sigma * np.sqrt(np.trace(covariances_m2, axis1=1, axis2=2))
     found = [np.zeros((0, 2), dtype=np.int64)]
-    for start in range(0, n, _AT_ONCE):
-        here = np.arange(start, min(start + _AT_ONCE, n))
+    for start in range(0, n, _BLOCK_SIZE):
+        here = np.arange(start, min(start + _BLOCK_SIZE, n))
         apart = np.linalg.norm(points_m[here, None] - points_m[None], axis=2)
         near = (apart < reach[here, None] + reach) & (np.arange(n) > here[:, None])
         rows, others = np.nonzero(near)
@@ -107,7 +109,7 @@ def same_place(
     return np.concatenate(found)
 
 
-def landmark_covariances(image: CraterImage, located: Located, height_sigma_m: float) -> FloatArray:
+def landmark_covariances(image: CraterImage, located: LocatedCraters, height_sigma_m: float) -> FloatArray:
     """(n, 3, 3) m^2 covariance of located craters: of the pose, half a pixel of the centre, and the shape's height."""
     by_pose, by_height = located.by_pose(), located.by_height()
     ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
@@ -118,7 +120,7 @@ def landmark_covariances(image: CraterImage, located: Located, height_sigma_m: f
 
 
 def lit_points(
-    camera: Camera, T_cam_body: Pose, sun_dir_body: FloatArray, ground: Ground, side: int
+    camera: Camera, T_cam_body: Pose, sun_dir_body: FloatArray, ground: GroundModel, side: int
 ) -> tuple[FloatArray, FloatArray]:
     """(k, 3) points of the shape on a grid of lines of sight that face the Sun, and (k, 3) normals there."""
     steps = (np.arange(side) + 0.5) / side
@@ -130,15 +132,15 @@ def lit_points(
     return points[lit], normals[lit]
 
 
-def _lit(image: CraterImage, ground: Ground, side: int) -> FloatArray:
+def _lit_points_of(image: CraterImage, ground: GroundModel, side: int) -> FloatArray:
     pose = image.frame.prior_T_cam_body
     return lit_points(image.camera, pose, pose.rotation.T @ image.frame.sun_dir_cam, ground, side)[0]
 
 
-def _all_landmarks(images: Sequence[CraterImage], ground: Ground, options: PreliminaryOptions) -> _Landmarks:
+def _all_landmarks(images: Sequence[CraterImage], ground: GroundModel, options: PreliminaryOptions) -> _Landmarks:
     parts = []
     for number, image in enumerate(images):
-        located = locate(image, ground)
+        located = locate_craters(image, ground)
         known = located.on_body
         covariance = landmark_covariances(image, located, options.height_sigma_m)
         ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
@@ -152,11 +154,11 @@ def _all_landmarks(images: Sequence[CraterImage], ground: Ground, options: Preli
 
 def _overlap(first: CraterImage, second: CraterImage, here: FloatArray, there: FloatArray) -> float:
     """Return the share of the points lit in one image that lie in the frame and the light of the other; the larger."""
-    shares = [_shown(there_image, points) for there_image, points in ((second, here), (first, there))]
+    shares = [_share_in_frame(there_image, points) for there_image, points in ((second, here), (first, there))]
     return max(shares)
 
 
-def _shown(image: CraterImage, points_body_m: FloatArray) -> float:
+def _share_in_frame(image: CraterImage, points_body_m: FloatArray) -> float:
     if len(points_body_m) == 0:
         return 0.0
     uv_px = image.camera.project(image.frame.prior_T_cam_body.transform(points_body_m))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.craters.contract import CraterImage, Ground
+from estimators.craters.contract import CraterImage, GroundModel
 from scenarios.geometry import Camera, Ellipses, Pose, cross_matrix
 
 FloatArray = NDArray[np.float64]
@@ -15,11 +15,11 @@ BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
 
 _RIM_POINTS = 8
-_LEAST_ON_BODY = 5
+_MIN_ON_BODY = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Located:
+class LocatedCraters:
     """Where the craters of an image lie by its prior pose.
 
     Parameters
@@ -69,7 +69,7 @@ class Located:
         return np.asarray(sight / np.einsum("ni,ni->n", self.normals_body, sight)[:, None], dtype=np.float64)
 
 
-def locate(image: CraterImage, ground: Ground) -> Located:
+def locate_craters(image: CraterImage, ground: GroundModel) -> LocatedCraters:
     """Locate the craters of an image on the a priori shape by its prior pose.
 
     The plane of a rim is that of least squares through the points of the shape under the rim, so that the facets of a
@@ -77,19 +77,21 @@ def locate(image: CraterImage, ground: Ground) -> Located:
     """
     ellipses, pose = image.detections.ellipses, image.frame.prior_T_cam_body
     centre_dir = pose.inverse().rotate(image.camera.unproject(ellipses.centre_px))
-    points, normals = _met(ground, pose, centre_dir)
-    rim, _ = _met(ground, pose, pose.inverse().rotate(image.camera.unproject(ellipses.points(_RIM_POINTS)[0])))
-    middles, fitted = _planes(rim, normals)
+    points, normals = _intersect(ground, pose, centre_dir)
+    rim, _ = _intersect(ground, pose, pose.inverse().rotate(image.camera.unproject(ellipses.points(_RIM_POINTS)[0])))
+    middles, fitted = _fit_planes(rim, normals)
     known = np.isfinite(middles).all(axis=1)
     slant = np.einsum("ni,ni->n", fitted, centre_dir)
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = np.einsum("ni,ni->n", fitted, middles - pose.camera_position_m) / slant
     known &= slant < -1e-3
     moved = pose.camera_position_m + depth[:, None] * centre_dir
-    return Located(np.where(known[:, None], moved, points), np.where(known[:, None], fitted, normals), pose)
+    return LocatedCraters(np.where(known[:, None], moved, points), np.where(known[:, None], fitted, normals), pose)
 
 
-def hidden(points_body_m: FloatArray, seen_from_body_m: FloatArray, ground: Ground, slack_m: FloatArray) -> BoolArray:
+def occluded(
+    points_body_m: FloatArray, seen_from_body_m: FloatArray, ground: GroundModel, slack_m: FloatArray
+) -> BoolArray:
     """(n,) whether the shape stands more than ``slack_m``, (n,), before the points as seen from a place."""
     rays = points_body_m - seen_from_body_m
     ranges = np.linalg.norm(rays, axis=1)
@@ -99,38 +101,38 @@ def hidden(points_body_m: FloatArray, seen_from_body_m: FloatArray, ground: Grou
         return np.asarray(nearer > slack_m)
 
 
-def _met(ground: Ground, pose: Pose, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _intersect(ground: GroundModel, pose: Pose, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Meet the shape with lines of sight (..., 3): points and normals of the same shape."""
     flat = directions.reshape(-1, 3)
     points, normals = ground.intersect(np.broadcast_to(pose.camera_position_m, flat.shape), flat)
     return points.reshape(directions.shape), normals.reshape(directions.shape)
 
 
-def _planes(rims: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _fit_planes(rims: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Fit planes to the points of rims that are on the body: middles and normals, (n, 3), on the side of ``normals``.
 
     NaN where too little of a rim, (n, k, 3), is on the body. Rims that lie on it whole are fitted all at once.
     """
     on_body = np.asarray(np.isfinite(rims).all(axis=2), dtype=np.bool_)
-    fitted = (on_body.sum(axis=1) >= _LEAST_ON_BODY) & np.isfinite(normals).all(axis=1)
+    fitted = (on_body.sum(axis=1) >= _MIN_ON_BODY) & np.isfinite(normals).all(axis=1)
     middles, across = np.full(normals.shape, np.nan), normals.copy()
     whole = fitted & on_body.all(axis=1)
     if whole.any():
-        middles[whole], across[whole] = _plane(rims[whole])
+        middles[whole], across[whole] = _fit_plane(rims[whole])
     for row in np.flatnonzero(fitted & ~whole):
-        middles[row], across[row] = _plane(rims[row, on_body[row]])
+        middles[row], across[row] = _fit_plane(rims[row, on_body[row]])
     inwards = np.einsum("ni,ni->n", across, normals) <= 0.0
     return middles, np.where(inwards[:, None] & fitted[:, None], -across, across)
 
 
-def _plane(rims: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _fit_plane(rims: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Fit planes of least squares to points (..., k, 3): their middles and normals of either sign."""
     middle = rims.mean(axis=-2)
     return middle, np.linalg.svd(rims - middle[..., None, :])[2][..., 2, :]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Transfer:
+class CraterTransfer:
     """Where craters of a first image are expected in a second one.
 
     Parameters
@@ -154,7 +156,9 @@ class Transfer:
     by_height: FloatArray
 
 
-def transfer(first: CraterImage, second: CraterImage, located: Located, ground: Ground) -> Transfer:
+def transfer_craters(
+    first: CraterImage, second: CraterImage, located: LocatedCraters, ground: GroundModel
+) -> CraterTransfer:
     """Predict the craters of a first image in a second one by both prior poses and the a priori shape.
 
     Left out are craters that are off the body, turned away from the second camera, hidden from it by the shape, or out
@@ -162,19 +166,19 @@ def transfer(first: CraterImage, second: CraterImage, located: Located, ground: 
     """
     pose, camera = second.frame.prior_T_cam_body, second.camera
     rows = np.flatnonzero(located.on_body)
-    planes = _part(located, rows)
+    planes = _rows_of(located, rows)
     towards = pose.camera_position_m - planes.points_body_m
     away = np.einsum("ni,ni->n", planes.normals_body, towards) <= 0.0
     radii_m = _radii_m(first, planes, rows)
-    kept = ~away & ~hidden(planes.points_body_m, pose.camera_position_m, ground, 2.0 * radii_m)
-    rows, planes = rows[kept], _part(planes, np.flatnonzero(kept))
+    kept = ~away & ~occluded(planes.points_body_m, pose.camera_position_m, ground, 2.0 * radii_m)
+    rows, planes = rows[kept], _rows_of(planes, np.flatnonzero(kept))
     by_error, by_height = _sensitivity(planes, camera, pose)
     maps = plane_homographies(planes, first.camera, camera, pose)
-    ellipses, real = mapped(first.detections.ellipses[rows], maps)
+    ellipses, real = map_ellipses(first.detections.ellipses[rows], maps)
     spread = 3.0 * np.sqrt(np.einsum("nij,jk,nik->ni", by_error, joint_covariance(first, second), by_error))
     inside = np.zeros(len(rows), dtype=np.bool_)
     inside[real] = _near_frame(ellipses.centre_px, spread[real], camera)
-    return Transfer(rows[inside], maps[inside], ellipses[inside[real]], by_error[inside], by_height[inside])
+    return CraterTransfer(rows[inside], maps[inside], ellipses[inside[real]], by_error[inside], by_height[inside])
 
 
 def joint_covariance(first: CraterImage, second: CraterImage) -> FloatArray:
@@ -184,7 +188,7 @@ def joint_covariance(first: CraterImage, second: CraterImage) -> FloatArray:
     return np.asarray(np.block(blocks), dtype=np.float64)
 
 
-def plane_homographies(located: Located, first: Camera, second: Camera, T_second_body: Pose) -> FloatArray:
+def plane_homographies(located: LocatedCraters, first: Camera, second: Camera, T_second_body: Pose) -> FloatArray:
     """(n, 3, 3) homographies of equation (5), from pixels of the first to pixels of the second image.
 
     For the plane m . x = h in axes of the first camera, K2 (R + t m^T / h) K1^-1.
@@ -197,14 +201,14 @@ def plane_homographies(located: Located, first: Camera, second: Camera, T_second
     return np.asarray(second.matrix @ moved @ np.linalg.inv(first.matrix), dtype=np.float64)  # eq. (5)
 
 
-def mapped(ellipses: Ellipses, maps: FloatArray) -> tuple[Ellipses, BoolArray]:
+def map_ellipses(ellipses: Ellipses, maps: FloatArray) -> tuple[Ellipses, BoolArray]:
     """Map n ellipses by n homographies: those that stay ellipses, and (n,) which they are."""
     inverse = np.linalg.inv(maps)
     conics = np.swapaxes(inverse, 1, 2) @ ellipses.conics() @ inverse  # eq. (9) for x' = T x
     return Ellipses.among(conics)
 
 
-def _sensitivity(located: Located, camera: Camera, pose: Pose) -> tuple[FloatArray, FloatArray]:
+def _sensitivity(located: LocatedCraters, camera: Camera, pose: Pose) -> tuple[FloatArray, FloatArray]:
     """Differentiate the places in an image by the errors of both poses and by the height of the shape."""
     turned = located.points_body_m @ pose.rotation.T
     by_point = camera.jacobian(turned + pose.translation_m)
@@ -214,7 +218,7 @@ def _sensitivity(located: Located, camera: Camera, pose: Pose) -> tuple[FloatArr
     return np.concatenate([first, second], axis=2), by_height
 
 
-def _radii_m(image: CraterImage, located: Located, rows: IndexArray) -> FloatArray:
+def _radii_m(image: CraterImage, located: LocatedCraters, rows: IndexArray) -> FloatArray:
     """(p,) radii of the rims on the body: foreshortening leaves the longer axis."""
     ranges = np.linalg.norm(located.points_body_m - located.T_cam_body.camera_position_m, axis=1)
     return np.asarray(image.detections.ellipses.semi_axes_px[rows, 0] * image.camera.pixel_angle_rad * ranges)
@@ -225,5 +229,5 @@ def _near_frame(centre_px: FloatArray, spread_px: FloatArray, camera: Camera) ->
     return np.asarray(((centre_px > -spread_px) & (centre_px < size + spread_px)).all(axis=1))
 
 
-def _part(located: Located, rows: IndexArray) -> Located:
-    return Located(located.points_body_m[rows], located.normals_body[rows], located.T_cam_body)
+def _rows_of(located: LocatedCraters, rows: IndexArray) -> LocatedCraters:
+    return LocatedCraters(located.points_body_m[rows], located.normals_body[rows], located.T_cam_body)

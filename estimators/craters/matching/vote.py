@@ -10,9 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from estimators.craters.contract import CraterImage, CraterMatches, Ground, too_few
-from estimators.craters.matching.association import Association, AssociationOptions, Expected, associate, centre_noise
-from estimators.craters.matching.transfer import joint_covariance, locate, transfer
+from estimators.craters.contract import CraterImage, CraterMatches, GroundModel, too_few_craters
+from estimators.craters.matching.association import (
+    Association,
+    CraterAssociationOptions,
+    ExpectedCraters,
+    associate,
+    centre_noise,
+)
+from estimators.craters.matching.transfer import joint_covariance, locate_craters, transfer_craters
 from estimators.options import parse_options
 from scenarios.spec.base import SpecModel
 
@@ -26,7 +32,7 @@ _ENOUGH_TO_RELY_ON = 3
 class VoteOptions(SpecModel):
     """Options of the vote."""
 
-    association: AssociationOptions = AssociationOptions()
+    association: CraterAssociationOptions = CraterAssociationOptions()
     height_sigma_m: float = Field(30.0, ge=0.0, description="Of the height of the a priori shape under a crater")
 
 
@@ -48,9 +54,9 @@ class VoteMatcher:
         """Build from a campaign's options."""
         return cls(parse_options(VoteOptions, options, cls.name))
 
-    def match(self, first: CraterImage, second: CraterImage, ground: Ground) -> CraterMatches:
+    def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
         """Match by place, size and shape."""
-        if reason := too_few(first, second):
+        if reason := too_few_craters(first, second):
             return CraterMatches.none(reason)
         error = np.zeros(12)
         for _ in range(_PASSES):
@@ -63,24 +69,24 @@ class VoteMatcher:
         return CraterMatches(np.column_stack([rows[found.pairs[:, 0]], found.pairs[:, 1]]), found.probability)
 
     def _associated(
-        self, first: CraterImage, second: CraterImage, ground: Ground, error: FloatArray
+        self, first: CraterImage, second: CraterImage, ground: GroundModel, error: FloatArray
     ) -> tuple[IndexArray, Association]:
         """Predict with the poses set right by a guess of their errors, and associate; also the rows predicted.
 
         The guess moves but the place that is linearised about: the errors stay as likely as before.
         """
         options, covariance = self._options, joint_covariance(first, second)
-        one, other = moved(first, error[:6]), moved(second, error[6:])
-        expected = transfer(one, other, locate(one, ground), ground)
+        one, other = with_pose_error(first, error[:6]), with_pose_error(second, error[6:])
+        expected = transfer_craters(one, other, locate_craters(one, ground), ground)
         noise = centre_noise(expected.ellipses, options.association)
         noise += options.height_sigma_m**2 * np.einsum("ni,nj->nij", expected.by_height, expected.by_height)
-        field = Expected(expected.ellipses, expected.by_error, covariance, noise, -error)
+        field = ExpectedCraters(expected.ellipses, expected.by_error, covariance, noise, -error)
         area_px2 = float(second.camera.width_px * second.camera.height_px)
         found = associate(field, second.detections.ellipses, area_px2, options.association)
         return expected.rows, replace(found, error=error + found.error)
 
 
-def moved(image: CraterImage, error: FloatArray) -> CraterImage:
+def with_pose_error(image: CraterImage, error: FloatArray) -> CraterImage:
     """Return an image whose prior pose is set right by its error, (6,) [rotation_rad, translation_m]."""
     pose = image.frame.prior_T_cam_body.perturbed(error[:3], error[3:])
     return replace(image, frame=replace(image.frame, prior_T_cam_body=pose))

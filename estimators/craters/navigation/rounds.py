@@ -18,16 +18,16 @@ from estimators.craters.contract import (
     CraterImage,
     CraterMatcher,
     CraterMatches,
-    Ground,
+    GroundModel,
 )
 from estimators.craters.database.files import LANDMARKS, CraterDatabase, read_matches, write_matches
-from estimators.craters.database.landmarks import locate_landmarks, places_of_landmarks
+from estimators.craters.database.landmarks import landmarks_for_orbit, locate_landmarks
 from estimators.craters.database.numbering import Numbering, PairMatches, number_craters
-from estimators.craters.database.pictures import placed_pictures, sequence_of_pictures
+from estimators.craters.database.pictures import numbered_pictures, pictures_for_orbit
 from estimators.craters.matching.preliminary import PreliminaryOptions, preliminary_pairs
-from estimators.craters.navigation.stages import Stages
+from estimators.craters.navigation.stages import StageFiles
 from estimators.craters.navigation.task import Exposure, NavigationTask
-from estimators.craters.navigation.trajectory import Trajectory, placed_images
+from estimators.craters.navigation.trajectory import Trajectory, images_along_trajectory
 from estimators.craters.registry import crater_detector_class, crater_matcher_class
 from estimators.options import parse_options
 from estimators.orbit.batch_filter import BatchFilter
@@ -63,7 +63,7 @@ class NavigationOptions(SpecModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Round:
+class NavigationRound:
     """One time around.
 
     Parameters
@@ -85,10 +85,10 @@ class Round:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Navigation:
+class NavigationResult:
     """All rounds, and the time that each stage took, by its name."""
 
-    rounds: tuple[Round, ...]
+    rounds: tuple[NavigationRound, ...]
     seconds: Mapping[str, float]
 
 
@@ -116,14 +116,14 @@ class CraterNavigation:
             found = self.detector.detect(frame, task.knowledge.camera)
         except BoresightError as error:
             return CraterDetections.none(), str(error)
-        return self.chosen(found), ""
+        return self.most_confident(found), ""
 
-    def chosen(self, found: CraterDetections) -> CraterDetections:
+    def most_confident(self, found: CraterDetections) -> CraterDetections:
         """Keep the most confident detections."""
         kept = slice(0, self.options.most_detections)
         return CraterDetections(found.ellipses[kept], found.confidence[kept])
 
-    def navigate(self, exposures: Sequence[Exposure], task: NavigationTask, stages: Stages) -> Navigation:
+    def navigate(self, exposures: Sequence[Exposure], task: NavigationTask, stages: StageFiles) -> NavigationResult:
         """Go around until an orbit is accepted, no better trajectory comes of it, or the rounds are used up.
 
         Raises
@@ -132,12 +132,12 @@ class CraterNavigation:
             If the a priori orbit leads into the body.
         """
         times = np.array([exposure.time_s for exposure in exposures])
-        trajectory, rounds = Trajectory.known_before(task.knowledge, times), []
+        trajectory, rounds = Trajectory.a_priori(task.knowledge, times), []
         wanted = np.unique(np.concatenate([task.wanted_s, times]))
         spent: dict[str, float] = {}
         for _ in range(self.options.rounds):
-            images = placed_images(exposures, trajectory, task)
-            own = stages.below(f"{self.options.matcher}-{self._key(images, task)}")
+            images = images_along_trajectory(exposures, trajectory, task)
+            own = stages.subfolder(f"{self.options.matcher}-{self._key(images, task)}")
             rounds.append(self._round(images, task, wanted, own))
             for stage, seconds in own.seconds().items():
                 spent[stage] = spent.get(stage, 0.0) + seconds
@@ -145,42 +145,42 @@ class CraterNavigation:
             if estimate.status == "ok" or estimate.orbit is None:
                 break
             inflation = max(1.0, estimate.diagnostics["chi_square_per_freedom"])
-            trajectory = Trajectory.determined(estimate.orbit, times, wanted, inflation)
-        return Navigation(tuple(rounds), spent)
+            trajectory = Trajectory.from_orbit(estimate.orbit, times, wanted, inflation)
+        return NavigationResult(tuple(rounds), spent)
 
     def _key(self, images: Sequence[CraterImage], task: NavigationTask) -> str:
         options = self.options
         return matching_key(images, options.matcher, options.preliminary, task.shape.height_sigma_m)
 
     def _round(
-        self, images: Sequence[CraterImage], task: NavigationTask, wanted_s: FloatArray, stages: Stages
-    ) -> Round:
+        self, images: Sequence[CraterImage], task: NavigationTask, wanted_s: FloatArray, stages: StageFiles
+    ) -> NavigationRound:
         """Match, number, write the data base, read it back and determine the orbit."""
         options, ground = self.options, task.shape.ground
         preliminary = options.preliminary.model_copy(update={"height_sigma_m": task.shape.height_sigma_m})
         with stages.timed("preliminary"):
             pairs = preliminary_pairs(images, ground, preliminary).pairs
         matcher = crater_matcher_class(options.matcher).from_options(self._matcher_options(task))
-        found = believed(match_pairs(images, pairs, matcher, ground, stages), options.agreeing)
+        found = reject_small_matches(match_pairs(images, pairs, matcher, ground, stages), options.agreeing)
         numbering = number_craters([len(image.detections.ellipses) for image in images], found)
 
         def build(path: Path) -> None:
             landmarks = locate_landmarks(images, numbering, ground, task.shape.height_sigma_m)
-            CraterDatabase(placed_pictures(images, numbering, landmarks.number), landmarks).save(path.parent)
+            CraterDatabase(numbered_pictures(images, numbering, landmarks.number), landmarks).save(path.parent)
 
         place = f"database-{options.agreeing}/{LANDMARKS}"
-        database = stages.kept(place, "database", build, lambda path: CraterDatabase.load(path.parent))
+        database = stages.cached(place, "database", build, lambda path: CraterDatabase.load(path.parent))
         known = task.knowledge
         data = OrbitData(
             known,
-            sequence_of_pictures(database.pictures, known.camera, known.field.rotation),
-            places_of_landmarks(database.landmarks, task.shape.centre_of_mass_m),
+            pictures_for_orbit(database.pictures, known.camera, known.field.rotation),
+            landmarks_for_orbit(database.landmarks, task.shape.centre_of_mass_m),
             task.radiometry,
             wanted_s,
         )
         with stages.timed("orbit"):
             estimate = self._filter.determine(data)
-        return Round(found, numbering, data, estimate)
+        return NavigationRound(found, numbering, data, estimate)
 
     def _matcher_options(self, task: NavigationTask) -> dict[str, object]:
         """Tell a matcher that asks for it how uncertain the shape's height is."""
@@ -188,7 +188,11 @@ class CraterNavigation:
 
 
 def match_pairs(
-    images: Sequence[CraterImage], pairs: NDArray[np.int64], matcher: CraterMatcher, ground: Ground, stages: Stages
+    images: Sequence[CraterImage],
+    pairs: NDArray[np.int64],
+    matcher: CraterMatcher,
+    ground: GroundModel,
+    stages: StageFiles,
 ) -> tuple[PairMatches, ...]:
     """Match the pairs (k, 2) of images, by their places in the sequence."""
     found: list[PairMatches] = []
@@ -199,11 +203,11 @@ def match_pairs(
             ones = [PairMatches(i, j, matcher.match(images[i], images[j], ground)) for i, j in block.tolist()]
             write_matches(path, ones)
 
-        found += stages.kept(f"pairs-{start // _BLOCK:05d}.txt", _MATCHING, match, read_matches)
+        found += stages.cached(f"pairs-{start // _BLOCK:05d}.txt", _MATCHING, match, read_matches)
     return tuple(found)
 
 
-def believed(found: Sequence[PairMatches], agreeing: int) -> tuple[PairMatches, ...]:
+def reject_small_matches(found: Sequence[PairMatches], agreeing: int) -> tuple[PairMatches, ...]:
     """Reject the pairs of images with fewer matches than ``agreeing``."""
     return tuple(
         replace(pair, matches=CraterMatches.none(f"{count} matches are fewer than the {agreeing} that have to agree"))

@@ -20,16 +20,16 @@ _SECONDS = "seconds.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Stages:
+class StageFiles:
     """A folder of files that each stand for a finished piece of work, and of the time that the stages took."""
 
     folder: Path
 
-    def below(self, name: str) -> Stages:
+    def subfolder(self, name: str) -> StageFiles:
         """Return a folder within."""
-        return Stages(self.folder / name)
+        return StageFiles(self.folder / name)
 
-    def kept(self, name: str, stage: str, make: Callable[[Path], None], read: Callable[[Path], T]) -> T:
+    def cached(self, name: str, stage: str, make: Callable[[Path], None], read: Callable[[Path], T]) -> T:
         """Read a file back, made first where it is not there; the time of making it counts for its stage."""
         path = self.folder / name
         if not path.exists():

@@ -41,7 +41,7 @@ class Trajectory:
     by_common_m: FloatArray
 
     @classmethod
-    def known_before(cls, knowledge: Knowledge, times_s: FloatArray) -> Trajectory:
+    def a_priori(cls, knowledge: Knowledge, times_s: FloatArray) -> Trajectory:
         """Map the a priori orbit forward, with the errors of the state at the epoch, of GM and of the Sun's pressure.
 
         Raises
@@ -56,7 +56,7 @@ class Trajectory:
         return cls(times_s, flown.states[:, :3], np.asarray(spread @ np.swapaxes(spread, 1, 2)), spread)
 
     @classmethod
-    def determined(cls, orbit: Orbit, times_s: FloatArray, wanted_s: FloatArray, inflation: float) -> Trajectory:
+    def from_orbit(cls, orbit: Orbit, times_s: FloatArray, wanted_s: FloatArray, inflation: float) -> Trajectory:
         """Take the places of an orbit at ``times_s``, which are among the times ``wanted_s`` that it was asked for.
 
         ``inflation`` multiplies its covariance: the chi-square of each degree of freedom of a solution whose residuals
@@ -67,7 +67,9 @@ class Trajectory:
         return cls(times_s, orbit.positions_m[rows], covariances, np.zeros((len(rows), 3, 0)))
 
 
-def placed_images(exposures: Sequence[Exposure], trajectory: Trajectory, task: NavigationTask) -> list[CraterImage]:
+def images_along_trajectory(
+    exposures: Sequence[Exposure], trajectory: Trajectory, task: NavigationTask
+) -> list[CraterImage]:
     """Give each image the pose of its time; the trajectory has one place for each, in their order."""
     turns, known = task.knowledge.field.rotation.at(trajectory.times_s), task.knowledge
     images = []

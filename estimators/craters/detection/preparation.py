@@ -20,7 +20,7 @@ GROUND_SHARE = 0.02  # of the image that must be lit ground
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class PreparedImage:
     """An image ready for detection.
 
     Parameters
@@ -100,7 +100,7 @@ def noise_level(image: FloatImage, ground: Mask) -> float:
     return float(np.median(np.abs(rough[ground])) / 0.6745 / 6.0)
 
 
-def prepare(frame: Frame, camera: Camera, window_px: float) -> Picture:
+def prepare_image(frame: Frame, camera: Camera, window_px: float) -> PreparedImage:
     """Check an image, find its lit ground and make its contrast even.
 
     Fixed thresholds fail where the Sun stands high or low; the brightness is therefore divided by its own standard
@@ -134,4 +134,4 @@ def prepare(frame: Frame, camera: Camera, window_px: float) -> Picture:
     level = np.maximum(mean, 0.02 * float(mean[ground].max()))
     even = np.where(ground, (image - mean) / spread, 0.0).astype(np.float32)
     relief = np.where(ground, (image - mean) / level, 0.0).astype(np.float32)
-    return Picture(even, relief, (noise / spread).astype(np.float32), ground, across / np.linalg.norm(across))
+    return PreparedImage(even, relief, (noise / spread).astype(np.float32), ground, across / np.linalg.norm(across))
