@@ -1,4 +1,4 @@
-"""The state of a solution between the steps of the filter: which sightings count, under which landmark, and where."""
+"""The state of the batch filter between its adjustments, and the data arc that each adjustment uses."""
 
 from __future__ import annotations
 
@@ -18,27 +18,29 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_MIN_SEEN = 2
+# Weight of the a priori position, against 1 for each line of sight: it fixes a point only where rays are parallel.
 _ANCHOR_WEIGHT = 1e-4
-_MIN_SECOND = 3
+_MIN_SIGHTINGS_OF_LANDMARK = 2
+_MIN_SECOND_RAYS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BatchState:
-    """What is believed so far.
+    """Estimates, and the assignment of sightings to landmarks, between two adjustments.
 
     Parameters
     ----------
     x
-        Shared unknowns.
+        (n,) shared unknowns, as `ParameterLayout` orders them.
     tilts
-        (I, 2) of all images, 0 where they have not been estimated.
+        (I, 2) pan and tilt of all images, rad; 0 where they have not been estimated.
     points
-        (L, 3) landmarks, body axes, NaN where one has no place yet; more of them than numbers after a split.
+        (L, 3) landmarks, m, body axes; NaN where one has no position yet. There are more of them than landmark numbers
+        once numbers have been split.
     numbering
-        (K,) row of the landmark of every sighting.
+        (K,) row of the landmark of each sighting.
     kept
-        (K,) sightings that count.
+        (K,) whether a sighting is used; False where it was edited.
     """
 
     x: FloatArray
@@ -49,7 +51,7 @@ class BatchState:
 
     @classmethod
     def initial(cls, data: OrbitData, layout: ParameterLayout) -> BatchState:
-        """Believe what is known before; landmarks have no place until they are seen."""
+        """Start from the a priori values; landmarks have no position until they are triangulated."""
         numbering = np.searchsorted(np.sort(data.landmarks.numbers), data.pictures.landmark)
         rows = np.argsort(data.landmarks.numbers)[numbering].astype(np.int64)
         nowhere = np.full((len(data.landmarks.numbers), 3), np.nan)
@@ -59,18 +61,18 @@ class BatchState:
 
 @dataclass(frozen=True, eq=False)
 class DataArc:
-    """The part of the data that ends at a time, laid out for the adjustment.
+    """The data up to an epoch, arranged for the adjustment.
 
     Parameters
     ----------
     data, layout, options
         Of the whole problem.
     model
-        Of the arc.
+        Predicts the measurements of the arc.
     rows
-        (K',) rows of ``data.pictures`` that its sightings came from.
+        (K',) rows of ``data.pictures`` of its sightings.
     landmarks
-        (L',) rows of the solution's landmarks that it has.
+        (L',) rows of its landmarks in the state.
     """
 
     data: OrbitData
@@ -84,12 +86,12 @@ class DataArc:
     def until(
         cls, data: OrbitData, layout: ParameterLayout, options: OrbitOptions, solution: BatchState, end_s: float
     ) -> DataArc:
-        """Take all sightings that count of landmarks that are seen twice."""
+        """Take all kept sightings up to ``end_s`` of landmarks with at least two of them."""
         pictures = data.pictures
         here = solution.kept & (pictures.times_s[pictures.image] <= end_s)
         seen = np.bincount(solution.numbering[here], minlength=len(solution.points))
-        here &= seen[solution.numbering] >= _MIN_SEEN
-        landmarks = np.flatnonzero(seen >= _MIN_SEEN)
+        here &= seen[solution.numbering] >= _MIN_SIGHTINGS_OF_LANDMARK
+        landmarks = np.flatnonzero(seen >= _MIN_SIGHTINGS_OF_LANDMARK)
         compact = np.full(len(solution.points), -1, dtype=np.int64)
         compact[landmarks] = np.arange(len(landmarks))
         measured, rows = measurements_until(
@@ -99,11 +101,11 @@ class DataArc:
 
     @property
     def measured(self) -> Measurements:
-        """What is measured."""
+        """Return the measurements of the arc."""
         return self.model.measured
 
     def rays(self, x: FloatArray, tilts: FloatArray) -> LinesOfSight:
-        """Turn sightings into lines in body axes."""
+        """Convert the sightings to lines of sight in body axes."""
         measured, camera = self.measured, self.layout.knowledge.camera
         unknowns = Unknowns(x, tilts[: len(measured.times_s)], np.zeros((0, 3)))
         positions = self.model.propagate(x).states[measured.image_epoch, :3]
@@ -116,7 +118,7 @@ class DataArc:
         return LinesOfSight(np.einsum("kij,kj->ki", turns, positions[measured.image]), directions)
 
     def unknowns(self, solution: BatchState) -> Unknowns:
-        """Begin with the solution; landmarks that have no place yet get one by their lines of sight."""
+        """Return the starting values of an adjustment; landmarks without a position are triangulated."""
         points = solution.points[self.landmarks].copy()
         new = np.isnan(points[:, 0])
         if new.any():
@@ -130,7 +132,7 @@ class DataArc:
         return Unknowns(solution.x, solution.tilts[: len(self.measured.times_s)], points)
 
     def prior(self) -> LandmarkPrior:
-        """Return what is known of the landmarks before, where that is to count."""
+        """Return the prior of the landmarks: that of the landmark file, or none (information 0) if they are free."""
         listed = self.data.landmarks
         information = np.zeros(len(self.landmarks))
         points = np.zeros((len(self.landmarks), 3))
@@ -143,7 +145,7 @@ class DataArc:
     def adjust(
         self, solution: BatchState, robust: HuberLoss, limits: StoppingCriteria
     ) -> tuple[BatchState, GaussNewtonResult]:
-        """Adjust the solution to the arc."""
+        """Adjust the state to the arc."""
         found = adjust(self.model, self.prior(), self.unknowns(solution), robust, limits)
         unknowns = found.linear.unknowns
         tilts, points = solution.tilts.copy(), solution.points.copy()
@@ -152,15 +154,16 @@ class DataArc:
         return replace(solution, x=unknowns.x, tilts=tilts, points=points), found
 
     def split(self, solution: BatchState, scale: float) -> tuple[BatchState, int]:
-        """Leave out sightings that do not meet those of their number, and give a new one to those that meet elsewhere.
+        """Edit sightings whose ray misses the others of its landmark, and split numbers that stand for two places.
 
+        The largest set of rays that meet keeps the number; a second set that meets elsewhere becomes a new landmark.
         Also returns how many numbers were split.
         """
         measured, known = self.measured, self.layout.knowledge
         rays = self.rays(solution.x, solution.tilts)
         sigma = np.hypot(measured.sigma_px * known.camera.pixel_angle_rad, known.attitude_sigma_rad)
         groups = consistent_rays(
-            rays.origins_m, rays.directions, measured.begin, self.options.edit_sigma * scale * sigma, _MIN_SECOND
+            rays.origins_m, rays.directions, measured.begin, self.options.edit_sigma * scale * sigma, _MIN_SECOND_RAYS
         )
         numbering, kept = solution.numbering.copy(), solution.kept.copy()
         kept[self.rows[groups < 0]] = False

@@ -1,4 +1,4 @@
-"""The batch filter: an arc that grows, wrong sightings edited, split numbers, a solution accepted or not."""
+"""The batch filter: adjustment of a growing arc, splitting of landmark numbers, editing, and acceptance."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 _DAY_S = 86_400.0
 _MIN_SQUARES = HuberLoss(np.inf, 1.0)
-_RAYLEIGH_MEDIAN = 1.17741
+_RAYLEIGH_MEDIAN = 1.17741  # median length of two standard normal components, sqrt(2 ln 2)
 _COARSE_SHARE, _FINE = 0.01, 0.02
 _MAX_SCALES = 4
 _MAX_EDITS = 4
@@ -33,7 +33,7 @@ _MIN_SIGHTINGS = 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """A solution of the whole arc, and how it came about."""
+    """A solution of the whole arc, with the counts of splits and steps."""
 
     solution: BatchState
     arc: DataArc
@@ -43,12 +43,12 @@ class _Fit:
 
     @property
     def edited_share(self) -> float:
-        """Share of all sightings that do not count."""
+        """Return the share of all sightings that were edited."""
         return 1.0 - len(self.arc.rows) / len(self.solution.kept)
 
     @property
     def chi_square(self) -> float:
-        """Of each degree of freedom."""
+        """Return the chi-square per degree of freedom."""
         linear, measured = self.adjusted.linear, self.arc.measured
         free = 2 * len(measured.image) + len(linear.passes.residuals) - 3 * measured.count
         return 2.0 * linear.cost / max(free, 1)
@@ -69,7 +69,7 @@ class BatchFilter:
         return cls(parse_options(OrbitOptions, options, cls.name))
 
     def determine(self, data: OrbitData) -> OrbitEstimate:
-        """Solve; where a solution is rejected, begin anew with the orbit that it has, and smaller steps."""
+        """Determine the orbit; a rejected solution is the start of a second attempt, whose arc grows more slowly."""
         began = time.perf_counter()
         if len(data.pictures.image) < _MIN_SIGHTINGS:
             reason = f"{len(data.pictures.image)} sightings are too few: at least {_MIN_SIGHTINGS} are needed"
@@ -94,7 +94,7 @@ class BatchFilter:
         return OrbitEstimate("failed" if reason else "ok", found, reason, diagnostics, time.perf_counter() - began)
 
     def _fit(self, data: OrbitData, layout: ParameterLayout, solution: BatchState, growth: float) -> _Fit:
-        """Let the arc grow; on the whole of it split, edit and adjust by least squares."""
+        """Fit a growing arc; then split, edit and adjust the whole arc by least squares."""
         end, steps = float(data.pictures.times_s[-1]), 0
         splits = 0
         ends = _arc_ends(self.options.first_days * _DAY_S, growth, end)
@@ -104,7 +104,7 @@ class BatchFilter:
                 continue
             solution, adjusted, taken = self._fit_robustly(arc, solution)
             steps += taken
-            # Over the first arc the orbit is not yet good enough to tell that rays do not meet.
+            # Over the first arc the orbit is too inaccurate to decide that rays do not meet.
             if self.options.split and (until > ends[0] or until == end):
                 solution, found = arc.split(solution, _residual_scale(adjusted))
                 splits += found
@@ -123,7 +123,7 @@ class BatchFilter:
         return _Fit(solution, arc, adjusted, splits, steps)
 
     def _fit_robustly(self, arc: DataArc, solution: BatchState) -> tuple[BatchState, GaussNewtonResult, int]:
-        """Adjust by Huber's loss, its scale what the residuals are like, until that is what is expected."""
+        """Adjust with Huber's loss, scaled by the residuals, until the scale stops decreasing."""
         scale, steps = _initial_scale(arc, solution), 0
         limits = StoppingCriteria(self.options.iterations, 1.0, _COARSE_SHARE)
         for _ in range(_MAX_SCALES):
@@ -137,12 +137,12 @@ class BatchFilter:
         return solution, adjusted, steps
 
     def _within_edit_limit(self, data: OrbitData, layout: ParameterLayout, solution: BatchState) -> NDArray[np.bool_]:
-        """(K,): sightings of landmarks with a place that lie within the limit."""
+        """Return (K,) which sightings of landmarks with a position have residuals within the editing limit."""
         lengths = _lengths(data, layout, solution)
         return np.asarray(np.nan_to_num(lengths, nan=np.inf) <= self.options.edit_sigma)
 
     def _rejection_reason(self, fit: _Fit) -> str:
-        """Tell why a solution cannot be believed; '' where it can."""
+        """Return why a solution is rejected; '' if it is accepted."""
         if not fit.adjusted.converged:
             return f"rejected: the adjustment did not converge in {self.options.iterations} steps"
         if fit.edited_share > self.options.edited_max:
@@ -153,23 +153,23 @@ class BatchFilter:
 
 
 def _arc_ends(first_s: float, growth: float, last_s: float) -> list[float]:
-    """Return the ends of the arcs, the last of which is the whole."""
+    """Return the ends of the growing arcs, s; the last is that of the whole arc."""
     ends = [first_s]
     while ends[-1] < last_s:
         ends.append(ends[-1] * growth)
-    # An arc that is all but the whole is left out.
+    # An arc nearly as long as the whole one costs as much and adds nothing.
     while len(ends) > 1 and ends[-2] > last_s / 1.3:
         ends.pop()
     return [*ends[:-1], last_s]
 
 
 def _residual_scale(adjusted: GaussNewtonResult) -> float:
-    """Robust scale of the residuals, in their sigmas; 1 at least."""
+    """Return the robust scale of the residuals in units of their sigmas; at least 1."""
     return max(1.0, float(np.median(adjusted.linear.lengths)) / _RAYLEIGH_MEDIAN)
 
 
 def _initial_scale(arc: DataArc, solution: BatchState) -> float:
-    """Return the same before any step."""
+    """Return the same scale before the first step."""
     unknowns = arc.unknowns(solution)
     residuals = arc.model.sightings(unknowns, arc.model.propagate(unknowns.x)).residuals
     lengths = np.linalg.norm(residuals, axis=1) / arc.measured.sigma_px
@@ -177,7 +177,7 @@ def _initial_scale(arc: DataArc, solution: BatchState) -> float:
 
 
 def _residuals(data: OrbitData, layout: ParameterLayout, solution: BatchState) -> tuple[FloatArray, FloatArray]:
-    """(K, 2) seen less predicted, px, and (K,) sigmas, of all sightings; NaN where a landmark has no place."""
+    """Return residuals (K, 2), px, and sigmas (K,) of all sightings; NaN where a landmark has no position."""
     placed = np.isfinite(solution.points[:, 0])[solution.numbering]
     end = float(data.pictures.times_s[-1])
     measured, rows = measurements_until(data, end, solution.numbering, placed, with_radiometry=False)
@@ -191,13 +191,13 @@ def _residuals(data: OrbitData, layout: ParameterLayout, solution: BatchState) -
 
 
 def _lengths(data: OrbitData, layout: ParameterLayout, solution: BatchState) -> FloatArray:
-    """(K,) lengths of all residuals in their sigmas."""
+    """Return the lengths (K,) of all residuals in units of their sigmas."""
     residuals, sigma = _residuals(data, layout, solution)
     return np.asarray(np.linalg.norm(residuals, axis=1) / sigma)
 
 
 def _orbit_of_fit(data: OrbitData, layout: ParameterLayout, fit: _Fit) -> Orbit:
-    """Tell the solution in the units of the contract, and where it leads."""
+    """Convert a solution to the units of the contract and propagate it to the wanted times."""
     x, covariance = fit.solution.x, fit.adjusted.covariance(layout.size)
     flown = propagate_orbit(layout, x, data.wanted_s)
     motion = state_derivatives(layout, x, flown, slice(0, 3))

@@ -1,4 +1,4 @@
-"""Landmarks from lines of sight alone: triangulation, and numbers that stand for two places."""
+"""Compiled kernels of the batch filter: elimination of the landmarks (Schur complement), and sets of rays that meet."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scenarios.compiled import compiler
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
-_MIN_PARALLAX = 0.03
+_MIN_PARALLAX = 0.03  # sine of the angle between two rays; below it their midpoint is poorly determined
 
 kernel = compiler(Path(__file__).parent)
 
@@ -23,8 +23,8 @@ def whiten_landmarks(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return ``L`` (L, 3, 3), ``L^-1 b`` (L, 3) and ``H' P L^-T`` (K, 7, 3) of each landmark and sighting.
 
-    ``C = L L'`` is the normal matrix of a landmark, b its gradient. Sightings stand in the order of their landmarks,
-    those of j from ``begin[j]`` to ``begin[j + 1]``.
+    ``C = L L'`` is the normal matrix of a landmark with its Cholesky factor, b the right-hand side. Sightings are
+    sorted by landmark: those of landmark j have the rows from ``begin[j]`` to before ``begin[j + 1]``.
     """
     count = len(begin) - 1
     factors, pulls = np.zeros((count, 3, 3)), np.zeros((count, 3))
@@ -39,6 +39,7 @@ def whiten_landmarks(
                     b[d] += by_point[k, row, d] * residuals[k, row]
                     for e in range(3):
                         C[d, e] += by_point[k, row, d] * by_point[k, row, e]
+        # Cholesky factor, row by row; numpy's would call LAPACK, which costs more than 3 x 3 arithmetic.
         L = factors[j]
         for d in range(3):
             for e in range(d + 1):
@@ -63,7 +64,7 @@ def whiten_landmarks(
 
 @kernel
 def shared_links(begin: IndexArray, image: IndexArray, links: FloatArray, shared: FloatArray) -> FloatArray:
-    """(L, 3, q): how each whitened landmark hangs on the shared unknowns; ``shared`` is (I, 7, q)."""
+    """Return (L, 3, q) the coupling of each whitened landmark to the shared unknowns; ``shared`` is (I, 7, q)."""
     count, q = len(begin) - 1, shared.shape[2]
     found = np.zeros((count, 3, q))
     for j in range(count):
@@ -80,10 +81,10 @@ def shared_links(begin: IndexArray, image: IndexArray, links: FloatArray, shared
 def subtract_landmarks(
     matrix: FloatArray, begin: IndexArray, image: IndexArray, links: FloatArray, common: FloatArray
 ) -> None:
-    """Subtract what landmarks carry from image to image, and from images to shared unknowns; the lower triangle.
+    """Subtract the landmarks' Schur complement from the lower triangle of the reduced normal matrix, in place.
 
-    ``matrix`` has two rows for each image, its pan and tilt, and then the shared unknowns; ``common`` is what
-    `shared_links` returns.
+    ``matrix`` has two rows for each image, its pan and tilt, and then the shared unknowns. The block of the shared
+    unknowns alone is subtracted by the caller. ``common`` is what `shared_links` returns.
     """
     first = matrix.shape[0] - common.shape[2]
     for j in range(len(begin) - 1):
@@ -110,17 +111,17 @@ def subtract_landmarks(
 def consistent_rays(
     origins: FloatArray, directions: FloatArray, begin: IndexArray, tolerance: FloatArray, least: int
 ) -> IndexArray:
-    """(K,): 0 for the largest set of rays of a landmark that meet in one place, 1 for the next, -1 for what is left.
+    """Label (K,) the rays of each landmark: 0 the largest set that meets in one place, 1 the second, -1 the others.
 
-    A set is the rays that pass the place where two of them come nearest each other within ``tolerance`` (K,), an angle,
-    rad. The second needs ``least`` rays. Rays of j stand from ``begin[j]`` to ``begin[j + 1]``.
+    A set is all rays that pass the midpoint between two of them within ``tolerance`` (K,), an angle, rad. The second
+    set needs ``least`` rays. The rays of landmark j have the rows from ``begin[j]`` to before ``begin[j + 1]``.
     """
     found = np.full(len(origins), -1)
     for j in range(len(begin) - 1):
         first = _label_largest_set(origins, directions, begin[j], begin[j + 1], tolerance, found, 0)
-        if first < 2:
+        if first < 2:  # no two rays meet: their errors cannot be judged, so all are kept
             for k in range(begin[j], begin[j + 1]):
-                found[k] = 0  # too few to tell
+                found[k] = 0
             continue
         second = _label_largest_set(origins, directions, begin[j], begin[j + 1], tolerance, found, 1)
         if second < least:
@@ -140,7 +141,7 @@ def _label_largest_set(
     found: IndexArray,
     label: int,
 ) -> int:
-    """Mark the largest set among the rays that are still -1, and return its size."""
+    """Give ``label`` to the largest set among the rays with label -1, and return its size."""
     best, place = 0, np.zeros(3)
     for a in range(first, last):
         for b in range(a + 1, last):
@@ -164,7 +165,7 @@ def _label_largest_set(
 
 @kernel
 def _ray_midpoint(origins: FloatArray, directions: FloatArray, a: int, b: int, place: FloatArray) -> bool:
-    """Fill the middle of the shortest line between two rays; False where they are all but parallel."""
+    """Fill ``place`` with the midpoint of the shortest line between two rays; return False if nearly parallel."""
     aa, ab, ao, bo = 1.0, 0.0, 0.0, 0.0
     for i in range(3):
         ab += directions[a, i] * directions[b, i]
@@ -182,7 +183,7 @@ def _ray_midpoint(origins: FloatArray, directions: FloatArray, a: int, b: int, p
 
 @kernel
 def _angle_off_ray(origins: FloatArray, directions: FloatArray, k: int, place: FloatArray) -> float:
-    """Angle between a ray and the direction to a place, rad; large where it is behind."""
+    """Return the angle between a ray and the direction to a place, rad; 10 if the place is behind the camera."""
     along, squares = 0.0, 0.0
     for i in range(3):
         offset = place[i] - origins[k, i]

@@ -1,4 +1,4 @@
-"""Residuals of all measurements with their derivatives, at a set of unknowns."""
+"""Residuals of sightings and radiometric data with their derivatives, for given values of the unknowns."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_NEAREST_M = 1.0
+_NEAREST_M = 1.0  # depths below it are held, so that a landmark behind the camera gives finite numbers
 _FLIGHTS_KEPT = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unknowns:
-    """Shared unknowns ``x`` (n,), pan and tilt of each image (I, 2) rad, landmarks (L, 3) m, body axes."""
+    """Shared unknowns ``x`` (n,), pan and tilt of each image (I, 2) rad, landmarks (L, 3) m in body axes."""
 
     x: FloatArray
     tilts: FloatArray
@@ -32,7 +32,7 @@ class Unknowns:
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """What an arc has to be fitted to; sightings in the order of their landmarks.
+    """The measurements of an arc; sightings are sorted by landmark.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Measurements:
     uv_px
         (K, 2).
     sigma_px
-        (K,) of a coordinate, with what the roll of the camera, which is no unknown, adds to it.
+        (K,) of one coordinate; includes the effect of the camera's roll error, which is not estimated.
     count
         Number of landmarks.
     radiometry
@@ -62,23 +62,23 @@ class Measurements:
 
     @cached_property
     def begin(self) -> IndexArray:
-        """(L + 1,) where the sightings of each landmark begin."""
+        """Return (L + 1,) the first row of each landmark's sightings."""
         return np.searchsorted(self.point, np.arange(self.count + 1)).astype(np.int64)
 
     @cached_property
     def epochs_s(self) -> FloatArray:
-        """Times at which the orbit is needed, ascending."""
+        """Return the times at which the orbit is needed, ascending."""
         return np.unique(self.times_s if self.radiometry is None else np.r_[self.times_s, self.radiometry.times_s])
 
     @cached_property
     def image_epoch(self) -> IndexArray:
-        """(I,) place of each image's time in ``epochs_s``."""
+        """Return (I,) the row of each image's time in ``epochs_s``."""
         return np.searchsorted(self.epochs_s, self.times_s).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SightingResiduals:
-    """Residuals seen less predicted, px, and derivatives of the prediction, px by unit.
+    """Residuals (observed minus predicted), px, and derivatives of the prediction, px per unit.
 
     Parameters
     ----------
@@ -87,9 +87,9 @@ class SightingResiduals:
     by_image
         (K, 2, 7) by the camera's inertial position, its rotation about its axes, and the relative focal length.
     by_point
-        (K, 2, 3) by the landmark.
+        (K, 2, 3) by the landmark's position in body axes.
     in_front
-        (K,) whether the landmark lies before the camera.
+        (K,) whether the landmark is in front of the camera.
     """
 
     residuals: FloatArray
@@ -100,7 +100,7 @@ class SightingResiduals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackingResiduals:
-    """Residuals of ranges and rates in their sigmas, (M,), and derivatives of the prediction by ``x``, (M, n)."""
+    """Residuals of ranges and range rates in sigmas, (M,), and derivatives of the prediction by ``x``, (M, n)."""
 
     residuals: FloatArray
     by_shared: FloatArray
@@ -114,11 +114,11 @@ class MeasurementModel:
     measured: Measurements
 
     def propagate(self, x: FloatArray) -> Flight:
-        """Follow the orbit over the arc."""
+        """Propagate the orbit over the arc."""
         return propagate_orbit(self.layout, x, self.measured.epochs_s)
 
     def shared(self, unknowns: Unknowns, flown: Flight) -> FloatArray:
-        """(I, 7, n): derivatives of each camera's position, rotation and focal length by the shared unknowns."""
+        """Return (I, 7, n) derivatives of each camera's position, rotation and focal length by the shared unknowns."""
         layout, known = self.layout, self.layout.knowledge
         found = np.zeros((len(self.measured.times_s), 7, layout.size))
         found[:, :3] = state_derivatives(layout, unknowns.x, flown, slice(0, 3))[self.measured.image_epoch]
@@ -129,7 +129,7 @@ class MeasurementModel:
         return found
 
     def sightings(self, unknowns: Unknowns, flown: Flight) -> SightingResiduals:
-        """Predict where each landmark is seen."""
+        """Predict the pixel of each sighting."""
         measured, layout = self.measured, self.layout
         image, camera = measured.image, layout.knowledge.camera
         focal = 1.0 + layout.focal(unknowns.x)
@@ -147,6 +147,7 @@ class MeasurementModel:
         by_inertial = by_cam @ turns[image]
         by_image = np.empty((len(z), 2, 7))
         by_image[:, :, :3] = -by_inertial
+        # A rotation w on the left moves the camera coordinates p by w x p: d(uv)/dw = p x d(uv)/dp, row by row.
         by_image[:, :, 3:6] = np.cross(np.stack([x, y, z], -1)[:, None], by_cam)
         by_image[:, 0, 6], by_image[:, 1, 6] = across / focal, down / focal
         by_point = by_inertial @ np.swapaxes(R_body_inertial, 1, 2)
@@ -154,12 +155,12 @@ class MeasurementModel:
         return SightingResiduals(seen - np.stack([across, down], -1), by_image, by_point, in_front)
 
     def attitudes(self, unknowns: Unknowns) -> FloatArray:
-        """(I, 3, 3) R_cam_inertial: an image's own error, the mounting, what is reported."""
+        """Return (I, 3, 3) R_cam_inertial: own error of the image times misalignment times telemetered attitude."""
         mounting = Rotation.from_rotvec(self.layout.mounting(unknowns.x)).as_matrix()
         return np.asarray(_tilt_rotations(unknowns.tilts) @ mounting @ self.measured.R_cam_inertial)
 
     def passes(self, x: FloatArray, flown: Flight) -> TrackingResiduals:
-        """Predict ranges and rates."""
+        """Predict ranges and range rates."""
         layout, radio = self.layout, self.measured.radiometry
         if radio is None:
             return TrackingResiduals(np.zeros(0), np.zeros((0, layout.size)))
@@ -178,13 +179,13 @@ class MeasurementModel:
 
 
 def _tilt_rotations(tilts: FloatArray) -> FloatArray:
-    """(I, 3, 3) rotations by pan and tilt."""
+    """Return (I, 3, 3) rotations by pan and tilt."""
     vectors = np.column_stack([tilts, np.zeros(len(tilts))])
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
 def propagate_orbit(layout: ParameterLayout, x: FloatArray, times_s: FloatArray) -> Flight:
-    """Follow the orbit of some unknowns, or take one of the last that were followed."""
+    """Propagate the orbit for given unknowns; one of the last propagations is returned if it is the same."""
     key = (x.tobytes(), times_s.tobytes())
     if key not in layout.flights:
         end = float(times_s[-1]) if len(times_s) else 1.0
@@ -196,7 +197,7 @@ def propagate_orbit(layout: ParameterLayout, x: FloatArray, times_s: FloatArray)
 
 
 def state_derivatives(layout: ParameterLayout, x: FloatArray, flown: Flight, rows: slice) -> FloatArray:
-    """(T, rows, n): derivatives of the state by the shared unknowns."""
+    """Return the (T, rows, n) derivatives of the propagated state by the shared unknowns."""
     found = np.zeros((len(flown.states), rows.stop - rows.start, layout.size))
     found[:, :, layout.part("state")] = flown.by_state[:, rows] * layout.state_sigma
     by_forces = flown.by_parameters[:, rows][:, :, layout.forces]
@@ -209,7 +210,7 @@ def state_derivatives(layout: ParameterLayout, x: FloatArray, flown: Flight, row
 def measurements_until(
     data: OrbitData, until_s: float, numbering: IndexArray, kept: BoolArray, with_radiometry: bool
 ) -> tuple[Measurements, IndexArray]:
-    """Take what there is up to a time: also the rows of ``data.pictures`` that each sighting came from.
+    """Take the measurements up to a time; also return the rows of ``data.pictures`` of the sightings.
 
     Parameters
     ----------
@@ -238,6 +239,7 @@ def measurements_until(
             image=pictures.image[rows],
             point=numbering[rows],
             uv_px=pictures.uv_px[rows],
+            # The roll error displaces a pixel by its distance from the axis; a coordinate has half of its variance.
             sigma_px=np.hypot(known.noise_px, known.attitude_sigma_rad * off_axis / np.sqrt(2.0)),
             count=int(numbering.max(initial=-1)) + 1,
             radiometry=radio,

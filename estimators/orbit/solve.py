@@ -1,4 +1,4 @@
-"""Gauss-Newton steps of the batch filter: landmarks eliminated, then a Cholesky factor of what is left."""
+"""Gauss-Newton adjustment of the batch filter: the landmarks are eliminated, the rest is solved by Cholesky."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from scenarios.dynamics.propagation import OrbitLostError
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+# Information of a landmark before its sightings, 1 / (20 km)^2: with parallel rays alone the matrix stays regular.
 _POINT_DAMPING = 1.0 / 20_000.0**2
 _DAMPING_FIRST = 1e-3
 _MAX_DAMPING = 1e8
@@ -23,28 +24,28 @@ _MAX_DAMPING = 1e8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HuberLoss:
-    """Huber's loss of a sighting's length in sigmas; ``limit`` infinite for least squares.
+    """Huber's loss of a sighting's residual length in sigmas; least squares if ``limit`` is infinite.
 
     Parameters
     ----------
     limit
-        Beyond it, in units of ``scale``, the loss grows linearly.
+        In units of ``scale``; beyond it the loss grows linearly.
     scale
-        Of what is expected, in sigmas: far from the solution all are far off.
+        Factor on the expected sigmas: far from the solution all residuals are large.
     """
 
     limit: float
     scale: float
 
     def weights(self, lengths: FloatArray) -> FloatArray:
-        """(k,) of iteratively reweighted least squares."""
+        """Return the weights (k,) of iteratively reweighted least squares."""
         if not np.isfinite(self.limit):
             return np.full(len(lengths), self.scale**-2)
         edge = self.limit * self.scale
         return np.asarray(edge / np.maximum(lengths, edge) / self.scale**2)
 
     def cost(self, lengths: FloatArray) -> float:
-        """Half the sum of squares, or what stands for it."""
+        """Return half the sum of squares, with Huber's loss beyond the limit."""
         if not np.isfinite(self.limit):
             return 0.5 * float(lengths @ lengths) / self.scale**2
         edge = self.limit * self.scale
@@ -54,7 +55,7 @@ class HuberLoss:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearisation:
-    """A model about some unknowns: its residuals with derivatives, and what they cost."""
+    """Residuals with derivatives and the cost, at given values of the unknowns."""
 
     unknowns: Unknowns
     flown: Flight
@@ -66,7 +67,7 @@ class Linearisation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkPrior:
-    """Of landmarks: (L, 3) places and (L,) 1 / sigma^2, 0 where they are free."""
+    """Prior of the landmarks: positions (L, 3) and information (L,) 1 / sigma^2, 0 where they are free."""
 
     points: FloatArray
     information: FloatArray
@@ -74,7 +75,7 @@ class LandmarkPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussNewtonStep:
-    """A Gauss-Newton step, the decrease of the cost that it promises, and the factor of the reduced matrix."""
+    """A Gauss-Newton step, the decrease of the cost that it predicts, and the Cholesky factor of the reduced matrix."""
 
     x: FloatArray
     tilts: FloatArray
@@ -85,7 +86,7 @@ class GaussNewtonStep:
 
 @dataclass(frozen=True, slots=True)
 class StoppingCriteria:
-    """When to end: after so many steps, or when the cost would fall by less than a tolerance and a share of itself."""
+    """When to stop: after ``steps``, or if the predicted decrease is less than ``tolerance + share * cost``."""
 
     steps: int
     tolerance: float
@@ -94,7 +95,7 @@ class StoppingCriteria:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussNewtonResult:
-    """Where the steps ended."""
+    """The last linearisation and step of an adjustment."""
 
     linear: Linearisation
     step: GaussNewtonStep
@@ -102,19 +103,22 @@ class GaussNewtonResult:
     steps: int
 
     def covariance(self, size: int) -> FloatArray:
-        """(n, n) of the shared unknowns, by the last rows of the factor: their square-root information."""
+        """Return the (n, n) covariance of the shared unknowns.
+
+        They are last in the order of elimination, so the last rows of the factor are their square-root information.
+        """
         root = np.triu(self.step.factor[-size:, -size:])
         inverse = solve_triangular(root, np.eye(size))
         return np.asarray(inverse @ inverse.T)
 
 
 def linearise(model: MeasurementModel, prior: LandmarkPrior, unknowns: Unknowns, robust: HuberLoss) -> Linearisation:
-    """Work out residuals and derivatives.
+    """Compute residuals, derivatives and cost.
 
     Raises
     ------
     OrbitLostError
-        If the orbit leads into the body.
+        If the orbit hits the body.
     """
     flown = model.propagate(unknowns.x)
     sightings, passes = model.sightings(unknowns, flown), model.passes(unknowns.x, flown)
@@ -131,10 +135,10 @@ def linearise(model: MeasurementModel, prior: LandmarkPrior, unknowns: Unknowns,
 def gauss_newton_step(
     model: MeasurementModel, prior: LandmarkPrior, here: Linearisation, robust: HuberLoss, damping: float
 ) -> GaussNewtonStep:
-    """Solve the normal equations, whose diagonal is raised by ``damping`` times itself.
+    """Solve the normal equations with the diagonal multiplied by ``1 + damping`` (Levenberg and Marquardt).
 
-    Pan and tilt of each image and the landmarks' places are eliminated in turn: the landmarks by blocks, and of the
-    Cholesky factor of the rest the images' rows come first, so that its last rows are the square-root information of
+    The landmarks are eliminated first, block by block (Schur complement). In the Cholesky factorisation of the rest
+    the pan and tilt of the images come first, so that the last rows of the factor are the square-root information of
     the shared unknowns alone.
     """
     measured, known = model.measured, model.layout.knowledge
@@ -145,12 +149,14 @@ def gauss_newton_step(
     residuals = here.sightings.residuals * scale
     by_image, by_point = here.sightings.by_image * scale[..., None], here.sightings.by_point * scale[..., None]
 
+    # Landmarks hardly known by their rays are damped more than by their own diagonal, which is then near 0.
     held = prior.information + _POINT_DAMPING * (1.0 + damping * 1e4)
     factors, pulls, links = whiten_landmarks(measured.begin, by_point, by_image, residuals, held)
     if np.any(prior.information):
         toward = (prior.information[:, None] * (prior.points - unknowns.points))[..., None]
         pulls = pulls + _solve(factors, toward)[..., 0]
 
+    # The chain rule: derivatives by the camera (7) times derivatives of the camera by the shared unknowns.
     shared = model.shared(unknowns, here.flown)
     common = shared_links(measured.begin, measured.image, links, shared)
     normal = np.zeros((images, 7, 7))
@@ -191,11 +197,12 @@ def gauss_newton_step(
     )
     every = np.arange(size)
     matrix[every, every] *= 1.0 + damping
-    # The transpose lies in memory as LAPACK wants it: nothing is copied.
+    # The transpose has the column-major order of LAPACK, so that nothing is copied.
     factor, _ = cho_factor(matrix.T, lower=False, overwrite_a=True, check_finite=False)
     moved = cho_solve((factor, False), right, check_finite=False)
     x, tilts = moved[2 * images :], moved[: 2 * images].reshape(-1, 2)
 
+    # Back substitution of the landmarks: L^T dp = L^-1 b - (L^-1 H') dx.
     by_common = np.einsum("ldp,p->ld", common, x)
     np.add.at(by_common, measured.point, np.einsum("krd,kr->kd", links[:, 3:5], tilts[measured.image]))
     whitened_points = pulls - by_common
@@ -211,12 +218,12 @@ def _solve(matrices: FloatArray, right: FloatArray) -> FloatArray:
 def adjust(
     model: MeasurementModel, prior: LandmarkPrior, start: Unknowns, robust: HuberLoss, limits: StoppingCriteria
 ) -> GaussNewtonResult:
-    """Take Gauss-Newton steps, damped where they fail, until one promises too little to be worth another.
+    """Take Gauss-Newton steps, damped where the cost rises, until the stopping criteria are met.
 
     Raises
     ------
     OrbitLostError
-        If the orbit that it begins with leads into the body.
+        If the orbit of the starting values hits the body.
     """
     here, damping = linearise(model, prior, start, robust), 0.0
     step = gauss_newton_step(model, prior, here, robust, damping)
@@ -231,6 +238,7 @@ def adjust(
             if damping > _MAX_DAMPING:
                 return GaussNewtonResult(here, step, False, count)
         else:
+            # A small decrease predicted with strong damping is no convergence: the damping made it small.
             done = little and damping <= _DAMPING_FIRST
             start, here = moved, there
             damping = 0.0 if damping <= _DAMPING_FIRST else 0.1 * damping
@@ -243,6 +251,7 @@ def adjust(
 def _linearise_or_none(
     model: MeasurementModel, prior: LandmarkPrior, unknowns: Unknowns, robust: HuberLoss
 ) -> Linearisation | None:
+    """Return the linearisation, or None if the orbit hits the body."""
     try:
         return linearise(model, prior, unknowns, robust)
     except OrbitLostError:

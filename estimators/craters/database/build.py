@@ -1,4 +1,4 @@
-"""The crater data base from numbered sightings at known poses: positions from all lines of sight to a landmark."""
+"""Building of the crater database: matching, numbering and location of craters, and triangulation at known poses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PASSES = 6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CraterDatabaseBuild:
-    """A data base, and how it came about.
+    """A database with its intermediate results.
 
     Parameters
     ----------
@@ -34,9 +34,9 @@ class CraterDatabaseBuild:
     pairs
         Of images that were matched.
     found
-        What the matcher said of each.
+        Matches of each pair.
     numbering
-        Numbers of all detections, also of craters that no image places on the body.
+        Numbers of all detections, including craters that no image places on the body.
     """
 
     database: CraterDatabase
@@ -51,7 +51,7 @@ def build_database(
     ground: GroundModel,
     options: PreliminaryOptions | None = None,
 ) -> CraterDatabaseBuild:
-    """Match all images that may show the same craters, and number and place what they have in common."""
+    """Match all images that may show the same craters, and number and locate the craters that they share."""
     options = options or PreliminaryOptions()
     pairs = preliminary_pairs(images, ground, options)
     found = tuple(PairMatches(int(i), int(j), matcher.match(images[i], images[j], ground)) for i, j in pairs.pairs)
@@ -66,10 +66,10 @@ def triangulate_landmarks(
 ) -> CraterDatabase:
     """Move each landmark to where its lines of sight meet best, with the shape's height as a prior.
 
-    The normal equations of the points x: sum over pictures of w (I - d d^T) / s^2 (x - c) = 0, where a line leaves the
-    camera at c along d and s is the error of the rim's centre on the ground, and n n^T / h^2 (x - x0) for the a priori
-    location x0 on the shape, known to h along the normal n. Huber's weights w keep a line that has the number of
-    another crater from deciding; they begin at 1.
+    The normal equations of the points x: sum over pictures of w (I - d d^T) / s^2 (x - c) = 0, where a line starts at
+    the camera c along d and s is the error of the rim's centre on the ground, and n n^T / h^2 (x - x0) for the a priori
+    location x0 on the shape, known to h along the normal n. Huber's weights w, 1 at first, limit the influence of a
+    line that has the number of another crater.
     """
     landmarks = database.landmarks
     row, lines, information = _lines_of_sight(database, options)
@@ -93,7 +93,7 @@ def triangulate_landmarks(
 def _lines_of_sight(
     database: CraterDatabase, options: CraterAssociationOptions
 ) -> tuple[IndexArray, LinesOfSight, FloatArray]:
-    """Return the rows (K,) of the landmarks of all sightings, their lines in body axes, and their information (K,)."""
+    """Return the landmark rows (K,) of all sightings, their lines in body axes, and their information (K,), 1 / m^2."""
     parts = [_lines_of(picture, database.landmarks, options) for picture in database.pictures]
     if not parts:
         return np.zeros(0, np.int64), LinesOfSight(np.zeros((0, 3)), np.zeros((0, 3))), np.zeros(0)

@@ -1,9 +1,23 @@
-"""The picture-sequence file and the landmark file of Cheng et al. (2003).
+"""The text files of crater navigation: detections, matches, picture sequence and landmarks.
 
-Both are text, in metres, seconds, radians and pixels ((u, v) = column and row; the middle of the first is at 0.5), each
-record on a line, fields parted by spaces.
+All are in metres, seconds, radians and pixels ((u, v) = column and row; the centre of the first is at 0.5), one record
+a line, fields separated by spaces.
 
-Picture sequence, in the order of time::
+Craters of an image, the most confident first, rows counted from 0::
+
+    # boresight crater detections 1
+    image NUMBER TIME REASON
+    crater IMAGE ROW U V SEMI_MAJOR SEMI_MINOR ANGLE CONFIDENCE
+
+Matches of pairs of images, by the images' places in the sequence::
+
+    # boresight crater matches 1
+    pair FIRST SECOND REASON
+    match FIRST SECOND ROW_IN_FIRST ROW_IN_SECOND SCORE
+
+``REASON`` is why nothing was found, its words joined by underscores; ``-`` if there was no obstacle.
+
+Picture sequence of Cheng et al. (2003), in the order of time::
 
     # boresight picture sequence 1
     picture NUMBER TIME WIDTH HEIGHT FX FY CX CY R11 R12 R13 R21 R22 R23 R31 R32 R33 TX TY TZ SUNX SUNY SUNZ
@@ -12,7 +26,7 @@ Picture sequence, in the order of time::
 ``R`` and ``T`` take body to camera coordinates; ``SUN`` points to the Sun in camera axes. Sightings follow their
 picture.
 
-Landmarks, ascending::
+Landmarks of the same paper, ascending::
 
     # boresight landmarks of craters 1
     landmark NUMBER X Y Z NX NY NZ RADIUS SXX SXY SXZ SYY SYZ SZZ IMAGES
@@ -39,16 +53,14 @@ from scenarios.geometry import Camera, Ellipses, Pose
 PICTURES, LANDMARKS = "pictures.txt", "landmarks.txt"
 _SEQUENCE_HEAD = "boresight picture sequence 1"
 _LANDMARK_HEAD = "boresight landmarks of craters 1"
-_UPPER = np.triu_indices(3)
-
 _MATCHES_HEAD = "boresight crater matches 1"
-
 _DETECTIONS_HEAD = "boresight crater detections 1"
+_UPPER = np.triu_indices(3)  # rows and columns of the stored covariance elements
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageDetections:
-    """What was found in an image, and why nothing could be; '' where it was searched."""
+    """The craters found in an image; ``reason`` is why it could not be searched, '' if it was."""
 
     number: int
     time_s: float
@@ -96,7 +108,7 @@ def read_detections(path: Path) -> ImageDetections:
 
 
 def write_matches(path: Path, found: Sequence[PairMatches]) -> None:
-    """Write what a matcher said of pairs of images, whole or not at all."""
+    """Write the matches of pairs of images, whole or not at all."""
     lines = []
     for pair in found:
         images = (pair.first, pair.second)
@@ -107,12 +119,12 @@ def write_matches(path: Path, found: Sequence[PairMatches]) -> None:
 
 
 def read_matches(path: Path) -> tuple[PairMatches, ...]:
-    """Read what a matcher said of pairs of images.
+    """Read the matches of pairs of images.
 
     Raises
     ------
     BoresightError
-        With file and line: a record is malformed, a match does not follow its pair, or a pair stands twice.
+        With file and line: a record is malformed, a match does not follow its pair, or a pair is listed twice.
     """
     heads: list[TextRecord] = []
     rows: list[list[TextRecord]] = []
@@ -146,7 +158,7 @@ class CraterDatabase:
     Raises
     ------
     BoresightError
-        If a picture shows a landmark that there is not.
+        If a picture shows a landmark that is not in the list.
     """
 
     pictures: tuple[SequencePicture, ...]
@@ -159,13 +171,13 @@ class CraterDatabase:
                 raise BoresightError(f"picture {picture.number} shows landmark {int(unknown[0])}, which has no place")
 
     def save(self, folder: Path) -> None:
-        """Write both files into a folder, each whole or not at all."""
+        """Write both files to a folder, each whole or not at all."""
         write_pictures(folder / PICTURES, self.pictures)
         write_landmarks(folder / LANDMARKS, self.landmarks)
 
     @classmethod
     def load(cls, folder: Path) -> CraterDatabase:
-        """Read both files of a folder; raise BoresightError with file and line where one is wrong."""
+        """Read both files of a folder; raise BoresightError with file and line if one is malformed."""
         pictures, landmarks = read_pictures(folder / PICTURES), read_landmarks(folder / LANDMARKS)
         try:
             return cls(pictures, landmarks)
@@ -195,8 +207,8 @@ def read_pictures(path: Path) -> tuple[SequencePicture, ...]:
     Raises
     ------
     BoresightError
-        With file and line: a record is malformed, a picture or a landmark in a picture stands twice, or a sighting
-        does not follow its picture.
+        With file and line: a record is malformed, a picture is listed twice, or a landmark twice in a picture, or a
+        sighting does not follow its picture.
     """
     heads: list[TextRecord] = []
     sightings: list[list[TextRecord]] = []
@@ -239,7 +251,7 @@ def read_landmarks(path: Path) -> Landmarks:
     Raises
     ------
     BoresightError
-        With file and line: a record is malformed, a number stands twice, or numbers do not ascend.
+        With file and line: a record is malformed, a number is listed twice, or numbers do not ascend.
     """
     numbers: list[int] = []
     rows: list[list[float]] = []

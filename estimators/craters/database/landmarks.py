@@ -1,4 +1,4 @@
-"""Where numbered craters lie: their a priori positions from the shape."""
+"""Landmarks of the crater database: the a priori positions of numbered craters, located on the shape."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ IndexArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmarks:
-    """Craters of the data base, ascending by number.
+    """Craters of the database, ascending by number.
 
     Parameters
     ----------
     number
         (n,) each once.
     position_body_m, normal_body
-        (n, 3) centres of the rims, and outward unit vectors across them.
+        (n, 3) centres of the rims, and outward unit normals of their planes.
     radius_m
         (n,) of the rims.
     covariance_m2
         (n, 3, 3) of the positions.
     images
-        (n,) in how many images each was found.
+        (n,) number of images in which each was found.
     """
 
     number: IndexArray
@@ -60,9 +60,9 @@ class Landmarks:
 def locate_landmarks(
     images: Sequence[CraterImage], numbering: Numbering, ground: GroundModel, height_sigma_m: float
 ) -> Landmarks:
-    """Place every numbered crater where its images, located on the shape by their prior poses, agree best.
+    """Average the locations of each numbered crater on the shape over its images.
 
-    The positions of an image are weighted with their covariances, by the prior pose, the rim's centre and the height
+    The locations of an image are weighted with their covariances, from the prior pose, the rim's centre and the height
     of the shape. A crater that no image places on the body has no position and is left out.
     """
     parts = []
@@ -84,7 +84,7 @@ def locate_landmarks(
 def _average_by_number(
     numbers: IndexArray, points: FloatArray, normals: FloatArray, log_radii: FloatArray, spread: FloatArray
 ) -> Landmarks:
-    """Average what the images say of each number, positions by their information."""
+    """Average the values of all images for each number: positions by their information, radii by their logarithms."""
     number, place, images = np.unique(numbers, return_inverse=True, return_counts=True)
     information = np.linalg.inv(spread)
     total, weighted = np.zeros((len(number), 3, 3)), np.zeros((len(number), 3))
@@ -105,9 +105,10 @@ def _average_by_number(
 
 
 def landmarks_for_orbit(landmarks: Landmarks, centre_of_mass_m: FloatArray) -> LandmarkFile:
-    """Write the landmarks of a data base with their places about the centre of mass, (3,) in the data base's axes.
+    """Convert landmarks to the input of orbit determination: positions about the centre of mass.
 
-    A plate model's origin need not be the centre of mass: that of Eros at one density lies at (-23, 2, 47) m.
+    ``centre_of_mass_m`` is (3,) in the axes of the database: a plate model's origin need not be the centre of mass; that
+    of Eros at uniform density lies at (-23, 2, 47) m.
     """
     sigma = np.sqrt(np.trace(landmarks.covariance_m2, axis1=1, axis2=2) / 3.0)
     return LandmarkFile(landmarks.number, landmarks.position_body_m - centre_of_mass_m, sigma)

@@ -1,4 +1,4 @@
-"""The pictures of a sequence, each with the numbered craters that it shows."""
+"""The picture sequence: the images of the database with their numbered craters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ IndexArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequencePicture:
-    """One image as orbit determination sees it.
+    """One image in the picture sequence, the input of orbit determination.
 
     Parameters
     ----------
@@ -32,13 +32,13 @@ class SequencePicture:
     camera
         Its parameters, without distortion.
     T_cam_body
-        The prior pose: where the camera was thought to be and to point.
+        The prior pose.
     sun_dir_cam
         (3,) unit vector towards the Sun.
     landmark
         (k,) numbers of the craters that were found, each once.
     ellipses
-        k rims: their centres are the data, columns and rows.
+        k rims: their centres are the measurements.
     """
 
     number: int
@@ -80,19 +80,19 @@ def numbered_pictures(
 
 
 def pictures_for_orbit(pictures: Sequence[SequencePicture], camera: Camera, rotation: UniformRotation) -> Pictures:
-    """Write the pictures of a data base as orbit determination sees them: in inertial axes, times ascending.
+    """Convert pictures to the input of orbit determination: attitudes in inertial axes, times ascending.
 
     Parameters
     ----------
     camera
-        What orbit determination calculates with.
+        The camera model of orbit determination.
     rotation
-        Of the body, as the poses of the pictures were made with.
+        Of the body, the same as the poses of the pictures were made with.
 
     Raises
     ------
     BoresightError
-        If the data base has no picture, or one by another camera.
+        If there is no picture, or one of another camera.
     """
     if not pictures:
         raise BoresightError("the data base has no picture: there is nothing to determine an orbit from")

@@ -1,4 +1,4 @@
-"""Text files of records: one a line, a word that says of which kind it is, then its fields.
+"""Text files of records: one a line, first the kind of the record, then its fields.
 
 Numbers are written as Python's ``repr``, the shortest text that reads back as the same number. A line that begins with
 ``#`` is a comment; the first line names the format and its version.
@@ -19,7 +19,7 @@ _MAX_DIGITS = 18  # more may not fit 64 bits
 
 @dataclass(frozen=True, slots=True)
 class TextRecord:
-    """A line of a file: where it stands, its kind and its fields."""
+    """A line of a file: its place, its kind and its fields."""
 
     path: Path
     line: int
@@ -27,11 +27,11 @@ class TextRecord:
     fields: tuple[str, ...]
 
     def error(self, what: str) -> BoresightError:
-        """Make the error that names this line."""
+        """Return an error whose message begins with the file and line."""
         return BoresightError(f"{self.path}:{self.line}: {what}")
 
     def integer(self, field: int) -> int:
-        """Read a field as a whole number that is not negative."""
+        """Read a field as a non-negative integer."""
         text = self.fields[field]
         if not text.isdecimal() or len(text) > _MAX_DIGITS:
             raise self.error(
@@ -67,12 +67,12 @@ def write_records(path: Path, head: str, lines: Iterable[str]) -> None:
 
 
 def read_records(path: Path, head: str, fields: Mapping[str, int]) -> Iterator[TextRecord]:
-    """Read the records of a file; ``fields`` tells how many each kind has.
+    """Read the records of a file; ``fields`` gives the number of fields of each kind.
 
     Raises
     ------
     BoresightError
-        If the file cannot be read, is of another format, or a line is of no known kind or length.
+        If the file cannot be read, is of another format, or a line is of an unknown kind or length.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -94,5 +94,5 @@ def read_records(path: Path, head: str, fields: Mapping[str, int]) -> Iterator[T
 
 
 def format_record(*values: str | float) -> str:
-    """Write values as one line: whole numbers and texts as they are, others exactly."""
+    """Format values as one line: integers and texts as they are, other numbers exactly."""
     return " ".join(str(v) if isinstance(v, int | str) else repr(float(v)) for v in values)
