@@ -1,4 +1,14 @@
-"""Images planned along an a priori orbit: the nadir when it is lit, near the lit limb, near the terminator."""
+"""Planning of images along an orbit after Cheng et al. (2003): the lit nadir, near the lit limb, near the terminator.
+
+The plan file is text, one record a line::
+
+    # boresight image plan 1
+    image NUMBER TIME KIND TX TY TZ P11 P12 P13 P21 P22 P23 P31 P32 P33 A11 .. A33 SX SY SZ
+
+``TIME`` is that of the shutter in seconds, ``T`` the target of the boresight on the ground, in metres and body axes,
+``P`` and ``A`` the planned and the telemetered rotation from inertial to camera axes, row by row, and ``S`` the
+direction of the Sun in the axes of a camera that points to the nadir.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +31,12 @@ from scenarios.orbits.data import Knowledge
 from scenarios.sequences.ground import MeshGround
 
 PLANNER, PLANNER_VERSION = "planner", 1
-"""What plans are made by: raise the version when they change."""
+"""Name and version of the planner: raise the version when plans change."""
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _BLOCK_SIZE = 64
-
 _HEAD = "boresight image plan 1"
 
 
@@ -38,14 +47,14 @@ def plan_arc(
     ground: MeshGround,
     centre_of_mass_m: FloatArray,
 ) -> tuple[PlannedImage, ...]:
-    """Map the a priori orbit to ``times_s``, (n,) ascending, and plan an image at each where ground is lit.
+    """Propagate the a priori orbit to ``times_s``, (n,) ascending, and plan an image at each if there is lit ground.
 
-    ``centre_of_mass_m``, (3,), is where that lies in the axes of ``ground``.
+    ``centre_of_mass_m``, (3,), is its position in the axes of ``ground``.
 
     Raises
     ------
     OrbitLostError
-        If the a priori orbit leads into the body.
+        If the a priori orbit hits the body.
     """
     flown = flight(knowledge.field, knowledge.state, times_s, Pushes.none(float(times_s[-1])))
     attitudes = knowledge.field.rotation.at(times_s)
@@ -56,14 +65,14 @@ def plan_arc(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ephemeris:
-    """What is known beforehand at each of n epochs.
+    """A priori positions and attitudes at n epochs.
 
     Parameters
     ----------
     time_s
         (n,) ascending.
     position_inertial_m
-        (n, 3) of the spacecraft about the origin of the axes of the ground: the a priori orbit.
+        (n, 3) of the spacecraft relative to the origin of the axes of the ground: the a priori orbit.
     R_body_inertial
         (n, 3, 3) attitude of the body.
     sun_dir_inertial
@@ -91,13 +100,13 @@ class PlannedImage:
     number, time_s
         Of the image, and of its shutter.
     kind
-        Why it is taken.
+        Of the target.
     target_body_m
-        (3,) ground that the boresight meets.
+        (3,) point of the ground on the boresight.
     planned_R_cam_inertial, actual_R_cam_inertial
-        (3, 3) pointing as planned and as telemetry tells it; the same until telemetry comes.
+        (3, 3) planned and telemetered pointing; the same until telemetry is added.
     sun_dir_nadir
-        (3,) direction of the Sun relative to the nadir: in axes of a camera that looks there with north up.
+        (3,) direction of the Sun in the axes of a camera that points to the nadir, north up.
     """
 
     number: int
@@ -112,8 +121,8 @@ class PlannedImage:
 def plan_images(ephemeris: Ephemeris, ground: MeshGround, kinds: Sequence[Kind] = KINDS) -> tuple[PlannedImage, ...]:
     """Plan one image for each epoch, the kinds in turn.
 
-    Where no ground of the kind whose turn it is is lit and in sight, the next kind takes its place; an epoch from
-    which no ground is of any kind has no image.
+    If no ground of the kind in turn is lit and visible, the next kind is tried; an epoch without ground of any kind has
+    no image.
     """
     images: list[PlannedImage] = []
     for epoch in range(len(ephemeris.time_s)):
@@ -132,7 +141,7 @@ def plan_images(ephemeris: Ephemeris, ground: MeshGround, kinds: Sequence[Kind] 
 
 
 def with_telemetry(images: Sequence[PlannedImage], turned_rad: FloatArray) -> tuple[PlannedImage, ...]:
-    """Write what telemetry says of the pointing: each planned one turned by a rotation vector (n, 3) in camera axes."""
+    """Set the telemetered pointing: each planned one rotated by a rotation vector (n, 3) in camera axes."""
     if turned_rad.shape != (len(images), 3):
         raise BoresightError(f"{len(images)} images need ({len(images)}, 3) rotation vectors, not {turned_rad.shape}")
     turns = Rotation.from_rotvec(turned_rad.reshape(-1, 3)).as_matrix() if len(images) else np.zeros((0, 3, 3))
@@ -145,7 +154,7 @@ def with_telemetry(images: Sequence[PlannedImage], turned_rad: FloatArray) -> tu
 def find_target(
     ground: MeshGround, position_body_m: FloatArray, sun_dir_body: FloatArray, kind: Kind
 ) -> FloatArray | None:
-    """Find ground of a kind that is lit and in sight, (3,): that nearest to the line of sight to the nadir; or None."""
+    """Find lit and visible ground of a kind, (3,): that nearest to the line of sight to the nadir; None if none."""
     if kind == "nadir":
         return _lit_nadir(ground, position_body_m, sun_dir_body)
     places, normals = ground.mesh.corners_m.mean(axis=1), ground.mesh.normals
@@ -163,7 +172,7 @@ def find_target(
 
 
 def _lit_nadir(ground: MeshGround, position: FloatArray, sun: FloatArray) -> FloatArray | None:
-    """(3,) where the line to the body's origin meets it, if that is in the light."""
+    """Return (3,) the intersection of the line to the body's origin with the ground if it is lit, else None."""
     points, normals = ground.intersect(position[None], -position[None] / np.linalg.norm(position))
     if not np.isfinite(points).all():
         return None
@@ -190,7 +199,7 @@ def read_plan(path: Path) -> tuple[PlannedImage, ...]:
     Raises
     ------
     BoresightError
-        With file and line: a record is malformed, or a number stands twice.
+        With file and line: a record is malformed, or a number is listed twice.
     """
     images: list[PlannedImage] = []
     seen: set[int] = set()

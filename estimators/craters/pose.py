@@ -1,4 +1,4 @@
-"""The pose of one image by craters alone: detection, association with the data base, update of the prior."""
+"""The pose of one image by craters alone: detection, association with the database, update of the prior."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ PRODUCT = "crater-database"
 
 
 class CraterDatabaseOptions(SpecModel):
-    """From how many images a data base is made, and by which detector."""
+    """The number of images that a database is made from, and the detector."""
 
-    images: int = Field(150, ge=2, description="Rendered images of the body as the spacecraft knows it")
+    images: int = Field(150, ge=2, description="Rendered images of the on-board model of the body")
     seed: int = Field(0, ge=0, description="Of their views")
     phase_deg: tuple[float, float] = Field((20.0, 80.0), description="Range of their phase angles")
     detector: str = Field("crater-classic", description="Name of the detector of craters")
-    most_detections: int = Field(20, ge=1, description="Of an image, the most confident ones")
+    most_detections: int = Field(20, ge=1, description="Most detections of an image")
     association: CraterAssociationOptions = Field(
-        CraterAssociationOptions(), description="How well its detections are known: for matches and lines of sight"
+        CraterAssociationOptions(), description="Uncertainty of its detections: for matches and lines of sight"
     )
     height_sigma_m: float = Field(30.0, gt=0, description="Of the height of the a priori shape under a crater")
 
@@ -60,17 +60,17 @@ class CraterPoseOptions(SpecModel):
 
     database: CraterDatabaseOptions = CraterDatabaseOptions()
     association: CraterAssociationOptions = CraterAssociationOptions(redetected=0.3)
-    most_detections: int = Field(60, ge=1, description="Of the image, the most confident ones")
-    emission_deg: float = Field(65.0, gt=0.0, lt=90.0, description="Of the landmarks that are looked for, at the most")
-    incidence_deg: float = Field(80.0, gt=0.0, lt=90.0, description="The same of their incidence")
+    most_detections: int = Field(60, ge=1, description="Most detections of the image")
+    emission_deg: float = Field(65.0, gt=0.0, lt=90.0, description="Largest emission angle of the landmarks sought")
+    incidence_deg: float = Field(80.0, gt=0.0, lt=90.0, description="Largest incidence angle of the landmarks sought")
     least: int = Field(4, ge=1, description="Landmarks that a pose needs: fewer hardly contradict each other")
 
 
 class CraterPose:
-    """Updates the prior by the centres of the craters that it recognises.
+    """Updates the prior pose by the centres of the craters that it recognises.
 
-    The errors of the prior move all craters together: the association finds them (see `association`), is linearised
-    anew about what it found, and gives the pose by Huber's loss of the craters, with the prior, and its covariance.
+    The errors of the prior move all craters together: the association estimates them (see `association`), is linearised
+    again about the estimate, and gives the pose and its covariance by Huber's loss of the craters, with the prior.
     """
 
     name: ClassVar[str] = "crater-pose"
@@ -86,7 +86,7 @@ class CraterPose:
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], assets: Assets) -> Self:
-        """Build from a campaign's options and its data base."""
+        """Build from a campaign's options and its database."""
         parsed = parse_options(CraterPoseOptions, options, cls.name)
         database = assets.product(PRODUCT, parsed.database.model_dump(mode="json"))
         if not isinstance(database, CraterDatabase):
@@ -95,7 +95,7 @@ class CraterPose:
         return cls(database, assets.shape(), detector, parsed)
 
     def estimate(self, observation: Observation, *, rng: np.random.Generator) -> Estimate:
-        """Estimate the pose; nothing is drawn at random."""
+        """Estimate the pose; ``rng`` is not used."""
         del rng
         frame, camera, clock = observation.frame, observation.camera, Stopwatch()
         with clock("detection"):
@@ -117,7 +117,7 @@ class CraterPose:
         )
 
     def recognise(self, frame: Frame, camera: Camera, rims: Ellipses) -> tuple[Pose, Association]:
-        """Associate rims with the data base and update the prior, linearised anew until it stands still."""
+        """Associate rims with the database and update the prior, linearised again until it converges."""
         prior, error = frame.prior_T_cam_body, np.zeros(6)
         area_px2 = float(camera.width_px * camera.height_px)
         for _ in range(_PASSES):
@@ -134,7 +134,7 @@ class CraterPose:
         return prior.perturbed(error[:3], error[3:]), found
 
     def _detect(self, frame: Frame, camera: Camera) -> Ellipses | str:
-        """Find the rims of an image, or say why there are none."""
+        """Return the rims of an image, or why there are none."""
         try:
             rims = self._detector.detect(frame, camera).ellipses
         except BoresightError as error:
@@ -145,10 +145,10 @@ class CraterPose:
 def expected_craters(
     landmarks: Landmarks, ground: GroundModel, frame: Frame, camera: Camera, pose: Pose, options: CraterPoseOptions
 ) -> tuple[IndexArray, ExpectedCraters]:
-    """Predict the rims of the landmarks that a pose should show: their rows, and what is expected.
+    """Predict the rims of the landmarks that should be visible: their rows, and the expected craters.
 
-    The common error is that of the frame's prior pose, [rotation_rad, translation_m]; ``pose`` is where it is
-    linearised. The caller says of the mean of the error.
+    The common error is that of the frame's prior pose, [rotation_rad, translation_m], linearised about ``pose``. Its
+    mean is set to zero; the caller replaces it.
     """
     rows = np.flatnonzero(_possibly_visible(landmarks, frame, camera, pose, options))
     position = pose.camera_position_m
@@ -168,7 +168,7 @@ def expected_craters(
 def _possibly_visible(
     landmarks: Landmarks, frame: Frame, camera: Camera, pose: Pose, options: CraterPoseOptions
 ) -> NDArray[np.bool_]:
-    """(n,) landmarks that face the camera and the Sun and may be in the frame by the prior's uncertainty."""
+    """Return (n,) landmarks that face the camera and the Sun and may be in the frame given the prior's uncertainty."""
     towards = pose.camera_position_m - landmarks.position_body_m
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     sun_dir_body = pose.rotation.T @ frame.sun_dir_cam

@@ -24,9 +24,9 @@ FloatArray = NDArray[np.float64]
 class OrbitOptions(SpecModel):
     """Options of ``batch-filter``."""
 
-    solar_pressure: Literal["estimated", "held"] = Field("estimated", description="Whether the factor on it is an unknown")
+    solar_pressure: Literal["estimated", "held"] = Field("estimated", description="Whether its factor is an unknown")
     accelerations: Literal["estimated", "none"] = Field(
-        "estimated", description="Whether unmodelled accelerations are unknowns, constant over intervals, where noise is given"
+        "estimated", description="Whether unmodelled accelerations, constant over intervals, are unknowns"
     )
     piece_share: float = Field(
         0.5, gt=0, le=4, description="Length of an interval, in correlation times of the unmodelled acceleration"

@@ -107,8 +107,8 @@ def _average_by_number(
 def landmarks_for_orbit(landmarks: Landmarks, centre_of_mass_m: FloatArray) -> LandmarkFile:
     """Convert landmarks to the input of orbit determination: positions about the centre of mass.
 
-    ``centre_of_mass_m`` is (3,) in the axes of the database: a plate model's origin need not be the centre of mass; that
-    of Eros at uniform density lies at (-23, 2, 47) m.
+    ``centre_of_mass_m`` is (3,) in the axes of the database: a plate model's origin need not be the centre of mass;
+    that of Eros at uniform density lies at (-23, 2, 47) m.
     """
     sigma = np.sqrt(np.trace(landmarks.covariance_m2, axis1=1, axis2=2) / 3.0)
     return LandmarkFile(landmarks.number, landmarks.position_body_m - centre_of_mass_m, sigma)

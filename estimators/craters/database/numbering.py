@@ -55,7 +55,7 @@ class Numbering:
 
 
 def number_craters(sizes: Sequence[int], found: Sequence[PairMatches]) -> Numbering:
-    """Number the craters of images with ``sizes`` detections each.
+    """Assign numbers to the craters of images with ``sizes`` detections each.
 
     Matches are joined into groups in the order of reliability: first those confirmed by most other images (both
     detections matched with the same third one), among equals those with the higher score. A match that would bring two
@@ -122,7 +122,7 @@ def _join_groups(edges: IndexArray, image_of: IndexArray) -> tuple[list[list[int
 
 
 def _numbers_of_groups(groups: Sequence[Sequence[int]]) -> IndexArray:
-    """Number the groups of two and more in the order of their first detection."""
+    """Assign numbers to the groups of two and more in the order of their first detection."""
     numbers = np.full(sum(map(len, groups)), NO_NUMBER, dtype=np.int64)
     matched = sorted((sorted(group) for group in groups if len(group) > 1), key=lambda group: group[0])
     for number, group in enumerate(matched):

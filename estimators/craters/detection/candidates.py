@@ -1,4 +1,4 @@
-"""Ellipses of pairs of arcs: fitted, judged by their edges and by the profile of brightness across them."""
+"""Ellipse fit (1) to pairs of arcs, and selection by edges on the rim and by the brightness profile across it."""
 
 from __future__ import annotations
 
@@ -19,21 +19,20 @@ from scenarios.geometry.conics import fit_conics, sampson_distances
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 _SAMPLES = 16  # points that stand for an arc in the first fit
-_BAND = 0.12  # of the radius: edges so near to a first fit are fitted anew
+_BAND = 0.12  # of the radius: edges so near to a first fit enter the second
 _MIN_PROFILE = 0.3  # correlation with a rise from the shaded to the lit side
-_COUNT = 400  # pairs, the best by their first fit, that are fitted anew
+_COUNT = 400  # pairs, the best by their first fit, that are fitted again
 
 RIDGE = 1e-9
-"""Of fits to arcs, which leave the middle of an ellipse poorly known."""
-_CUTOFF = 2.5  # residuals of so many standard deviations count a quarter
+"""Regularisation of the fits: arcs determine the centre of an ellipse poorly."""
+_CUTOFF = 2.5  # residuals of so many standard deviations have a quarter of the weight
 
 
 def fit_reweighted(points: FloatArray, weights: FloatArray, rounds: int = 6) -> FloatArray:
-    """Fit ellipses whose weights are renewed from the last fit: (m, 3, 3) conics, NaN where there is none.
+    """Fit ellipses with iteratively renewed weights: (m, 3, 3) conics, NaN where there is none.
 
-    A point's weight is its own over the square of the conic's slope there, so that the sum that the direct fit
-    minimises becomes that of squared distances, less what the weights of Geman and McClure take from points farther off
-    than the others.
+    A point's weight is its own over the square of the conic's gradient there, so that the algebraic distances that the
+    direct fit minimises become geometric ones, times the weight of Geman and McClure, which limits outliers.
     """
     conics = fit_conics(points, weights, RIDGE)
     for _ in range(rounds):
@@ -54,7 +53,7 @@ def fit_reweighted(points: FloatArray, weights: FloatArray, rounds: int = 6) -> 
 
 
 def _median(values: FloatArray, weights: FloatArray) -> FloatArray:
-    """Medians (m,) of the rows' values that have a weight."""
+    """Return the medians (m,) of the rows' values with a positive weight."""
     kept = np.where(weights > 0.0, values, np.nan)
     kept[np.isnan(kept).all(axis=1)] = 0.0
     return np.asarray(np.nanmedian(kept, axis=1), dtype=np.float64)
@@ -62,12 +61,12 @@ def _median(values: FloatArray, weights: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EllipseCandidates:
-    """Ellipses of groups of rim edges.
+    """Ellipses fitted to groups of rim edges.
 
     Parameters
     ----------
     support
-        (n,) share of the rim, transition arcs and all, along which edges agree with it.
+        (n,) share of the rim, transition arcs included, along which edges agree with it.
     """
 
     ellipses: Ellipses
@@ -75,7 +74,7 @@ class EllipseCandidates:
 
     @classmethod
     def joined(cls, parts: Sequence[EllipseCandidates]) -> EllipseCandidates:
-        """Join several."""
+        """Concatenate several."""
         return cls(
             Ellipses.joined([part.ellipses for part in parts]),
             np.concatenate([part.support for part in parts]),
@@ -91,7 +90,7 @@ def fit_candidates(
     radius_px: tuple[float, float],
     axis_ratio_min: float,
 ) -> EllipseCandidates:
-    """Fit an ellipse to each pair, then to all edges that lie on it."""
+    """Fit an ellipse to each pair of arcs, then to all edges near it."""
     nothing = EllipseCandidates(Ellipses.none(), np.empty(0))
     if len(pairs) == 0:
         return nothing
@@ -114,7 +113,7 @@ def fit_candidates(
 
 
 def _sample_pairs(pairs: IndexArray, shaded: list[RimArc], lit: list[RimArc]) -> tuple[FloatArray, FloatArray]:
-    """Points and outward normals (k, 2 * _SAMPLES, 2) of pairs."""
+    """Return points and outward normals (k, 2 * _SAMPLES, 2) of pairs."""
 
     def sampled(arcs: list[RimArc]) -> tuple[FloatArray, FloatArray]:
         rows = [np.linspace(0, len(arc.uv_px) - 1, _SAMPLES).round().astype(np.int64) for arc in arcs]
@@ -129,7 +128,7 @@ def _sample_pairs(pairs: IndexArray, shaded: list[RimArc], lit: list[RimArc]) ->
 
 
 def normal_agreement(ellipses: Ellipses, points: FloatArray, normals: FloatArray) -> FloatArray:
-    """Mean cosine (n,) between outward normals of edges and of the ellipse, less their mean distance over radius."""
+    """Return the mean cosine (n,) between edge and ellipse normals, minus the mean distance over the radius."""
     homogeneous = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
     conics = ellipses.conics()
     slope = np.einsum("nij,nkj->nki", conics, homogeneous)[..., :2]
@@ -142,7 +141,7 @@ def normal_agreement(ellipses: Ellipses, points: FloatArray, normals: FloatArray
 def plausible(
     ellipses: Ellipses, radius_px: tuple[float, float], axis_ratio_min: float, picture: PreparedImage
 ) -> NDArray[np.bool_]:
-    """Tell which have a crater's size and shape, and their centre on the ground."""
+    """Return (n,) which ellipses have a crater's size and shape, and their centre on the ground."""
     height, width = picture.ground.shape
     radius = ellipses.radius_px
     ratio = ellipses.semi_axes_px[:, 1] / ellipses.semi_axes_px[:, 0]
@@ -155,7 +154,7 @@ def plausible(
 
 
 def edges_near(ellipses: Ellipses, edges: EdgePixels, picture: PreparedImage) -> tuple[FloatArray, FloatArray]:
-    """Gather the edges that lie on each rim and point as its side must: points and weights, padded."""
+    """Gather the edges near each rim whose gradient agrees with their side of it: points and weights, zero-padded."""
     tree = cKDTree(edges.uv_px)
     unit = edges.gradient / np.linalg.norm(edges.gradient, axis=1, keepdims=True)
     conics = ellipses.conics()
@@ -178,9 +177,9 @@ def edges_near(ellipses: Ellipses, edges: EdgePixels, picture: PreparedImage) ->
 
 
 def rim_support(ellipses: Ellipses, points: FloatArray, weights: FloatArray, sectors: int = 36) -> FloatArray:
-    """Share (n, 2) of the sectors of either half of the rim in which an edge lies within a tenth of the radius.
+    """Return the share (n, 2) of the sectors of each half of the rim with an edge within a tenth of the radius.
 
-    The halves are those on which points lie with v cos(angle) - u sin(angle) above and below 0 ... by the parameter t.
+    The halves are those of the parameter t of the ellipse below and above pi.
     """
     c, s = np.cos(ellipses.angle_rad), np.sin(ellipses.angle_rad)
     moved = points - ellipses.centre_px[:, None]
@@ -195,12 +194,12 @@ def rim_support(ellipses: Ellipses, points: FloatArray, weights: FloatArray, sec
 
 
 def profile_correlation(ellipses: Ellipses, picture: PreparedImage, steps: int = 11) -> FloatArray:
-    """Correlate the brightness inside, along the Sun's direction, with a rise from the shaded to the lit side: (n,)."""
+    """Correlate the brightness along the Sun's direction with a rise from the shaded to the lit side: (n,)."""
     along = np.linspace(0.8, -0.8, steps)
     aside = np.array([-0.3, 0.0, 0.3])
     sun = picture.sun_px
     inverse = np.linalg.inv(ellipses.conics()[:, :2, :2]) if len(ellipses) else np.zeros((0, 2, 2))
-    # In units of the ellipse the Sun's direction is that of its conjugate diameters; both span the inside.
+    # The semi-diameter whose end has its normal towards the Sun: C^-1 s / sqrt(s^T C^-1 s).
     toward = np.einsum("nij,j->ni", inverse, sun)
     toward /= np.sqrt(np.maximum(np.einsum("ni,i->n", toward, sun), 1e-12))[:, None]
     side = np.array([-sun[1], sun[0]])

@@ -1,4 +1,4 @@
-"""The detector of Cheng et al. (2003), stage by stage."""
+"""The crater detector of Cheng et al. (2003) with its options."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from scenarios.spec.base import SpecModel
 
 
 class ClassicOptions(SpecModel):
-    """What the paper leaves open, with units."""
+    """Parameters that the paper leaves open, with units."""
 
     window_px: float = Field(
         default=20.0, gt=2.0, description="Standard deviation of the window that evens contrast out."
@@ -71,7 +71,7 @@ class ClassicOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectionStages:
-    """What each stage found, as the paper's figure 2 draws it.
+    """The results of each stage, as in the paper's figure 2.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class CraterClassic:
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        """Build from a campaign's options; raise BoresightError if one is invalid."""
         return cls(parse_options(ClassicOptions, options, cls.name))
 
     def detect(self, frame: Frame, camera: Camera) -> CraterDetections:
@@ -119,7 +119,7 @@ class CraterClassic:
         return self.stages(frame, camera).detections
 
     def stages(self, frame: Frame, camera: Camera) -> DetectionStages:
-        """Run and keep what each stage found.
+        """Return the results of each stage.
 
         Raises
         ------
@@ -145,6 +145,7 @@ class CraterClassic:
     def _fit_groups(
         self, edges: EdgePixels, picture: PreparedImage
     ) -> tuple[list[RimArc], list[RimArc], EllipseCandidates]:
+        """Group the edges of one pass into arcs and fit ellipses to their pairs."""
         o = self.options
         rising = sunward_edges(edges, picture, np.radians(o.sunward_deg))
         arcs = rim_arcs(rising, picture, np.radians(o.turn_deg), np.radians(o.bend_deg), o.arc_points)
@@ -157,7 +158,7 @@ class CraterClassic:
     def _refine_and_select(
         self, fitted: Ellipses, scales: GradientScales, picture: PreparedImage
     ) -> tuple[Ellipses, CraterDetections]:
-        """Refine, weigh, drop duplicates, and take the place of the steepest gradient out to the crest."""
+        """Refine, rate, drop duplicates, and scale rims from the steepest gradient out to the crest."""
         o = self.options
         gap = float(np.sin(np.radians(o.transition_deg)))
         first = confidence(fitted, scales, picture.sun_px, gap)

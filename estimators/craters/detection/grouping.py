@@ -1,8 +1,8 @@
-"""Grouping of convex rim edges into lit and shaded pairs.
+"""Grouping of convex rim edges into pairs of a lit and a shaded arc.
 
-On a rim the brightness rises towards the Sun on both sides: from the ground outside into the lit wall, and from the
-shaded wall out to the ground. An edge whose gradient points towards the Sun is therefore a curve over the line across
-the Sun's direction, and its gradient turns one way along a shaded rim, the other way along a lit one.
+On a rim the brightness rises towards the Sun on both sides: from the ground outside to the lit wall, and from the
+shaded wall to the ground. An edge whose gradient points towards the Sun is therefore the graph of a function over the
+axis across the Sun's direction, and its gradient rotates one way along a shaded rim, the other way along a lit one.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from estimators.craters.detection.preparation import PreparedImage
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
-_LINK_PX = 1.9  # neighbours on the grid of pixels, a diagonal and what subpixel places add
+_LINK_PX = 1.9  # distance of neighbours: a pixel's diagonal plus the subpixel offsets
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RimArc:
-    """A convex edge of one side of a rim.
+    """A convex edge on one side of a rim.
 
     Parameters
     ----------
@@ -35,9 +35,9 @@ class RimArc:
     outward
         (n, 2) unit normals, out of the crater that it would belong to.
     lit
-        Whether it is a lit wall's: the far side from the Sun.
+        Whether it is a lit wall's: the side away from the Sun.
     turn_rad
-        By how much its normal turns.
+        The angle by which its normal rotates.
     """
 
     uv_px: FloatArray
@@ -68,7 +68,7 @@ def edge_chains(edges: EdgePixels, bend_rad: float) -> list[IndexArray]:
 
 
 def turning_points(angle: FloatArray, least: float) -> list[int]:
-    """Split a sequence into rises and falls of at least ``least``: the indices where one ends and the next begins."""
+    """Split a sequence into rises and falls of at least ``least``; return the indices where they meet."""
     knots, low, high, way = [0], 0, 0, 0
     for i in range(1, len(angle)):
         low = i if angle[i] < angle[low] else low
@@ -90,14 +90,14 @@ def turning_points(angle: FloatArray, least: float) -> list[int]:
 def rim_arcs(
     edges: EdgePixels, picture: PreparedImage, least_turn_rad: float, bend_rad: float, least_points: int
 ) -> list[RimArc]:
-    """Cut the chains of sunward edges into convex arcs and tell lit from shaded ones.
+    """Cut the chains of sunward edges into convex arcs and classify them as lit or shaded.
 
     Parameters
     ----------
     least_turn_rad
-        By how much the normal of an arc must turn.
+        Least rotation of the normal along an arc.
     bend_rad
-        Between neighbours of one arc.
+        Largest rotation between neighbours of one arc.
     least_points
         Of an arc.
     """
@@ -122,7 +122,7 @@ def rim_arcs(
 
 
 def _smoothed(gradient: FloatArray) -> FloatArray:
-    """Return unit gradients, each summed with its neighbours along the chain."""
+    """Return unit gradients, each averaged with its neighbours along the chain."""
     padded = np.concatenate([gradient[:1], gradient[:1], gradient, gradient[-1:], gradient[-1:]])
     summed = padded[:-4] + 2 * padded[1:-3] + 3 * padded[2:-2] + 2 * padded[3:-1] + padded[4:]
     return np.asarray(summed / np.linalg.norm(summed, axis=1, keepdims=True), dtype=np.float64)
@@ -130,7 +130,7 @@ def _smoothed(gradient: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArcTable:
-    """What pairing needs to know of n arcs: ends across the Sun, place along it, radius by normals."""
+    """Measures of n arcs for pairing: ends across the Sun, place along it, radius by normals."""
 
     low: FloatArray
     high: FloatArray
@@ -150,7 +150,7 @@ class ArcTable:
 
 
 def arc_radius(arc: RimArc) -> float:
-    """Fit x = c + R n to the places and outward normals of an arc by least squares in c and R."""
+    """Fit x = c + R n to the points and outward normals of an arc by least squares in c and R."""
     dx = arc.uv_px - arc.uv_px.mean(axis=0)
     dn = arc.outward - arc.outward.mean(axis=0)
     return float(max(np.sum(dx * dn) / max(np.sum(dn * dn), 1e-12), 1.0))
@@ -161,8 +161,8 @@ def pair_arcs(
 ) -> IndexArray:
     """Pair shaded arcs with lit ones that can be two sides of one rim: (k, 2) rows of both lists.
 
-    The lit one lies away from the Sun, at no more than the diameter that the arcs' bends tell; their extents across the
-    Sun overlap; their bends are alike.
+    The lit one lies away from the Sun, within the diameter estimated from the arcs' curvatures; their extents across
+    the Sun overlap; their radii are similar.
     """
     if not shaded or not lit:
         return np.empty((0, 2), dtype=np.int64)

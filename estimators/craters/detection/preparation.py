@@ -1,4 +1,4 @@
-"""The image as detection sees it: checked, and with its contrast made even."""
+"""Preparation of an image for detection: checks, the lit ground, and normalisation of the contrast."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scenarios.observation import Frame
 FloatImage = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-SATURATED_SHARE = 0.25  # of the pixels at the very highest value: no detector's full well holds so many by chance
+SATURATED_SHARE = 0.25  # of the pixels at the highest value: so many are not equal by chance
 GROUND_SHARE = 0.02  # of the image that must be lit ground
 
 
@@ -26,13 +26,13 @@ class PreparedImage:
     Parameters
     ----------
     even
-        (H, W) brightness less its local mean, in units of its local standard deviation; 0 where there is no ground.
+        (H, W) brightness minus its local mean, in units of its local standard deviation; 0 off the ground.
     relief
-        (H, W) brightness less its local mean over that mean.
+        (H, W) brightness minus its local mean, divided by that mean.
     noise
         (H, W) standard deviation of the noise in ``even``.
     ground
-        (H, W) where the lit surface is, its edge to space taken off.
+        (H, W) the lit surface, eroded at its edges.
     sun_px
         (2,) unit vector towards the Sun along columns and rows.
     """
@@ -44,7 +44,7 @@ class PreparedImage:
     sun_px: NDArray[np.float64]
 
     def on_ground(self, ellipses: Ellipses, count: int = 48) -> NDArray[np.float64]:
-        """Share (n,) of each rim that lies on the ground: about half of what only the limb makes look like one."""
+        """Return the share (n,) of each rim on the ground: about half for ellipses along the limb."""
         height, width = self.ground.shape
         pixel = np.floor(ellipses.points(count)[0]).astype(np.int64)
         inside = np.all((pixel >= 0) & (pixel < [width, height]), axis=-1)
@@ -53,7 +53,7 @@ class PreparedImage:
 
 
 def check_image(image: FloatImage, camera: Camera) -> None:
-    """Refuse an image in which nothing can be seen.
+    """Raise for an image that cannot be searched.
 
     Raises
     ------
@@ -79,9 +79,9 @@ def check_image(image: FloatImage, camera: Camera) -> None:
 
 
 def lit_ground(image: FloatImage, floor: float = 0.12, margin_px: int = 4) -> Mask:
-    """Tell the lit surface from space and night: brighter than ``floor`` of the bright pixels' level, holes filled.
+    """Return the mask of the lit surface: brighter than ``floor`` times the level of bright pixels, with holes filled.
 
-    Shadows in craters are dark too: what the bright surface encloses within a crater's size counts as ground.
+    Shadows in craters are dark too: dark areas of a crater's size within the bright surface count as ground.
     """
     smooth = cv2.GaussianBlur(image, (0, 0), 2.0)
     bright = (smooth > floor * np.percentile(smooth, 99.0)).astype(np.uint8)
@@ -101,10 +101,9 @@ def noise_level(image: FloatImage, ground: Mask) -> float:
 
 
 def prepare_image(frame: Frame, camera: Camera, window_px: float) -> PreparedImage:
-    """Check an image, find its lit ground and make its contrast even.
+    """Check an image, find its lit ground and normalise its contrast.
 
-    Fixed thresholds fail where the Sun stands high or low; the brightness is therefore divided by its own standard
-    deviation about each pixel.
+    Fixed thresholds fail at high or low Sun; the brightness is therefore divided by its local standard deviation.
 
     Parameters
     ----------
@@ -114,7 +113,7 @@ def prepare_image(frame: Frame, camera: Camera, window_px: float) -> PreparedIma
     Raises
     ------
     BoresightError
-        As ``check_image``, and if less than a fiftieth of the image is lit ground, or if the Sun stands along the
+        As ``check_image``, and if less than a fiftieth of the image is lit ground, or if the Sun is along the
         boresight.
     """
     check_image(frame.image, camera)
@@ -128,6 +127,7 @@ def prepare_image(frame: Frame, camera: Camera, window_px: float) -> PreparedIma
     weight = ground.astype(np.float32)
     share = np.maximum(cv2.GaussianBlur(weight, (0, 0), window_px), 1e-3)
     mean = cv2.GaussianBlur(image * weight, (0, 0), window_px) / share
+    # The noise and 2 % of the mean keep flat ground from being amplified to the contrast of craters.
     square = cv2.GaussianBlur(np.square(image - mean) * weight, (0, 0), window_px) / share
     noise = noise_level(image, ground)
     spread = np.maximum(np.sqrt(square + (2.0 * noise) ** 2 + (0.02 * mean) ** 2), 1e-12)

@@ -1,4 +1,4 @@
-"""Refinement in the image: conjugate gradients lock an ellipse on the rim by its merit (3)."""
+"""Refinement of ellipses in the image by their merit (3), their confidence (4), and removal of duplicates."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from estimators.craters.detection.preparation import PreparedImage
 from scenarios.geometry import Ellipses
 
 FloatArray = NDArray[np.float64]
-_HALVINGS = 5  # of a step that does not rise enough
-_ARMIJO = 0.1  # part of the rise that the slope promises
-_CONVERGED_PX = 2e-3  # rims that move less stay
+_HALVINGS = 5  # most reductions of a step that does not increase the merit enough
+_ARMIJO = 0.1  # least increase, as a share of that predicted by the gradient
+_CONVERGED_PX = 2e-3  # step below which a rim has converged
 
 SCALES_PX = ((5, 14.0), (9, 40.0), (17, np.inf))  # kernel, and the radius up to which it is used
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GradientScales:
-    """Gradient fields of growing kernels, each for rims up to a radius.
+    """Gradient fields of increasing kernels, each for rims up to a radius.
 
     Parameters
     ----------
     locating
-        Fields that keep part of the gradient's length: what is steep draws the rim.
+        Fields with softened lengths: steep edges determine the rim.
     pointing
-        Fields of directions alone, for the confidence.
+        Fields of unit vectors, for the confidence.
     up_to_px
-        Mean radius up to which each is meant; the last has no limit.
+        Largest mean radius of each; the last has no limit.
     """
 
     locating: tuple[GradientField, ...]
@@ -40,19 +40,19 @@ class GradientScales:
     up_to_px: tuple[float, ...]
 
     def of(self, radius_px: FloatArray) -> NDArray[np.int64]:
-        """Return the rows of the fields for radii."""
+        """Return the rows of the fields for given radii."""
         return np.searchsorted(np.array(self.up_to_px[:-1]), radius_px)
 
 
 def gradient_scales(
     picture: PreparedImage, kernels_px: Sequence[int], up_to_px: Sequence[float], soft: float
 ) -> GradientScales:
-    """Differentiate at each kernel.
+    """Differentiate the image at each kernel.
 
     Parameters
     ----------
     soft
-        Length that gradients are compared with in ``locating``, in units of their median over the ground.
+        Softening length of the gradients in ``locating``, in units of their median over the ground.
     """
     locating, pointing = [], []
     for kernel in kernels_px:
@@ -66,14 +66,15 @@ def gradient_scales(
 def refine(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: float, rounds: int) -> Ellipses:
     """Maximise each rim's merit over its centre, axes and angle.
 
-    A rim that leaves its start by more than a third of its radius, or loses its shape, stays where it was.
+    A rim that moves by more than a third of its radius, or changes its axes by more than a factor of 1.5, is left as it
+    was.
 
     Parameters
     ----------
     gap
-        Of ``merit``.
+        As in ``merit``.
     rounds
-        Of conjugate gradients, at most.
+        Most iterations of conjugate gradients.
     """
     start = parameters(ellipses)
     rows = scales.of(ellipses.radius_px)
@@ -90,9 +91,10 @@ def refine(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: 
 def _conjugate_gradients(
     start: FloatArray, field: GradientField, sun_px: FloatArray, gap: float, rounds: int
 ) -> FloatArray:
-    """Run conjugate gradients (Polak and Ribiere, restarted where they lead downhill) on all rows at once.
+    """Maximise all rows at once (Polak and Ribiere, restarted where the direction leads downhill).
 
-    Steps are scaled so that all five parameters move the rim alike: an angle by the difference of the axes.
+    The parameters are scaled so that a unit of each moves the rim by about a pixel: the angle by the difference of the
+    axes.
     """
     radius = np.sqrt(start[:, 2] * start[:, 3])
     unit = np.ones_like(start)
@@ -139,21 +141,21 @@ def _conjugate_gradients(
 
 
 def parameters(ellipses: Ellipses) -> FloatArray:
-    """Lay ellipses out as (n, 5): u0, v0, a, b and the angle of a."""
+    """Arrange ellipses as (n, 5): u0, v0, a, b and the angle of a."""
     return np.concatenate([ellipses.centre_px, ellipses.semi_axes_px, ellipses.angle_rad[:, None]], axis=1)
 
 
 def from_parameters(rows: FloatArray) -> Ellipses:
-    """Read (n, 5) parameters; the longer axis comes first and angles lie in [0, pi)."""
+    """Convert (n, 5) parameters to ellipses; the longer axis comes first and angles lie in [0, pi)."""
     swap = rows[:, 3] > rows[:, 2]
     axes = np.where(swap[:, None], rows[:, [3, 2]], rows[:, 2:4])
     return Ellipses(rows[:, :2], axes, (rows[:, 4] + np.where(swap, np.pi / 2, 0.0)) % np.pi)
 
 
 def confidence(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, gap: float) -> FloatArray:
-    """Mean over both sides' points of the gradient's direction along the signed normal, equation (4): (n,), at most 1.
+    """Return the mean cosine (n,) between the gradient and the signed normal, equation (4), of the worse side.
 
-    It is the smaller of both sides' means: a terminator or a ridge lights up one side as well as any rim.
+    Both sides have to agree, because a terminator or a ridge lights up one side as well as any rim.
     """
     values = np.zeros(len(ellipses))
     rows = scales.of(ellipses.radius_px)
@@ -166,14 +168,14 @@ def confidence(ellipses: Ellipses, scales: GradientScales, sun_px: FloatArray, g
 def suppress_duplicates(
     ellipses: Ellipses, score: FloatArray, least_apart: float, least_ratio: float
 ) -> NDArray[np.int64]:
-    """Keep the best of those that tell of one crater: rows, the highest score first.
+    """Keep the best of ellipses on the same crater: their rows, the highest score first.
 
     Parameters
     ----------
     least_apart
-        Distance of centres, in units of the smaller mean radius, from which two are two craters.
+        Distance of centres, in units of the smaller mean radius, from which two are different craters.
     least_ratio
-        Ratio of mean radii from which two are two craters, one in the other.
+        Ratio of mean radii from which two are different craters, one in the other.
     """
     order = np.argsort(-score, kind="stable")
     radius = ellipses.radius_px

@@ -1,4 +1,4 @@
-"""The chain from detected craters to an orbit: pairs, matches, data base, orbit; again where it is not accepted."""
+"""The chain from detected craters to an orbit: image pairs, matches, database, orbit; repeated until it is accepted."""
 
 from __future__ import annotations
 
@@ -48,15 +48,15 @@ class NavigationOptions(SpecModel):
     """Options of ``crater-navigation``."""
 
     detector: str = Field("crater-classic", description="Name of a detector of craters")
-    most_detections: int = Field(20, ge=1, description="Of an image, the most confident ones")
+    most_detections: int = Field(20, ge=1, description="Most detections of an image")
     matcher: str = Field("hybrid", description="Name of a matcher of craters")
     agreeing: int = Field(
-        3, ge=1, description="Matches that a pair of images has at the least: one or two alone are no constellation"
+        3, ge=1, description="Least matches of a pair of images: one or two alone are no constellation"
     )
     preliminary: PreliminaryOptions = Field(
         PreliminaryOptions(), description="Which images are matched; heights are as uncertain as the a priori shape"
     )
-    orbit: OrbitOptions = Field(OrbitOptions(), description="Of the batch filter")
+    orbit: OrbitOptions = Field(OrbitOptions(), description="Options of the batch filter")
     rounds: int = Field(
         3, ge=1, le=10, description="How often matching and orbit determination are done at most, until one is accepted"
     )
@@ -64,16 +64,16 @@ class NavigationOptions(SpecModel):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NavigationRound:
-    """One time around.
+    """One pass through the chain.
 
     Parameters
     ----------
     found
-        What the matcher said of each pair of images, by their places in the sequence.
+        Matches of each pair of images, by their places in the sequence.
     numbering
         Numbers of all detections.
     data
-        What orbit determination saw: the data base as it was read back.
+        The input of orbit determination, from the database as read back from its files.
     estimate
         The orbit; ``positions_m`` are those at ``data.wanted_s``.
     """
@@ -86,7 +86,7 @@ class NavigationRound:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NavigationResult:
-    """All rounds, and the time that each stage took, by its name."""
+    """All rounds, and the computing time of each stage by its name."""
 
     rounds: tuple[NavigationRound, ...]
     seconds: Mapping[str, float]
@@ -111,7 +111,7 @@ class CraterNavigation:
         return cls(chosen)
 
     def detect(self, frame: Frame, task: NavigationTask) -> tuple[CraterDetections, str]:
-        """Find the most confident craters of an image; none where nothing can be seen in it, and why."""
+        """Find the most confident craters of an image; none if the image is unusable, with the reason."""
         try:
             found = self.detector.detect(frame, task.knowledge.camera)
         except BoresightError as error:
@@ -124,12 +124,12 @@ class CraterNavigation:
         return CraterDetections(found.ellipses[kept], found.confidence[kept])
 
     def navigate(self, exposures: Sequence[Exposure], task: NavigationTask, stages: StageFiles) -> NavigationResult:
-        """Go around until an orbit is accepted, no better trajectory comes of it, or the rounds are used up.
+        """Repeat rounds until an orbit is accepted, none is found, or the limit on rounds is reached.
 
         Raises
         ------
         OrbitLostError
-            If the a priori orbit leads into the body.
+            If the a priori orbit hits the body.
         """
         times = np.array([exposure.time_s for exposure in exposures])
         trajectory, rounds = Trajectory.a_priori(task.knowledge, times), []
@@ -155,7 +155,7 @@ class CraterNavigation:
     def _round(
         self, images: Sequence[CraterImage], task: NavigationTask, wanted_s: FloatArray, stages: StageFiles
     ) -> NavigationRound:
-        """Match, number, write the data base, read it back and determine the orbit."""
+        """Match, number, write the database, read it back and determine the orbit."""
         options, ground = self.options, task.shape.ground
         preliminary = options.preliminary.model_copy(update={"height_sigma_m": task.shape.height_sigma_m})
         with stages.timed("preliminary"):
@@ -183,7 +183,7 @@ class CraterNavigation:
         return NavigationRound(found, numbering, data, estimate)
 
     def _matcher_options(self, task: NavigationTask) -> dict[str, object]:
-        """Tell a matcher that asks for it how uncertain the shape's height is."""
+        """Pass the uncertainty of the shape's height to the matcher that has an option for it."""
         return {"height_sigma_m": task.shape.height_sigma_m} if self.options.matcher == "vote" else {}
 
 
@@ -194,7 +194,7 @@ def match_pairs(
     ground: GroundModel,
     stages: StageFiles,
 ) -> tuple[PairMatches, ...]:
-    """Match the pairs (k, 2) of images, by their places in the sequence."""
+    """Match the pairs (k, 2) of images, by their places in the sequence; finished blocks are read from files."""
     found: list[PairMatches] = []
     for start in range(0, len(pairs), _BLOCK):
         block = pairs[start : start + _BLOCK]
@@ -218,7 +218,7 @@ def reject_small_matches(found: Sequence[PairMatches], agreeing: int) -> tuple[P
 
 
 def matching_key(images: Sequence[CraterImage], *what: object) -> str:
-    """Hash poses, uncertainties and craters of images, and the repr of whatever else decides their matches."""
+    """Hash poses, uncertainties and craters of images, and the repr of everything else their matches depend on."""
     digest = hashlib.sha256(repr(what).encode())
     for image in images:
         pose, rims = image.frame.prior_T_cam_body, image.detections.ellipses

@@ -1,4 +1,4 @@
-"""Where the spacecraft is thought to be: by the a priori orbit, or by one that was determined."""
+"""The trajectory that images get their prior poses from: the a priori orbit, or a determined one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """Places at n times, about the centre of mass, inertial axes.
+    """Positions at n times, relative to the centre of mass, inertial axes.
 
     Parameters
     ----------
@@ -31,8 +31,8 @@ class Trajectory:
     positions_m, covariances_m2
         (n, 3) and (n, 3, 3).
     by_common_m
-        (n, 3, s) what s errors of unit variance, the same at all times, do to the places: the part of their
-        covariances by which they go together.
+        (n, 3, s) effect on the positions of s errors of unit variance that are the same at all times: the part of their
+        covariances that is correlated between times.
     """
 
     times_s: FloatArray
@@ -42,12 +42,12 @@ class Trajectory:
 
     @classmethod
     def a_priori(cls, knowledge: Knowledge, times_s: FloatArray) -> Trajectory:
-        """Map the a priori orbit forward, with the errors of the state at the epoch, of GM and of the Sun's pressure.
+        """Propagate the a priori orbit, with the errors of the state at the epoch, of GM and of the solar pressure.
 
         Raises
         ------
         OrbitLostError
-            If the a priori orbit leads into the body.
+            If the a priori orbit hits the body.
         """
         flown = flight(knowledge.field, knowledge.state, times_s, Pushes.none(float(times_s[-1])))
         sigma = np.repeat([knowledge.position_sigma_m, knowledge.velocity_sigma_m_s], 3)
@@ -57,10 +57,10 @@ class Trajectory:
 
     @classmethod
     def from_orbit(cls, orbit: Orbit, times_s: FloatArray, wanted_s: FloatArray, inflation: float) -> Trajectory:
-        """Take the places of an orbit at ``times_s``, which are among the times ``wanted_s`` that it was asked for.
+        """Take the positions of an orbit at ``times_s``, which are among the times ``wanted_s`` it was computed for.
 
-        ``inflation`` multiplies its covariance: the chi-square of each degree of freedom of a solution whose residuals
-        are larger than they should be.
+        ``inflation`` multiplies its covariance: the chi-square per degree of freedom of a solution whose residuals are
+        larger than expected.
         """
         rows = np.searchsorted(wanted_s, times_s)
         covariances = inflation * orbit.position_covariances_m2[rows]
@@ -70,7 +70,7 @@ class Trajectory:
 def images_along_trajectory(
     exposures: Sequence[Exposure], trajectory: Trajectory, task: NavigationTask
 ) -> list[CraterImage]:
-    """Give each image the pose of its time; the trajectory has one place for each, in their order."""
+    """Give each image its prior pose; the trajectory has one position for each exposure, in their order."""
     turns, known = task.knowledge.field.rotation.at(trajectory.times_s), task.knowledge
     images = []
     for i, (exposure, turn, position) in enumerate(zip(exposures, turns, trajectory.positions_m, strict=True)):
@@ -87,5 +87,8 @@ def images_along_trajectory(
 
 
 def _by_turn(pose: Pose) -> FloatArray:
-    """(6, 3) `Pose.perturbed`'s error by a turn w of the camera about itself: x = R p + t, so that t moves by w x t."""
+    """Return (6, 3) the error of `Pose.perturbed` caused by a rotation w of the camera about itself.
+
+    With x = R p + t it rotates t too, by w x t.
+    """
     return np.vstack([np.eye(3), -cross_matrix(pose.translation_m)])
