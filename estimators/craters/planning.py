@@ -36,7 +36,7 @@ PLANNER, PLANNER_VERSION = "planner", 1
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_BLOCK_SIZE = 64
+_BLOCK_SIZE = 64  # facets tested for visibility at once
 _HEAD = "boresight image plan 1"
 
 
@@ -162,6 +162,7 @@ def find_target(
     rows = np.flatnonzero(of_kind(kind, emission, incidence) & is_lit(emission, incidence))
     rays = places[rows] - position_body_m
     off_nadir = rays @ -position_body_m / np.linalg.norm(rays, axis=1)
+    # Tested from the nadir outwards, so that the first visible facet is the nearest.
     rows = rows[np.argsort(-off_nadir, kind="stable")]
     for start in range(0, len(rows), _BLOCK_SIZE):
         some = rows[start : start + _BLOCK_SIZE]
@@ -206,7 +207,7 @@ def read_plan(path: Path) -> tuple[PlannedImage, ...]:
     for record in read_records(path, _HEAD, {"image": 27}):
         image = _image(record)
         if image.number in seen:
-            raise record.error(f"image {image.number} stands twice")
+            raise record.error(f"image {image.number} is listed twice")
         seen.add(image.number)
         images.append(image)
     return tuple(images)

@@ -33,7 +33,7 @@ from scenarios.spec.base import SpecModel
 
 FloatArray = NDArray[np.float64]
 
-_PASSES = 4
+_PASSES = 4  # linearisations
 _CONVERGED_M = 0.1
 
 IndexArray = NDArray[np.int64]
@@ -159,6 +159,7 @@ def expected_craters(
     turned = points @ pose.rotation.T
     by_point = camera.jacobian(turned + pose.translation_m)
     by_error = by_point @ np.concatenate([-cross_matrix(turned), np.broadcast_to(np.eye(3), (len(rows), 3, 3))], axis=2)
+    # The uncertainty of the landmarks is independent between craters, unlike that of the pose.
     across = by_point @ pose.rotation
     noise = centre_noise(ellipses, options.association)
     noise = noise + across @ landmarks.covariance_m2[rows] @ np.swapaxes(across, 1, 2)

@@ -154,7 +154,7 @@ class DataArc:
         return replace(solution, x=unknowns.x, tilts=tilts, points=points), found
 
     def split(self, solution: BatchState, scale: float) -> tuple[BatchState, int]:
-        """Edit sightings whose ray misses the others of its landmark, and split numbers that stand for two places.
+        """Edit sightings whose ray misses the others of its landmark, and split numbers given to two craters.
 
         The largest set of rays that meet keeps the number; a second set that meets elsewhere becomes a new landmark.
         Also returns how many numbers were split.

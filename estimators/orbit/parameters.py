@@ -41,7 +41,7 @@ class OrbitOptions(SpecModel):
     edit_sigma: float = Field(4.0, gt=1, le=20, description="Sightings with larger residuals are edited")
     huber_sigma: float = Field(2.0, gt=0, le=10, description="Limit of Huber's loss before editing")
     iterations: int = Field(12, ge=1, le=100, description="Most steps for one arc")
-    split: bool = Field(True, description="Look for numbers that stand for two places, and split them")
+    split: bool = Field(True, description="Look for numbers given to two craters, and split them")
     chi_square_max: float = Field(1.5, gt=1, description="Per degree of freedom; above, a solution is rejected")
     edited_max: float = Field(0.4, gt=0, lt=1, description="Share of edited sightings; above, a solution is rejected")
 

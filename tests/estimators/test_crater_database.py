@@ -133,13 +133,13 @@ def _changed(path, line: int, text: str) -> None:
 
 
 @pytest.mark.parametrize(("file", "change", "said"), [
-    (LANDMARKS, lambda lines: lines[1], r"landmarks.txt:3: landmark 0 stands twice"),
+    (LANDMARKS, lambda lines: lines[1], r"landmarks.txt:3: landmark 0 is listed twice"),
     (LANDMARKS, lambda lines: "landmark 7 1 2", r"landmarks.txt:3: a landmark has 15 fields, not 3"),
     (LANDMARKS, lambda lines: lines[2].replace(" ", " nan ", 2).rsplit(" ", 2)[0], r"landmarks.txt:3: field"),
     (LANDMARKS, lambda lines: "crater 7", r"landmarks.txt:3: 'crater' is no kind of record"),
     (PICTURES, lambda lines: lines[1].replace("picture 0", "picture x"), r"pictures.txt:3: field 1 of the picture"),
-    (PICTURES, lambda lines: lines[1], r"pictures.txt:3: picture 0 stands twice"),
-    (PICTURES, lambda lines: lines[3], r"pictures.txt:4: landmark \d+ stands twice in picture 0"),
+    (PICTURES, lambda lines: lines[1], r"pictures.txt:3: picture 0 is listed twice"),
+    (PICTURES, lambda lines: lines[3], r"pictures.txt:4: landmark \d+ is listed twice in picture 0"),
     (PICTURES, lambda lines: lines[2].replace("sighting 0", "sighting 9"), r"pictures.txt:3: a sighting of picture 9"),
 ])  # fmt: skip
 def test_a_wrong_line_is_one_clear_error(built, tmp_path, file, change, said) -> None:
@@ -160,5 +160,5 @@ def test_files_that_are_missing_or_of_another_format_are_refused(built, tmp_path
     built[1].database.save(tmp_path)
     path = tmp_path / LANDMARKS
     path.write_text("\n".join(path.read_text().splitlines()[:-1]) + "\n")
-    with pytest.raises(BoresightError, match="which has no place"):
+    with pytest.raises(BoresightError, match="which has no position"):
         CraterDatabase.load(tmp_path)

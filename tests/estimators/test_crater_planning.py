@@ -86,7 +86,7 @@ def test_a_plan_with_its_telemetry_is_read_back_exactly(ground, tmp_path) -> Non
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     lines = (tmp_path / "plan.txt").read_text().splitlines()
     for wrong, said in (
-        ([*lines, lines[1]], "image 0 stands twice"),
+        ([*lines, lines[1]], "image 0 is listed twice"),
         ([lines[0], lines[1].replace(images[0].kind, "zenith")], r"plan.txt:2: 'zenith' is no kind of image"),
         ([lines[0], "image 1 2 nadir"], "an? image has 27 fields"),
     ):

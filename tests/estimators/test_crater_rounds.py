@@ -83,7 +83,7 @@ def test_matches_are_read_back_and_a_pair_that_stands_twice_is_refused(tmp_path)
     np.testing.assert_array_equal(first.matches.score, some.matches.score)
     assert (second.first, second.second, second.matches.reason) == (1, 2, "image 2 has no crater")
     write_matches(tmp_path / "b", [some, some])
-    with pytest.raises(BoresightError, match=r"b:5: images 0 and 3 stand twice"):
+    with pytest.raises(BoresightError, match=r"b:5: images 0 and 3 are listed twice"):
         read_matches(tmp_path / "b")
 
 
@@ -130,12 +130,12 @@ def test_a_number_that_stands_twice_no_picture_and_another_camera_are_refused(tm
     made.save(tmp_path)
     text = (tmp_path / LANDMARKS).read_text()
     (tmp_path / LANDMARKS).write_text(text.replace("landmark 1 ", "landmark 0 "))
-    with pytest.raises(BoresightError, match=r"landmarks.txt:3: landmark 0 stands twice"):
+    with pytest.raises(BoresightError, match=r"landmarks.txt:3: landmark 0 is listed twice"):
         CraterDatabase.load(tmp_path)
     (tmp_path / LANDMARKS).write_text(text)
     shown = (tmp_path / PICTURES).read_text()
     (tmp_path / PICTURES).write_text(shown.replace("sighting 0 2", "sighting 0 0"))
-    with pytest.raises(BoresightError, match=r"pictures.txt:4: landmark 0 stands twice in picture 0"):
+    with pytest.raises(BoresightError, match=r"pictures.txt:4: landmark 0 is listed twice in picture 0"):
         CraterDatabase.load(tmp_path)
     with pytest.raises(BoresightError, match="no picture"):
         pictures_for_orbit((), CAMERA, ROTATION)

@@ -81,6 +81,7 @@ def triangulate_landmarks(
         matrix, right = triangulation_equations(lines, row, prior, (information, robust))
         covariance = np.linalg.inv(matrix)
         position = np.einsum("nij,nj->ni", covariance, right)
+        # The distance of the line over its sigma on the ground is the residual of the sighting.
         robust = huber_weights(lines.distances(position[row]) * np.sqrt(information))
     moved: Landmarks = replace(
         landmarks,

@@ -133,7 +133,7 @@ def read_matches(path: Path) -> tuple[PairMatches, ...]:
         images = (record.integer(0), record.integer(1))
         if record.kind == "pair":
             if images in seen:
-                raise record.error(f"images {images[0]} and {images[1]} stand twice")
+                raise record.error(f"images {images[0]} and {images[1]} are listed twice")
             seen.add(images)
             heads.append(record)
             rows.append([])
@@ -168,7 +168,9 @@ class CraterDatabase:
         for picture in self.pictures:
             unknown = np.setdiff1d(picture.landmark, self.landmarks.number)
             if len(unknown):
-                raise BoresightError(f"picture {picture.number} shows landmark {int(unknown[0])}, which has no place")
+                raise BoresightError(
+                    f"picture {picture.number} shows landmark {int(unknown[0])}, which has no position"
+                )
 
     def save(self, folder: Path) -> None:
         """Write both files to a folder, each whole or not at all."""
@@ -218,7 +220,7 @@ def read_pictures(path: Path) -> tuple[SequencePicture, ...]:
         number = record.integer(0)
         if record.kind == "picture":
             if number in seen:
-                raise record.error(f"picture {number} stands twice")
+                raise record.error(f"picture {number} is listed twice")
             seen.add(number)
             shown = set()
             heads.append(record)
@@ -228,7 +230,7 @@ def read_pictures(path: Path) -> tuple[SequencePicture, ...]:
             raise record.error(f"a sighting of picture {number} does not follow that picture")
         landmark = record.integer(1)
         if landmark in shown:
-            raise record.error(f"landmark {landmark} stands twice in picture {number}")
+            raise record.error(f"landmark {landmark} is listed twice in picture {number}")
         shown.add(landmark)
         sightings[-1].append(record)
     return tuple(_picture(head, rows) for head, rows in zip(heads, sightings, strict=True))
@@ -259,9 +261,9 @@ def read_landmarks(path: Path) -> Landmarks:
     for record in read_records(path, _LANDMARK_HEAD, {"landmark": 15}):
         number = record.integer(0)
         if number in numbers[-1:] or (numbers and number < numbers[-1] and number in numbers):
-            raise record.error(f"landmark {number} stands twice: every crater has one number")
+            raise record.error(f"landmark {number} is listed twice: every crater has one number")
         if numbers and number < numbers[-1]:
-            raise record.error(f"landmark {number} stands after {numbers[-1]}: they have to ascend")
+            raise record.error(f"landmark {number} comes after {numbers[-1]}: they have to ascend")
         numbers.append(number)
         rows.append(record.numbers(1, 14))
         images.append(record.integer(14))

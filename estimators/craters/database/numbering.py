@@ -69,6 +69,7 @@ def number_craters(sizes: Sequence[int], found: Sequence[PairMatches]) -> Number
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     edges, scores = _all_pairs(starts, found)
     image_of = np.repeat(np.arange(len(sizes)), np.diff(starts))
+    # The row is the last key, so that the order is the same on every machine.
     order = np.lexsort((np.arange(len(edges)), -scores, -_confirmations(edges, len(image_of))))
     groups, conflicts = _join_groups(edges[order], image_of)
     numbers = _numbers_of_groups(groups)
@@ -111,6 +112,7 @@ def _join_groups(edges: IndexArray, image_of: IndexArray) -> tuple[list[list[int
         if images[one] & images[other]:
             conflicts += 1
             continue
+        # Union by size: each detection changes its group at most log2(n) times.
         if len(members[one]) < len(members[other]):
             one, other = other, one
         for k in members[other]:

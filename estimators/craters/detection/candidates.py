@@ -18,7 +18,7 @@ from scenarios.geometry.conics import fit_conics, sampson_distances
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
-_SAMPLES = 16  # points that stand for an arc in the first fit
+_SAMPLES = 16  # samples of an arc in the first fit
 _BAND = 0.12  # of the radius: edges so near to a first fit enter the second
 _MIN_PROFILE = 0.3  # correlation with a rise from the shaded to the lit side
 _COUNT = 400  # pairs, the best by their first fit, that are fitted again
@@ -98,6 +98,7 @@ def fit_candidates(
     ellipses, good = Ellipses.among(fit_conics(points, np.ones(points.shape[:2]), RIDGE))
     agree = normal_agreement(ellipses, points[good], normals[good])
     sane = plausible(ellipses, radius_px, axis_ratio_min, picture) & (agree > 0.85)
+    # Pairs are many and mostly false: only the best by the cheap first fit are fitted again.
     order = np.argsort(-agree[sane], kind="stable")[:_COUNT]
     first = ellipses[np.flatnonzero(sane)[order]]
     if len(first) == 0:
@@ -106,7 +107,7 @@ def fit_candidates(
     refitted, good = Ellipses.among(fit_reweighted(points, weights))
     sane = plausible(refitted, radius_px, axis_ratio_min, picture)
     support = rim_support(refitted, points[good], weights[good])
-    both = support.min(axis=1) > 0.25
+    both = support.min(axis=1) > 0.25  # an edge on one side alone is a ridge or a terminator
     rising = profile_correlation(refitted, picture) > _MIN_PROFILE
     keep = sane & both & rising
     return EllipseCandidates(refitted[keep], support[keep].mean(axis=1))

@@ -81,6 +81,7 @@ def canny(picture: PreparedImage, kernel_px: int, strong_share: float, weak_rati
     u16 = np.clip(np.rint(scale * gradient.along_u), -32767, 32767).astype(np.int16)
     v16 = np.clip(np.rint(scale * gradient.along_v), -32767, 32767).astype(np.int16)
     u16[~above], v16[~above] = 0, 0
+    # OpenCV's non-maximum suppression and hysteresis on our gradients, with noise set to zero.
     found = cv2.Canny(u16, v16, scale * weak_ratio * upper, scale * upper, L2gradient=True) > 0
     return _place_subpixel(found & picture.ground, gradient, strength)
 

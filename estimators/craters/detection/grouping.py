@@ -69,19 +69,19 @@ def edge_chains(edges: EdgePixels, bend_rad: float) -> list[IndexArray]:
 
 def turning_points(angle: FloatArray, least: float) -> list[int]:
     """Split a sequence into rises and falls of at least ``least``; return the indices where they meet."""
-    knots, low, high, way = [0], 0, 0, 0
+    knots, low, high, trend = [0], 0, 0, 0
     for i in range(1, len(angle)):
         low = i if angle[i] < angle[low] else low
         high = i if angle[i] > angle[high] else high
-        if way >= 0 and angle[high] - angle[i] >= least:
-            if way > 0 or high > knots[-1]:
+        if trend >= 0 and angle[high] - angle[i] >= least:
+            if trend > 0 or high > knots[-1]:
                 knots.append(high)
-            way, low = -1, i
+            trend, low = -1, i
             high = i
-        elif way <= 0 and angle[i] - angle[low] >= least:
-            if way < 0 or low > knots[-1]:
+        elif trend <= 0 and angle[i] - angle[low] >= least:
+            if trend < 0 or low > knots[-1]:
                 knots.append(low)
-            way, high = 1, i
+            trend, high = 1, i
             low = i
     knots.append(len(angle) - 1)
     return knots
@@ -108,6 +108,7 @@ def rim_arcs(
         if len(rows) < least_points:
             continue
         rows = rows[np.argsort(edges.uv_px[rows] @ across, kind="stable")]
+        # The direction of the gradient from the Sun's: monotonic along one side of a convex rim.
         unit = _smoothed(edges.gradient[rows])
         angle = np.arctan2(unit @ across, unit @ sun)
         knots = turning_points(angle, least_turn_rad)
@@ -172,6 +173,7 @@ def pair_arcs(
     width = np.minimum((a.high - a.low)[:, None], (b.high - b.low)[None])
     ratio = np.log(a.radius[:, None] / b.radius[None])
     mean = np.sqrt(a.radius[:, None] * b.radius[None])
+    # The gap is the diameter along the Sun: 2 radii for a circle, less where the rim is foreshortened.
     possible = (
         (gap > 0.8 * radius_px[0])
         & (gap < np.minimum(2.0 * radius_px[1], 2.6 * mean))

@@ -127,9 +127,9 @@ def prepare_image(frame: Frame, camera: Camera, window_px: float) -> PreparedIma
     weight = ground.astype(np.float32)
     share = np.maximum(cv2.GaussianBlur(weight, (0, 0), window_px), 1e-3)
     mean = cv2.GaussianBlur(image * weight, (0, 0), window_px) / share
-    # The noise and 2 % of the mean keep flat ground from being amplified to the contrast of craters.
     square = cv2.GaussianBlur(np.square(image - mean) * weight, (0, 0), window_px) / share
     noise = noise_level(image, ground)
+    # The noise and 2 % of the mean keep flat ground from being amplified to the contrast of craters.
     spread = np.maximum(np.sqrt(square + (2.0 * noise) ** 2 + (0.02 * mean) ** 2), 1e-12)
     level = np.maximum(mean, 0.02 * float(mean[ground].max()))
     even = np.where(ground, (image - mean) / spread, 0.0).astype(np.float32)

@@ -101,41 +101,41 @@ def _conjugate_gradients(
     unit[:, 4] = 1.0 / np.maximum(start[:, 2] - start[:, 3], 0.1 * radius)
     step = np.zeros_like(start)
 
-    def rise(at: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def evaluate(at: FloatArray) -> tuple[FloatArray, FloatArray]:
         moved = start + at * unit
         small = moved[:, 2:4].min(axis=1) < 0.3 * radius
         moved = np.where(small[:, None], start, moved)
         value, by = merit(Ellipses(moved[:, :2], moved[:, 2:4], moved[:, 4]), field, sun_px, gap)
         return np.where(small, -2.0, value), by * unit
 
-    value, slope = rise(step)
-    way = slope
-    length = 0.3 / np.maximum(np.linalg.norm(way, axis=1), 1e-9)  # the first step is of 0.3 px
+    value, slope = evaluate(step)
+    direction = slope
+    step_length = 0.3 / np.maximum(np.linalg.norm(direction, axis=1), 1e-9)  # the first step is of 0.3 px
     for _ in range(rounds):
-        gain = np.einsum("ni,ni->n", way, slope)
-        way = np.where((gain > 0.0)[:, None], way, slope)
-        gain = np.einsum("ni,ni->n", way, slope)
+        slope_along = np.einsum("ni,ni->n", direction, slope)
+        direction = np.where((slope_along > 0.0)[:, None], direction, slope)
+        slope_along = np.einsum("ni,ni->n", direction, slope)
         taken, new_value, new_slope = step, value, slope
         open_rows = np.ones(len(start), dtype=bool)
         for _ in range(_HALVINGS):
-            trial = np.where(open_rows[:, None], step + length[:, None] * way, taken)
-            trial_value, trial_slope = rise(trial)
-            enough = open_rows & (trial_value >= value + _ARMIJO * length * gain)
+            trial = np.where(open_rows[:, None], step + step_length[:, None] * direction, taken)
+            trial_value, trial_slope = evaluate(trial)
+            enough = open_rows & (trial_value >= value + _ARMIJO * step_length * slope_along)
             taken = np.where(enough[:, None], trial, taken)
             new_value = np.where(enough, trial_value, new_value)
             new_slope = np.where(enough[:, None], trial_slope, new_slope)
             open_rows &= ~enough
-            length = np.where(open_rows, 0.4 * length, length)
+            step_length = np.where(open_rows, 0.4 * step_length, step_length)
             if not open_rows.any():
                 break
         if np.abs(taken - step).max(initial=0.0) < _CONVERGED_PX:
             break
-        turn = np.einsum("ni,ni->n", new_slope - slope, new_slope)
-        turn = np.maximum(turn / np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-30), 0.0)
-        old_gain = np.linalg.norm(way, axis=1)
-        way = new_slope + turn[:, None] * way
-        length = 1.8 * length * old_gain / np.maximum(np.linalg.norm(way, axis=1), 1e-30)
-        length = np.minimum(length, 0.1 * radius / np.maximum(np.linalg.norm(way, axis=1), 1e-30))
+        beta = np.einsum("ni,ni->n", new_slope - slope, new_slope)
+        beta = np.maximum(beta / np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-30), 0.0)
+        old_gain = np.linalg.norm(direction, axis=1)
+        direction = new_slope + beta[:, None] * direction
+        step_length = 1.8 * step_length * old_gain / np.maximum(np.linalg.norm(direction, axis=1), 1e-30)
+        step_length = np.minimum(step_length, 0.1 * radius / np.maximum(np.linalg.norm(direction, axis=1), 1e-30))
         step, value, slope = taken, new_value, new_slope
     return start + step * unit
 

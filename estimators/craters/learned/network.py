@@ -1,4 +1,4 @@
-"""The network of the learned detector, and what it sees of a proposed rim: its surroundings in units of its radius."""
+"""The network of the learned detector, its input patches around proposed rims, and the rims of its outputs."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ FloatImage = NDArray[np.float32]
 
 SIDE = 32  # samples along either side of a patch
 REACH = 2.0  # mean radii from the centre to the edge of a patch
-SCALARS = 5  # numbers beside the patch
+SCALARS = 5  # further inputs of the network
 
 STRIDE = 2  # of every convolution
 NAMES = ("conv1", "bias1", "conv2", "bias2", "conv3", "bias3", "dense1", "bias4", "dense2", "bias5")
 OUTPUTS = 6  # log odds of a crater; displacement (2), log scale, elongation along and across the Sun (2)
 
-_LARGEST_STEP = 0.6  # of the radius or of its logarithm: what the network was taught
+_LARGEST_STEP = 0.6  # of the radius or of its logarithm: the range of the training data
 
 
 def windows(x: FloatImage, size: int) -> FloatImage:
-    """Lay the windows of a strided convolution out as (n, H', W', size * size * C); the border is padded by zeros."""
+    """Arrange the windows of a strided convolution as (n, H', W', size * size * C); the border is padded by zeros."""
     pad = size // 2
     padded = np.pad(x, ((0, 0), (pad, pad), (pad, pad), (0, 0)))
     view = np.lib.stride_tricks.sliding_window_view(padded, (size, size), axis=(1, 2))[:, ::STRIDE, ::STRIDE]
@@ -56,7 +56,7 @@ class Network:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PatchSource:
-    """An image with its halves, and what belongs to it.
+    """An image pyramid with the illumination and noise of the image.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class PatchSource:
     sun_px
         (2,) towards the Sun.
     sun_depth
-        Cosine between the Sun and the boresight: of 180 degrees less the phase angle.
+        Cosine of the angle between the Sun and the boresight, which is 180 degrees minus the phase angle.
     noise
         Of the image, in its own units.
     """
@@ -77,20 +77,20 @@ class PatchSource:
 
     @classmethod
     def of(cls, image: FloatImage, picture: PreparedImage, sun_dir_cam: FloatArray, noise: float) -> PatchSource:
-        """Halve an image until a patch of the largest rim needs no more."""
+        """Build the pyramid up to the level that patches of the largest rims need."""
         return cls(tuple(pyramid(image, 5)), picture.sun_px, float(sun_dir_cam[2]), noise)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RimPatches:
-    """Patches (n, SIDE, SIDE, 1) of zero mean and unit variance, and (n, SCALARS) numbers beside them."""
+    """Patches (n, SIDE, SIDE, 1) of zero mean and unit variance, and (n, SCALARS) further inputs."""
 
     pixels: FloatImage
     scalars: FloatImage
 
 
 def patch_grid(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:
-    """Return the places (n, SIDE, SIDE, 2) of the samples: columns run towards the Sun, rows a quarter turn on."""
+    """Return the places (n, SIDE, SIDE, 2) of the samples: columns run towards the Sun, rows 90 degrees onwards."""
     steps = (np.arange(SIDE) + 0.5) * (2.0 * REACH / SIDE) - REACH
     side = np.array([-sun_px[1], sun_px[0]])
     unit = steps[None, :, None] * sun_px + steps[:, None, None] * side
@@ -130,9 +130,9 @@ def cut_patches(source: PatchSource, ellipses: Ellipses) -> RimPatches:
 
 
 def shape_of(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:
-    """Describe shapes smoothly: (n, 3) log mean radius, and half the log ratio of the axes as a vector.
+    """Return smooth shape parameters (n, 3): log mean radius, and half the log ratio of the axes as a vector.
 
-    The vector (e cos 2p, e sin 2p) has p the angle from the Sun's direction to the longer axis; a circle's is 0.
+    The vector is (e cos 2p, e sin 2p) with p the angle from the Sun's direction to the longer axis; 0 for a circle.
     """
     axes = np.log(ellipses.semi_axes_px)
     elongation = 0.5 * (axes[:, 0] - axes[:, 1])
@@ -141,7 +141,7 @@ def shape_of(ellipses: Ellipses, sun_px: FloatArray) -> FloatArray:
 
 
 def ellipses_of(centre_px: FloatArray, shape: FloatArray, sun_px: FloatArray) -> Ellipses:
-    """Turn (n, 2) centres and (n, 3) shapes, as ``shape_of`` describes them, into rims."""
+    """Convert (n, 2) centres and (n, 3) shapes, as in ``shape_of``, to rims."""
     elongation = np.hypot(shape[:, 1], shape[:, 2])
     angle = 0.5 * np.arctan2(shape[:, 2], shape[:, 1]) + np.arctan2(sun_px[1], sun_px[0])
     axes = np.exp(shape[:, :1] + elongation[:, None] * np.array([1.0, -1.0]))
@@ -149,12 +149,12 @@ def ellipses_of(centre_px: FloatArray, shape: FloatArray, sun_px: FloatArray) ->
 
 
 def patch_axes(sun_px: FloatArray) -> FloatArray:
-    """Return the (2, 2) matrix whose rows are the axes of patches: towards the Sun, and a quarter turn on."""
+    """Return the (2, 2) matrix whose rows are the axes of patches: towards the Sun, and 90 degrees onwards."""
     return np.array([sun_px, [-sun_px[1], sun_px[0]]])
 
 
 def target_outputs(seen: Ellipses, truth: Ellipses, sun_px: FloatArray) -> FloatArray:
-    """Return what the network should say (n, 5) of patches about ``seen`` where the rims are ``truth``."""
+    """Return the outputs (n, 5) to train for: those that take the patches about ``seen`` to the rims ``truth``."""
     radius = seen.radius_px[:, None]
     moved = (truth.centre_px - seen.centre_px) @ patch_axes(sun_px).T / radius
     shape = shape_of(truth, sun_px)
@@ -162,12 +162,12 @@ def target_outputs(seen: Ellipses, truth: Ellipses, sun_px: FloatArray) -> Float
     return np.concatenate([moved, shape], axis=1)
 
 
-def rims_from_outputs(seen: Ellipses, said: FloatArray, sun_px: FloatArray) -> Ellipses:
-    """Place rims as the network says (n, 5) of patches about ``seen``: the inverse of ``target_outputs``."""
+def rims_from_outputs(seen: Ellipses, outputs: FloatArray, sun_px: FloatArray) -> Ellipses:
+    """Apply the network's outputs (n, 5) to the rims ``seen`` of its patches: the inverse of ``target_outputs``."""
     radius = seen.radius_px[:, None]
-    said = np.asarray(said, dtype=np.float64)
-    step = np.clip(said[:, :2], -_LARGEST_STEP, _LARGEST_STEP)
+    outputs = np.asarray(outputs, dtype=np.float64)
+    step = np.clip(outputs[:, :2], -_LARGEST_STEP, _LARGEST_STEP)
     centre = seen.centre_px + radius * step @ patch_axes(sun_px)
-    shape = said[:, 2:].copy()
+    shape = outputs[:, 2:].copy()
     shape[:, 0] = np.clip(shape[:, 0], -_LARGEST_STEP, _LARGEST_STEP) + np.log(radius[:, 0])
     return ellipses_of(centre, shape, sun_px)

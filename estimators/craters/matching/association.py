@@ -1,12 +1,12 @@
-"""Which detections are which expected craters, where one unknown error moves all of them together.
+"""Association of detections with expected craters whose offsets share one unknown error.
 
-The error e of what is known before (poses, of one image or of two) is Gaussian. Crater i is expected at p_i and seen at
+The error e of the prior (of the poses of one or two images) is Gaussian. Crater i is expected at p_i and seen at
 
     q = p_i + H_i e + noise,  noise ~ N(0, R_i),
 
-so that the offsets of all craters are one Gaussian field. Each compatible couple of an expected crater and a detection
-votes for the offset that it stands for: the field given that couple. The field with the most likely set of couples is
-refined by all of them, and a couple is kept when the others, without it, foretell it.
+so that the offsets of all craters are one Gaussian field. Each compatible pair of an expected crater and a detection
+is a hypothesis on the offsets: the field conditioned on that pair. The hypothesis with the most likely set of pairs is
+refined with all of them, and a pair is kept if it is probable given the others without it.
 """
 
 from __future__ import annotations
@@ -26,51 +26,52 @@ IndexArray = NDArray[np.int64]
 
 _REFITS = 10
 _HUBER_PASSES = 10
-_VOTES_AT_ONCE = 64
-_MAX_WORK = 2_000_000
-_SHAPE_SPREAD = 0.3
-_IMPOSSIBLE = -60.0
+_VOTES_AT_ONCE = 64  # hypotheses evaluated in one array operation, to bound the memory
+_MAX_WORK = 2_000_000  # hypotheses times pairs
+_SHAPE_SPREAD = 0.3  # of the logarithms of size and axes ratio of clutter
+_IMPOSSIBLE = -60.0  # log-odds are held above it, so that exponentials stay finite
 
-# A Gaussian pair of offsets exceeds it in 14 % of cases.
+# The length of two standard normal offsets exceeds it in exp(-2) = 14 % of cases.
 _LIMIT_SIGMA = 2.0
 
 
 def huber_weights(sigmas: FloatArray) -> FloatArray:
-    """Weights of Huber's loss for offsets in units of their standard deviation, any shape.
+    """Return the weights of Huber's loss for offsets in units of their standard deviation, any shape.
 
-    Huber (1964, Ann. Math. Stat. 35, 73): 1 up to a limit, beyond it the limit over the offset.
+    Huber (1964, Ann. Math. Stat. 35, 73): 1 up to a limit, beyond it the limit over the offset. Detections have heavier
+    tails than a Gaussian.
     """
     return np.asarray(_LIMIT_SIGMA / np.maximum(sigmas, _LIMIT_SIGMA), dtype=np.float64)
 
 
 class CraterAssociationOptions(SpecModel):
-    """How far a detection may be from what is expected of it, and how sure a couple must be."""
+    """The uncertainty of detections, and the required probability of a pair."""
 
-    centre_sigma_px: float = Field(0.7, gt=0.0, description="Of the centre of a rim, both detections together")
+    centre_sigma_px: float = Field(0.7, gt=0.0, description="Of a rim's centre, both detections together")
     centre_sigma_radii: float = Field(0.06, ge=0.0, description="The same, in radii: rims are not ellipses")
-    size_sigma: float = Field(0.10, gt=0.0, description="Of the logarithm of the ratio of radii")
-    axes_sigma: float = Field(0.15, gt=0.0, description="Of the logarithm of the ratio of the ratios of axes")
+    size_sigma: float = Field(0.10, gt=0.0, description="Standard deviation of the log ratio of radii")
+    axes_sigma: float = Field(0.15, gt=0.0, description="Standard deviation of the log ratio of axes ratios")
     redetected: float = Field(0.5, gt=0.0, lt=1.0, description="Probability that an expected crater is detected")
-    probability: float = Field(0.95, gt=0.5, lt=1.0, description="Of a couple against all others, at the least")
-    gate_sigma: float = Field(4.5, gt=0.0, description="Of an offset by what is known before, at the most")
+    probability: float = Field(0.95, gt=0.5, lt=1.0, description="Least probability of a pair against all others")
+    gate_sigma: float = Field(4.5, gt=0.0, description="Largest offset, in a priori standard deviations")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExpectedCraters:
-    """What should be seen.
+    """Predicted rims with their errors.
 
     Parameters
     ----------
     ellipses
-        n rims as they are expected.
+        n predicted rims.
     by_error
         (n, 2, s) px by the common error.
     covariance
         (s, s) of the common error.
     noise_px2
-        (n, 2, 2) covariance of what each place is off by itself.
+        (n, 2, 2) covariance of the independent error of each centre.
     mean
-        (s,) of the common error: zero but where the rims were predicted with a better guess of it.
+        (s,) of the common error: zero unless the rims were predicted with a better estimate of it.
     """
 
     ellipses: Ellipses
@@ -82,18 +83,18 @@ class ExpectedCraters:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Association:
-    """Couples that were found.
+    """Pairs that were found.
 
     Parameters
     ----------
     pairs
         (k, 2) expected crater and detection; none twice.
     probability
-        (k,) of each couple.
+        (k,) of each pair.
     error, covariance
-        (s,) and (s, s): the common error given all couples.
+        (s,) and (s, s): the common error given all pairs.
     reason
-        Why there are none; empty where there are.
+        Why there are none; empty if there are.
     """
 
     pairs: IndexArray
@@ -105,14 +106,14 @@ class Association:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Likelihoods:
-    """Shapes of all couples, as log-likelihood ratios against clutter, and the density of clutter in the image."""
+    """Log-likelihood ratios of the shapes of all pairs against clutter, and the density of clutter in the image."""
 
     shape: FloatArray  # (n, m)
     density_px2: float
 
 
 def centre_noise(ellipses: Ellipses, options: CraterAssociationOptions) -> FloatArray:
-    """(n, 2, 2) covariance of the places of rims, by the detector alone."""
+    """Return the (n, 2, 2) covariance of the centres of rims due to the detector."""
     sigma = np.hypot(options.centre_sigma_px, options.centre_sigma_radii * ellipses.radius_px)
     return np.asarray(sigma[:, None, None] ** 2 * np.eye(2), dtype=np.float64)
 
@@ -120,7 +121,7 @@ def centre_noise(ellipses: Ellipses, options: CraterAssociationOptions) -> Float
 def associate(
     expected: ExpectedCraters, seen: Ellipses, area_px2: float, options: CraterAssociationOptions
 ) -> Association:
-    """Find the couples of expected craters and detections in an image of ``area_px2``."""
+    """Find the pairs of expected craters and detections in an image of ``area_px2``."""
     size = len(expected.covariance)
     none = Association(np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(size), expected.covariance)
     if len(expected.ellipses) == 0 or len(seen) == 0:
@@ -136,22 +137,24 @@ def associate(
 
 
 def _no_association(none: Association, reason: str) -> Association:
+    """Return the association without pairs, with its reason."""
     return Association(none.pairs, none.probability, none.error, none.covariance, reason)
 
 
 def _shape_ratios(expected: Ellipses, seen: Ellipses, options: CraterAssociationOptions) -> FloatArray:
-    """(n, m) log-likelihood ratios of size and ratio of axes: of the couple against the other shapes of the image."""
+    """Return (n, m) log-likelihood ratios of size and axes ratio: the pair against the other shapes in the image."""
     sigma = np.array([options.size_sigma, options.axes_sigma])
     here, there = _log_shape(expected), _log_shape(seen)
     own = _log_normal((here[:, None] - there[None]) / sigma) - np.log(sigma).sum()
     spread = np.full(2, _SHAPE_SPREAD)
     others = _log_normal((there[:, None] - there[None]) / spread) - np.log(spread).sum()
+    # The density of clutter is a kernel estimate from the shapes of all detections.
     clutter = np.log(np.exp(others).mean(axis=1))
     return np.asarray(own - clutter[None], dtype=np.float64)
 
 
 def _log_shape(ellipses: Ellipses) -> FloatArray:
-    """(n, 2) logarithms of the radius and of the ratio of axes."""
+    """Return (n, 2) logarithms of the radius and of the ratio of axes."""
     a, b = np.log(ellipses.semi_axes_px).T
     return np.column_stack([0.5 * (a + b), b - a])
 
@@ -164,7 +167,7 @@ def _log_normal(standard: FloatArray) -> FloatArray:
 def _log_ratios(
     residuals: FloatArray, spread: FloatArray, likelihoods: _Likelihoods, options: CraterAssociationOptions
 ) -> FloatArray:
-    """(..., n, m) log-odds of each couple against its detection being clutter.
+    """Return (..., n, m) log-odds of each pair against its detection being clutter.
 
     Parameters
     ----------
@@ -176,6 +179,7 @@ def _log_ratios(
     a, b, c = spread[..., 0, 0, None], spread[..., 0, 1, None], spread[..., 1, 1, None]
     det = a * c - b * b
     u, v = residuals[..., 0], residuals[..., 1]
+    # The 2 x 2 inverse is written out: the arrays are (hypotheses, craters, detections).
     square = (c * u * u - 2.0 * b * u * v + a * v * v) / det
     place = -0.5 * square - 0.5 * np.log(det) - np.log(2.0 * np.pi * likelihoods.density_px2)
     odds = np.log(options.redetected / (1.0 - options.redetected))
@@ -185,9 +189,9 @@ def _log_ratios(
 def _best_supported_pair(
     expected: ExpectedCraters, offsets: FloatArray, likelihoods: _Likelihoods, options: CraterAssociationOptions
 ) -> IndexArray:
-    """Return the couple, (1, 2), whose offset has most support; (0, 2) where no couple is possible.
+    """Return the pair, (1, 2), whose offset has the most support; (0, 2) if no pair is possible.
 
-    Where there are very many couples only the most likely of them vote; all of them are counted.
+    If there are very many pairs, only the most likely of them are hypotheses; all of them count as support.
     """
     H, P, R = expected.by_error, expected.covariance, expected.noise_px2
     prior = H @ P @ np.swapaxes(H, 1, 2) + R
@@ -214,16 +218,18 @@ def _support(
     likelihoods: _Likelihoods,
     options: CraterAssociationOptions,
 ) -> FloatArray:
-    """(v,) log-likelihood ratio of all couples, each detection once, when the field is that of one couple."""
+    """Return (v,) log-likelihood ratios of all pairs, each detection once, given the field conditioned on one pair."""
     H, P, R = expected.by_error, expected.covariance, expected.noise_px2
     i = couples[:, 0]
     offset = offsets[i, couples[:, 1]]
+    # Kalman update of the common error by the offset of one pair.
     gain = P @ np.swapaxes(H[i], 1, 2) @ np.linalg.inv(prior[i])
     error = np.einsum("vsi,vi->vs", gain, offset)
     left = P - gain @ H[i] @ P
     spread = np.einsum("nis,vst,njt->vnij", H, left, H, optimize=True) + R
     residuals = offsets[None] - np.einsum("nis,vs->vni", H, error)[:, :, None]
     ratios = np.maximum(_log_ratios(residuals, spread, likelihoods, options), 0.0)
+    # Each detection and each crater counts once; the smaller sum bounds the one-to-one assignment.
     once = np.minimum(ratios.max(axis=2).sum(axis=1), ratios.max(axis=1).sum(axis=1))
     far = np.einsum("vi,vij,vj->v", offset, np.linalg.inv(prior[i]), offset)
     return np.asarray(once - 0.5 * far)
@@ -236,7 +242,7 @@ def _refine(
     likelihoods: _Likelihoods,
     options: CraterAssociationOptions,
 ) -> Association:
-    """Start from the couple with most support, and go on with all couples of the field until they stay the same."""
+    """Start from the best supported pair, and condition the field on all its pairs until they no longer change."""
     for _ in range(_REFITS):
         error, covariance = condition_on_pairs(expected, offsets, pairs)
         H = expected.by_error
@@ -254,14 +260,14 @@ def _refine(
 
 
 def _one_to_one(ratios: FloatArray) -> IndexArray:
-    """Return the couples (k, 2) with positive log-odds of the best one-to-one assignment."""
+    """Return the pairs (k, 2) with positive log-odds of the best one-to-one assignment."""
     rows, columns = linear_sum_assignment(-np.maximum(ratios, 0.0))
     taken = ratios[rows, columns] > 0.0
     return np.column_stack([rows[taken], columns[taken]]).astype(np.int64)
 
 
 def _joint(expected: ExpectedCraters, pairs: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """Stack the derivatives (2k, s) of couples, and the covariance (2k, 2k) of their offsets."""
+    """Stack the derivatives (2k, s) of pairs, and the covariance (2k, 2k) of their offsets."""
     H = expected.by_error[pairs[:, 0]].reshape(-1, len(expected.covariance))
     joint = H @ expected.covariance @ H.T
     for row, i in enumerate(pairs[:, 0]):
@@ -272,9 +278,10 @@ def _joint(expected: ExpectedCraters, pairs: IndexArray) -> tuple[FloatArray, Fl
 def condition_on_pairs(
     expected: ExpectedCraters, offsets: FloatArray, pairs: IndexArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the common error less its mean, (s,) and (s, s), given couples (k, 2) and all offsets (n, m, 2)."""
+    """Return the common error minus its mean, (s,) and (s, s), given pairs (k, 2) and all offsets (n, m, 2)."""
     P = expected.covariance
     H, joint = _joint(expected, pairs)
+    # e | y ~ N(K y, P - K H P) with K = P H^T S^-1 and S = H P H^T + R.
     gain = np.linalg.solve(joint, H @ P).T
     covariance = P - gain @ H @ P
     error = gain @ offsets[pairs[:, 0], pairs[:, 1]].ravel()
@@ -288,9 +295,9 @@ def _leave_one_out_probability(
     likelihoods: _Likelihoods,
     options: CraterAssociationOptions,
 ) -> FloatArray:
-    """(k,) probability of each couple by what all the others foretell, against other couples of both and clutter.
+    """Return (k,) the probability of each pair given all others, against other pairs of its crater and clutter.
 
-    Leaving couple i out of a Gaussian field with covariance S leaves the residual (W_ii)^-1 (W y)_i with covariance
+    Leaving pair i out of a Gaussian field with covariance S gives the residual (W_ii)^-1 (W y)_i with covariance
     (W_ii)^-1, W = S^-1.
     """
     _, joint = _joint(expected, pairs)
@@ -308,6 +315,7 @@ def _leave_one_out_probability(
 
 
 def _row_of(likelihoods: _Likelihoods, row: int) -> _Likelihoods:
+    """Return the likelihoods of one expected crater."""
     return _Likelihoods(likelihoods.shape[row : row + 1], likelihoods.density_px2)
 
 
@@ -318,7 +326,7 @@ def _rival_probability(
     likelihoods: _Likelihoods,
     options: CraterAssociationOptions,
 ) -> FloatArray:
-    """(k,) probability of each couple against the other expected craters of its detection."""
+    """Return (k,) the probability of each pair against the other expected craters of its detection."""
     error, covariance = condition_on_pairs(expected, offsets, pairs)
     H = expected.by_error
     spread = H @ covariance @ np.swapaxes(H, 1, 2) + expected.noise_px2
@@ -327,9 +335,9 @@ def _rival_probability(
 
 
 def adjust_robustly(expected: ExpectedCraters, seen: Ellipses, found: Association) -> Association:
-    """Adjust the common error anew by Huber's loss: centres of rims have heavier tails than a Gaussian.
+    """Estimate the common error again with Huber's loss: centres of rims have heavier tails than a Gaussian.
 
-    The noise of each couple is divided by its weight until the weights stand still; the prior keeps its weight.
+    The noise of each pair is divided by its weight, iteratively; the prior keeps its weight.
     """
     foretold = expected.ellipses.centre_px + expected.by_error @ expected.mean
     offsets = seen.centre_px[None] - foretold[:, None]

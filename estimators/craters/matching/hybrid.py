@@ -1,17 +1,17 @@
-"""The hybrid of Cheng et al. (2003): invariants, context and correlation, each where its conditions hold.
+"""The hybrid matcher of Cheng et al. (2003): invariants, context and correlation, each where its conditions hold.
 
-Figure 7 is lost in the scan but for three boxes: context matching, then correlation matching, then the data base. Our
-reading, from what the text says of each mode:
+Figure 7 is illegible in the scan but for three boxes: context matching, then correlation matching, then the database.
+Our reading, from the text on each mode:
 
-1. Context needs the relative pose and enough craters: it comes first where both images have more craters than have to
-   agree. "The transform T can be obtained from both the spacecraft pose and the surface normal": the constellations are
-   those of the rims that poses and shape predict, so that relief does not bend them and T has but the error of the
-   poses to take up. Where context finds none, the conic invariants, which need no pose, are asked in its place; what
-   they say counts only where the relative pose does not contradict it.
-2. Correlation needs similar light: where the Suns differ by no more than 10 degrees it confirms craters near their
-   predicted places, few as they may be.
-3. All that was found gives T once more, and steps 4 and 5 of the context mode find the remaining craters with it and
-   drop those that do not agree; a crater that correlates stands by itself.
+1. Context needs the relative pose and enough craters: it comes first if both images have more craters than have to
+   agree. "The transform T can be obtained from both the spacecraft pose and the surface normal": the constellations
+   are those of the rims predicted from poses and shape, so that relief does not distort them and T only has to account
+   for the errors of the poses. Where context finds none, the conic invariants, which need no pose, take its place;
+   their pairs count only if the relative pose does not contradict them.
+2. Correlation needs similar illumination: where the Sun directions differ by no more than 10 degrees it confirms
+   craters near their predicted places, even if they are few.
+3. All pairs together give T once more, and steps 4 and 5 of the context mode find the remaining craters with it and
+   drop those that do not agree; a crater that correlates is kept in any case.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
 
 _ROUNDS = 6
-_ROUGH = 3.0
+_ROUGH = 3.0  # in units of the limit on places: relief spreads the offsets before the transform is fitted
 
 
 class HybridOptions(SpecModel):
@@ -45,11 +45,11 @@ class HybridOptions(SpecModel):
     correlation: CorrelationOptions = CorrelationOptions()
     context: ContextOptions = ContextOptions()
     invariants: InvariantOptions = InvariantOptions()
-    agreeing: int = Field(3, ge=2, description="Matches that have to agree before others are sought with them")
+    agreeing: int = Field(3, ge=2, description="Matches that have to agree before others are added")
 
 
 class HybridMatcher:
-    """All three modes, and the craters that follow from what they found."""
+    """Combines all three modes, and finds further craters that agree with their pairs."""
 
     name: ClassVar[str] = "hybrid"
     version: ClassVar[int] = 2
@@ -65,7 +65,7 @@ class HybridMatcher:
         return cls(parse_options(HybridOptions, options, cls.name))
 
     def match(self, first: CraterImage, second: CraterImage, ground: GroundModel) -> CraterMatches:
-        """Match by whatever the two images admit."""
+        """Match by each mode that the two images permit."""
         if reason := too_few_craters(first, second):
             return CraterMatches.none(reason)
         expected = transfer_craters(first, second, locate_craters(first, ground), ground)
@@ -90,7 +90,7 @@ class HybridMatcher:
     def _follow_common_shift(
         self, expected: CraterTransfer, second: CraterImage, near: BoolArray, found: IndexArray
     ) -> IndexArray:
-        """Find the couples (k, 2) that agree with the common error of what was found."""
+        """Find the pairs (k, 2) that agree with the transform fitted to the pairs found so far."""
         options, seen = self._options, second.detections.ellipses
         here = expected.ellipses
         inlier = _agreeing_offsets(seen.centre_px[found[:, 1]] - here.centre_px[found[:, 0]], options.context.place_px)
@@ -107,26 +107,26 @@ class HybridMatcher:
 
 
 def _pairs_of_expected(pairs: IndexArray, expected: CraterTransfer, near: BoolArray) -> IndexArray:
-    """Take couples of detections to couples of expected craters and detections; those that the poses admit."""
+    """Convert pairs of detections to pairs of expected crater and detection; keep those that the poses permit."""
     place = {int(row): p for p, row in enumerate(expected.rows)}
     known = [(place[int(i)], int(k)) for i, k in pairs if int(i) in place]
     return np.array([(p, k) for p, k in known if near[p, k]], dtype=np.int64).reshape(-1, 2)
 
 
 def _merge_pairs(certain: IndexArray, others: IndexArray) -> IndexArray:
-    """Add the couples of ``others`` that share no crater with those of ``certain``."""
+    """Add the pairs of ``others`` that share no crater with those of ``certain``."""
     free = ~np.isin(others[:, 0], certain[:, 0]) & ~np.isin(others[:, 1], certain[:, 1])
     return np.concatenate([certain, others[free]])
 
 
 def _agreeing_offsets(offsets: FloatArray, limit_px: float) -> BoolArray:
-    """(k,) offsets near the one with most others about it; errors of poses move craters nearly alike."""
+    """Return (k,) offsets near the one with most others around it; errors of poses move craters nearly alike."""
     apart = np.linalg.norm(offsets[:, None] - offsets[None], axis=2) < _ROUGH * limit_px
     return np.asarray(apart[int(np.argmax(apart.sum(axis=1)))])
 
 
 def _transform(here: FloatArray, there: FloatArray) -> FloatArray:
-    """(3, 3) linear transform between places, or a shift alone where they are too few or nearly in line."""
+    """Return the (3, 3) linear transform between places, or a shift if they are too few or nearly collinear."""
     spread = np.linalg.svd(here - here.mean(axis=0), compute_uv=False)
     if len(here) > 4 and spread[-1] > 0.1 * spread[0]:
         return fitted_transform(here, there)

@@ -39,7 +39,7 @@ from scenarios.orbits.data import OrbitData
 from scenarios.spec.base import SpecModel
 
 _MATCHING = "matching"
-_BLOCK = 50
+_BLOCK = 50  # pairs of images in one file: so many are matched again after an interruption
 
 FloatArray = NDArray[np.float64]
 
@@ -144,6 +144,7 @@ class CraterNavigation:
             estimate = rounds[-1].estimate
             if estimate.status == "ok" or estimate.orbit is None:
                 break
+            # A rejected orbit has residuals larger than expected: its covariance is scaled by their chi-square.
             inflation = max(1.0, estimate.diagnostics["chi_square_per_freedom"])
             trajectory = Trajectory.from_orbit(estimate.orbit, times, wanted, inflation)
         return NavigationResult(tuple(rounds), spent)

@@ -78,6 +78,7 @@ def images_along_trajectory(
         rotation = attitude @ turn.T
         pose = Pose(rotation, -rotation @ (turn @ position + task.shape.centre_of_mass_m))
         by_turn, by_place = _by_turn(pose), np.vstack([np.zeros((3, 3)), -attitude])
+        # Independent attitude error and common misalignment, both rotations of the camera, and the position.
         covariance = (known.attitude_sigma_rad**2 + known.misalignment_sigma_rad**2) * by_turn @ by_turn.T
         covariance += by_place @ trajectory.covariances_m2[i] @ by_place.T
         common = np.hstack([known.misalignment_sigma_rad * by_turn, by_place @ trajectory.by_common_m[i]])
