@@ -1,4 +1,4 @@
-"""Stages of the detector of Cheng et al. (2003) on shaded bowls of a height field that is not the renderer's."""
+"""The stages of the detector of Cheng et al. (2003), on shaded bowls of a height field independent of the renderer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers of craters over images, their places, and the files: against graphs of scipy and what was written."""
+"""Numbering of craters, their positions, and the files: against scipy's connected components and written values."""
 
 from __future__ import annotations
 

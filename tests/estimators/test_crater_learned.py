@@ -1,4 +1,4 @@
-"""The learned detector: its templates, patches, network and training, each against something foreign."""
+"""The learned detector: its templates, patches, network and training, each against an independent calculation."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_a_halved_image_is_opencvs_by_areas():
 
 
 def test_a_templates_correlation_is_the_merit_of_its_ring():
-    """Against the interpolated merit of the other detector, on a smooth field of gradients."""
+    """Against the interpolated merit of the classic detector, on a smooth field of gradients."""
     rng = np.random.default_rng(3)
     field = np.stack([cv2.GaussianBlur(rng.normal(size=(61, 61)), (0, 0), 3.0) for _ in range(2)], axis=-1)
     templates = ring_templates(SUN)
@@ -79,7 +79,7 @@ def test_templates_propose_every_bowl():
 
 @pytest.mark.parametrize("radius", [6.0, 13.0, 40.0])
 def test_patches_show_a_rim_at_their_middle_and_the_sun_at_the_right(radius):
-    """Where the brightness is a function of the place, each sample is that function at its place."""
+    """The brightness is a function of the place; each sample is its value there."""
     v, u = np.indices(SHAPE) + 0.5
     place = np.array([210.3, 190.8])
     along, across = (u - place[0]) * SUN[0] + (v - place[1]) * SUN[1], (v - place[1]) * SUN[0] - (u - place[0]) * SUN[1]
@@ -129,7 +129,7 @@ def test_the_losss_derivatives_are_central_differences():
 
 
 def test_training_learns_what_forward_then_says():
-    """Bright blobs on one side are craters: a rule that no untrained network follows."""
+    """Bright blobs on one side are craters: a rule that an untrained network does not follow."""
     rng = np.random.default_rng(7)
     n = 600
     pixels = rng.normal(size=(n, SIDE, SIDE, 1)).astype(np.float32)

@@ -330,7 +330,7 @@ def test_correlation_confirms_craters_where_the_pixels_agree(ground, craters) ->
 
 
 def _painted(image: CraterImage) -> CraterImage:
-    """Paint each rim as a bowl whose brightness runs along the direction of the Sun on the ground."""
+    """Paint each rim as a bowl with a brightness gradient along the direction of the Sun on the ground."""
     v, u = np.mgrid[0 : CAMERA.height_px, 0 : CAMERA.width_px] + 0.5
     sun = image.frame.sun_dir_cam[:2] / np.linalg.norm(image.frame.sun_dir_cam[:2])
     pixels = np.full(u.shape, 100.0)

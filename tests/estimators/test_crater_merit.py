@@ -28,7 +28,7 @@ def rough_field(seed=1, shape=(90, 110)):
 
 
 def ideal(shape=(120, 140), centre=(70.3, 58.1), axes=(30.0, 22.0), angle=0.4, width=2.0):
-    """The gradient field of an even rim: along the outward normal towards the Sun, inward away from it."""
+    """Return the gradient field of an ideal rim: along the outward normal towards the Sun, inward away from it."""
     v, u = np.mgrid[: shape[0], : shape[1]] + 0.5
     c, s = np.cos(angle), np.sin(angle)
     x = ((u - centre[0]) * c + (v - centre[1]) * s) / axes[0]
@@ -81,7 +81,7 @@ def test_the_merit_of_a_perfect_rim_is_one_and_turns_its_sign_with_the_sun():
 
 
 def test_a_terminator_has_one_good_side():
-    """Brightness that rises evenly towards the Sun: its direction agrees on both sides, a step's on one alone."""
+    """Brightness that rises evenly towards the Sun agrees on both sides, a step on one only."""
     u = np.mgrid[:100, :100][1] + 0.5
     step = np.exp(-0.5 * ((u - 40.0) / 2.0) ** 2)
     field = GradientField(np.stack([step, 0 * step], axis=-1))

@@ -1,4 +1,4 @@
-"""Planned images: geometry by hand on an ellipsoid, and the file."""
+"""Image planning: hand-computed geometry on an ellipsoid, and the plan file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pose by craters alone, on detections drawn by geometry, and against a solver of least squares."""
+"""The pose by craters, on detections from exact geometry, and against a least-squares solver."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ERRORS = DetectionErrors(height_m=0.0)
 
 
 class Found:
-    """A detector that returns what a look holds."""
+    """A detector that returns given detections."""
 
     def __init__(self, rims: Ellipses) -> None:
         self.rims = rims
@@ -144,7 +144,7 @@ def test_images_without_craters_fail_with_a_reason(world) -> None:
 def _pictures(
     true: np.ndarray, normals: np.ndarray, radii: np.ndarray, angles: tuple[float, ...]
 ) -> list[SequencePicture]:
-    """Draw exact centres of the rims at ``true`` from several directions."""
+    """Make pictures with exact centres of the rims at ``true`` from several directions."""
     pictures = []
     for number, angle in enumerate(angles):
         position = true[0] + RANGE_M * turned(np.array([0.0, 0.0, 1.0]), angle, 1.0)

@@ -1,4 +1,4 @@
-"""Parts of the chain: files read back, what orbit determination reads of a data base, and errors that images share."""
+"""Parts of the navigation chain: files, the input of orbit determination, and errors that images share."""
 
 from dataclasses import replace
 
@@ -88,7 +88,7 @@ def test_matches_are_read_back_and_a_pair_that_stands_twice_is_refused(tmp_path)
 
 
 def _database(rng):
-    """Two pictures, the same landmark in both, in axes whose origin is off the centre of mass."""
+    """Make two pictures with the same landmark, in axes whose origin is off the centre of mass."""
     times, points = [100.0, 5000.0], rng.uniform(-200, 200, (3, 3)) + SHIFT_M
     attitudes = Rotation.from_rotvec(rng.normal(size=(2, 3))).as_matrix()
     turns = ROTATION.at(np.array(times))
@@ -162,7 +162,7 @@ def test_a_stage_is_made_once_and_a_failure_leaves_nothing(tmp_path):
 
 
 def _placed(world, knowledge, times):
-    """Two images without craters, as the a priori orbit places them."""
+    """Make two images without craters, with prior poses from the a priori orbit."""
     ground = MeshGround(world.believed.shape.mesh())
     task = NavigationTask(knowledge, AprioriShape(ground, SHIFT_M, 1.0), None, times)
     pixels, rims = np.zeros((2, 2), np.float32), CraterDetections.none()
@@ -196,7 +196,7 @@ def test_errors_that_images_share_go_together_as_in_draws_of_the_a_priori_orbit(
 
 
 def _by_turn(images, known):
-    """(6, 6) of both translations by what turns the camera: alike in the mounting, alone in the attitude."""
+    """Return (6, 6) the effect of camera rotations on both translations: common misalignment, independent attitudes."""
     lever = [np.cross(np.eye(3), image.frame.prior_T_cam_body.translation_m) for image in images]
     mounting, attitude = known.misalignment_sigma_rad**2, known.attitude_sigma_rad**2
     both = mounting * np.vstack([one.T for one in lever]) @ np.hstack(lever)

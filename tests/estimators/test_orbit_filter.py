@@ -1,4 +1,4 @@
-"""The batch filter: derivatives, its Schur complement against scipy's least squares, recovery, honesty, bad input."""
+"""The batch filter: derivatives, Schur complement against scipy's least squares, recovery, consistency, bad input."""
 
 from dataclasses import replace
 
