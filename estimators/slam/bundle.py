@@ -10,17 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.options import parse_options
-from estimators.slam.association import MOST_ROUNDS, Adjusted, Jury
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.following import LostError, follow
-from estimators.slam.foresight import foreseen_by_window
-from estimators.slam.gauge import Gauge, estimated_anew, gauge_rows, handed_over, measured_gauge
-from estimators.slam.journal import Journal
-from estimators.slam.keyframes import offset_views, trailing_views
-from estimators.slam.levenberg import StoppingRule, minimise, reduced_rank_deficiency
+from estimators.slam.keyframes import (
+    Gauge,
+    estimated_anew,
+    gauge_rows,
+    handed_over,
+    measured_gauge,
+    offset_views,
+    trailing_views,
+)
 from estimators.slam.motion_filter import Propagator
 from estimators.slam.options import BundleOptions
-from estimators.slam.state import Adjustment, State
+from estimators.slam.outliers import MOST_ROUNDS, Jury
+from estimators.slam.prediction import foreseen_by_window
+from estimators.slam.problem import Adjusted, Adjustment, State
+from estimators.slam.slam_map import Journal
+from estimators.slam.solver import StoppingRule, minimise, reduced_rank_deficiency
 from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from estimators.options import parse_options
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.ekf_health import Health
-from estimators.slam.ekf_measure import Sight
 from estimators.slam.ekf_pose import PoseState
 from estimators.slam.ekf_state import FilterState
-from estimators.slam.ekf_update import Iteration, innovation_covariance, iterated, updated
+from estimators.slam.ekf_update import Iteration, Sight, innovation_covariance, iterated, updated
 from estimators.slam.following import LostError, check_scale, follow
-from estimators.slam.gating import Gate, believed
-from estimators.slam.options import ConsistentFilterOptions, FilterOptions, IteratedFilterOptions
+from estimators.slam.gating import believed
+from estimators.slam.options import ConsistentFilterOptions, FilterOptions, Gate, IteratedFilterOptions
 from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]

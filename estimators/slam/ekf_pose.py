@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimators.slam.ekf_measure import Innovation
-from estimators.slam.ekf_state import FilterState
-from estimators.slam.ekf_update import updated
-from estimators.slam.inverse_depth import SIZE, turn_jacobians
+from estimators.slam.ekf_state import SIZE, FilterState, turn_jacobians
+from estimators.slam.ekf_update import Innovation, updated
 from scenarios.geometry import Camera, cross_matrix
 from scenarios.tracks import TrackFrame
 

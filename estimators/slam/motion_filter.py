@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-from estimators.slam.dynamics.field import Field
-from estimators.slam.dynamics.propagation import propagated
+from estimators.slam.dynamics.force_model import Field, propagated
 from estimators.slam.following import LostError
 from estimators.slam.options import BundleOptions
 from scenarios.tracks import Forces, TrackFrame, TrackSequence

@@ -6,8 +6,9 @@ from typing import Literal
 
 from pydantic import Field
 
-from estimators.slam.gating import Gate
 from scenarios.spec.base import SpecModel
+
+Gate = Literal["none", "individual", "one-point"]
 
 
 class LossOptions(SpecModel):

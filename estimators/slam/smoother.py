@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.options import parse_options
-from estimators.slam.association import MOST_ROUNDS, Adjusted, Jury, without_tracks
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.following import LostError, check_scale, follow, lookup
-from estimators.slam.foresight import foreseen_by_window
-from estimators.slam.journal import Journal
-from estimators.slam.levenberg import StoppingRule, minimise, view_covariance
 from estimators.slam.marginal import marginalised
 from estimators.slam.options import BatchOptions, SmootherOptions
-from estimators.slam.state import Adjustment, Motions, Prior, State
+from estimators.slam.outliers import MOST_ROUNDS, Jury, without_tracks
+from estimators.slam.prediction import foreseen_by_window
+from estimators.slam.problem import Adjusted, Adjustment, Motions, Prior, State
+from estimators.slam.slam_map import Journal
+from estimators.slam.solver import StoppingRule, minimise, view_covariance
 from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]

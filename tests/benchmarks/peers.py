@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from estimators.slam.peers.smoothers import Factors, graph_of, load_gtsam
-from estimators.slam.residuals import cost
-from estimators.slam.state import Adjustment, State
+from estimators.slam.gtsam_smoothers import Factors, graph_of, load_gtsam
+from estimators.slam.normal import cost
+from estimators.slam.problem import Adjustment, State
 from scenarios.errors import BoresightError
 
 FloatArray = NDArray[np.float64]

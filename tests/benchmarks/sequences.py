@@ -12,7 +12,7 @@ from benchmarks.settings import Settings
 from benchmarks.timing import in_turn, timed
 from benchmarks.windows import COST_TOLERANCE, cycle_ratios, make_window, window_ratios
 from campaign.runs.benchmark import one_core
-from estimators.slam.levenberg import Solution, StoppingRule, minimise
+from estimators.slam.solver import Solution, StoppingRule, minimise
 from scenarios.errors import BoresightError
 
 _FEW, _MANY = 25, 100

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.peers import PeerSolution, solved_by_ceres, solved_by_gtsam
-from estimators.slam.journal import Journal
-from estimators.slam.levenberg import StoppingRule, minimise
+from estimators.slam.problem import Adjustment, Distances, State
 from estimators.slam.registry import sequence_estimator_class
-from estimators.slam.state import Adjustment, Distances, State
+from estimators.slam.slam_map import Journal
+from estimators.slam.solver import StoppingRule, minimise
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera
 from scenarios.sequences import SequenceTruth, SphereGround, draw_sequence

@@ -11,7 +11,7 @@ from benchmarks import windows as slam_benchmark
 from benchmarks.windows import make_window
 
 from campaign.cli.main import main
-from estimators.slam.levenberg import StoppingRule, minimise
+from estimators.slam.solver import StoppingRule, minimise
 
 
 def test_window_starts_away_from_its_minimum_and_has_one() -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from slam_sequences import Recipe, make_sequence
 
-from estimators.slam.foresight import joint_covariance
-from estimators.slam.levenberg import view_covariance
 from estimators.slam.options import SmootherOptions
+from estimators.slam.prediction import joint_covariance
 from estimators.slam.smoother import WindowSmoother
+from estimators.slam.solver import view_covariance
 from estimators.slam.vision.features import Features
-from estimators.slam.vision.guided import guided_rows
+from estimators.slam.vision.matching import guided_rows
 from scenarios.tracks import Prediction
 
 

@@ -9,19 +9,20 @@ import pytest
 from scipy.optimize import least_squares
 from slam_sequences import Recipe, make_sequence
 
-from estimators.slam.journal import Journal
-from estimators.slam.levenberg import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
 from estimators.slam.marginal import marginalised
-from estimators.slam.normal import Layout, normal_equations
-from estimators.slam.residuals import (
+from estimators.slam.normal import (
+    Layout,
     bearing_jacobians,
     bearing_residuals,
     cost,
     distance_jacobians,
     distance_residuals,
     motion_residuals,
+    normal_equations,
 )
-from estimators.slam.state import Adjustment, Distances, Motions, Prior, State
+from estimators.slam.problem import Adjustment, Distances, Motions, Prior, State
+from estimators.slam.slam_map import Journal
+from estimators.slam.solver import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
 
 RULE = StoppingRule(1e-8)
 

@@ -9,15 +9,15 @@ import pytest
 from scipy.optimize import least_squares
 from slam_sequences import Recipe, Truth, make_sequence
 
-from estimators.slam.association import Adjusted, Jury, all_fit
 from estimators.slam.bundle import BundleSlam
 from estimators.slam.contract import SequenceEstimate
-from estimators.slam.expected import Common
-from estimators.slam.hearing import fitting
-from estimators.slam.journal import Journal
-from estimators.slam.levenberg import StoppingRule
+from estimators.slam.gating import fitting
+from estimators.slam.outliers import Jury, all_fit
+from estimators.slam.prediction import Common
+from estimators.slam.problem import Adjusted, Adjustment, Distances, Motions, Prior, Sightings, State
+from estimators.slam.slam_map import Journal
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
-from estimators.slam.state import Adjustment, Distances, Motions, Prior, Sightings, State
+from estimators.slam.solver import StoppingRule
 from scenarios.tracks import TrackSequence
 
 SHARE = 0.05

@@ -12,16 +12,14 @@ from scipy.stats import chi2
 from slam_orbits import GM, LIGHT, Drive, OrbitTruth, make_orbit_sequence
 from slam_sequences import ORBIT_M, Recipe
 
-from estimators.slam.dynamics.field import Field
+from estimators.slam.dynamics.force_model import Field, propagated, propagated_with_derivatives
 from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState, arc_information
-from estimators.slam.dynamics.propagation import propagated, propagated_with_derivatives
 from estimators.slam.dynamics.smoother import DynamicSmoother, marginalised_dynamic
-from estimators.slam.dynamics.solve import covariance_of, minimise_dynamic
-from estimators.slam.dynamics.system import Rows, dynamic_equations
+from estimators.slam.dynamics.solver import Rows, covariance_of, dynamic_equations, minimise_dynamic
 from estimators.slam.dynamics.window import Window
-from estimators.slam.levenberg import StoppingRule
-from estimators.slam.residuals import bearing_residuals, distance_residuals
-from estimators.slam.state import State
+from estimators.slam.normal import bearing_residuals, distance_residuals
+from estimators.slam.problem import State
+from estimators.slam.solver import StoppingRule
 from scenarios.tracks import Forces, TrackSequence
 
 FORCES = Forces(3.3, 0.3, LIGHT, 0.2, 1e-7, np.zeros(3), 1e-6 * np.eye(3))

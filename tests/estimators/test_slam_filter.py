@@ -9,10 +9,8 @@ import pytest
 from scipy.optimize import least_squares
 from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, look_down
 
-from estimators.slam.ekf_measure import Sight
-from estimators.slam.ekf_state import FilterState
-from estimators.slam.ekf_update import Iteration, iterated, updated
-from estimators.slam.inverse_depth import landmark_jacobians, landmark_points
+from estimators.slam.ekf_state import FilterState, landmark_jacobians, landmark_points
+from estimators.slam.ekf_update import Iteration, Sight, iterated, updated
 from scenarios.tracks import TrackFrame
 
 NO_RANGES = (np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))

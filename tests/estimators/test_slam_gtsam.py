@@ -11,11 +11,11 @@ from benchmarks.peers import solved_by_ceres, solved_by_gtsam
 from slam_sequences import Recipe, make_sequence
 from test_slam_kernels import window
 
-from estimators.slam.levenberg import StoppingRule, minimise, view_covariance
-from estimators.slam.peers.smoothers import Factors, GtsamFixedLag, GtsamIsam2, graph_of
+from estimators.slam.gtsam_smoothers import Factors, GtsamFixedLag, GtsamIsam2, graph_of
+from estimators.slam.problem import Distances, Motions
 from estimators.slam.registry import sequence_estimator_class
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
-from estimators.slam.state import Distances, Motions
+from estimators.slam.solver import StoppingRule, minimise, view_covariance
 from scenarios.errors import BoresightError
 
 

@@ -14,18 +14,18 @@ import pytest
 from scipy.spatial.distance import mahalanobis
 from slam_sequences import Recipe, make_sequence
 
-from estimators.slam import deviations, levenberg, marginal
+from estimators.slam import marginal, solver
 from estimators.slam.bundle import BundleSlam
-from estimators.slam.compiled import descent, equations, sight
+from estimators.slam.compiled import descent, equations
 from estimators.slam.compiled import envelope as packed
-from estimators.slam.compiled import layout as layouts
-from estimators.slam.compiled.flat import flat
-from estimators.slam.journal import Journal
-from estimators.slam.levenberg import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
-from estimators.slam.normal import Layout, normal_equations
-from estimators.slam.residuals import cost
+from estimators.slam.compiled import problem as layouts
+from estimators.slam.compiled import residuals as sight
+from estimators.slam.compiled.problem import flat
+from estimators.slam.normal import Layout, cost, normal_equations
+from estimators.slam.problem import Adjustment, Distances, Motions, Prior, State
+from estimators.slam.slam_map import Journal
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
-from estimators.slam.state import Adjustment, Distances, Motions, Prior, State
+from estimators.slam.solver import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
 
 RULE = StoppingRule(1e-6)
 REFERENCED = (
@@ -88,7 +88,7 @@ def in_numpy(monkeypatch: pytest.MonkeyPatch):
     def call(function, *arguments):
         with monkeypatch.context() as patch:
             for name in REFERENCED:
-                compiled = getattr(deviations, name, None) or getattr(levenberg, name, None) or getattr(marginal, name)
+                compiled = getattr(solver, name, None) or getattr(marginal, name)
                 for module in [m for key, m in sys.modules.items() if key.startswith("estimators.slam")]:
                     if getattr(module, name, None) is compiled:
                         patch.setattr(module, name, getattr(numpy_adjustment, name))
@@ -120,9 +120,9 @@ def test_equations_are_those_of_numpy(seed: int) -> None:
 def test_deviations_are_those_of_numpy_and_scipy(seed: int) -> None:
     """Also of a landmark behind its camera; those of one pixel with derivatives by differences."""
     problem, state = window(seed)
-    squares = deviations.sighting_squares(problem, state)
+    squares = solver.sighting_squares(problem, state)
     np.testing.assert_allclose(squares, numpy_adjustment.sighting_squares(problem, state), rtol=1e-11)
-    told = deviations.landmark_information(problem, state)
+    told = solver.landmark_information(problem, state)
     np.testing.assert_allclose(
         told, numpy_adjustment.landmark_information(problem, state), rtol=0, atol=1e-12 * told.max()
     )
@@ -132,7 +132,7 @@ def test_deviations_are_those_of_numpy_and_scipy(seed: int) -> None:
     lines = camera.unproject(frame.uv_px[rows] + rng.normal(size=(4, 2))) @ frame.R_cam_body * 600.0
     root = rng.normal(size=(4, 3, 5))
     arguments = camera, frame, rows, lines, root @ np.swapaxes(root, 1, 2)
-    found = deviations.pixel_squares(*arguments)
+    found = solver.pixel_squares(*arguments)
     np.testing.assert_allclose(found, numpy_adjustment.pixel_squares(*arguments), rtol=1e-11)
     shifts = 1e-3 * np.vstack([np.eye(3), -np.eye(3)])
     ends = camera.project((lines[0] + shifts) @ frame.R_cam_body.T)
@@ -141,7 +141,7 @@ def test_deviations_are_those_of_numpy_and_scipy(seed: int) -> None:
     expected = mahalanobis(frame.uv_px[0], camera.project(frame.R_cam_body @ lines[0]), inverse)
     assert found[0] == pytest.approx(expected**2, rel=1e-6)
     lines[1] *= -1.0
-    for judge in (deviations.pixel_squares, numpy_adjustment.pixel_squares):
+    for judge in (solver.pixel_squares, numpy_adjustment.pixel_squares):
         np.testing.assert_array_equal(np.isnan(judge(*arguments)), [False, True, False, False])
 
 

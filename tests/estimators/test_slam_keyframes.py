@@ -10,8 +10,7 @@ import pytest
 from slam_sequences import Recipe, make_sequence
 
 from estimators.slam.following import LostError
-from estimators.slam.gauge import Gauge, handed_over
-from estimators.slam.keyframes import trailing_views
+from estimators.slam.keyframes import Gauge, handed_over, trailing_views
 from estimators.slam.options import BundleOptions
 from estimators.slam.registry import sequence_estimator_class
 from scenarios.tracks import TrackRange

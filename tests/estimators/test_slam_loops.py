@@ -11,12 +11,12 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 from slam_sequences import CAMERA, ORBIT_M, RADIUS_M, look_down
 
-from estimators.slam.levenberg import StoppingRule, minimise, view_covariance
-from estimators.slam.loops.history import History
-from estimators.slam.loops.outside import Staying, landmark_covariance, told_from_outside
-from estimators.slam.loops.smoother import LoopSmoother, agreeing
+from estimators.slam.loop_history import History
+from estimators.slam.loop_smoother import LoopSmoother, agreeing
+from estimators.slam.marginal import Staying, landmark_covariance, told_from_outside
+from estimators.slam.problem import Distances, Sightings, State
 from estimators.slam.smoother import FixedLagSmoother
-from estimators.slam.state import Distances, Sightings, State
+from estimators.slam.solver import StoppingRule, minimise, view_covariance
 from scenarios.tracks import TrackFrame, TrackRange, TrackSequence
 
 FRAMES = 75

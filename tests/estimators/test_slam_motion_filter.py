@@ -11,7 +11,7 @@ from slam_orbits import GM, INTERVAL_S, LIGHT, RATE, Drive, make_orbit_sequence
 from slam_sequences import ORBIT_M, Recipe, make_sequence
 
 from estimators.slam.bundle import BundleSlam
-from estimators.slam.dynamics.field import Field
+from estimators.slam.dynamics.force_model import Field
 from estimators.slam.motion_filter import MotionFilter, steady_gain
 from scenarios.tracks import Forces
 

@@ -12,9 +12,9 @@ from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, Recipe, look_down, make_se
 
 from estimators.slam.contract import SequenceEstimate
 from estimators.slam.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
-from estimators.slam.ekf_measure import Sight
 from estimators.slam.ekf_pose import PoseState, left_jacobian, rotation_of, turn_of
-from estimators.slam.inverse_depth import landmark_points, turn_jacobians
+from estimators.slam.ekf_state import landmark_points, turn_jacobians
+from estimators.slam.ekf_update import Sight
 from estimators.slam.smoother import FixedLagSmoother
 from scenarios.geometry import cross_matrix
 from scenarios.tracks import TrackFrame, TrackSequence

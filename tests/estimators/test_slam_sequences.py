@@ -14,7 +14,7 @@ from estimators.slam.bundle import BundleSlam
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.dynamics.smoother import DynamicSmoother
 from estimators.slam.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
-from estimators.slam.loops.smoother import LoopSmoother
+from estimators.slam.loop_smoother import LoopSmoother
 from estimators.slam.registry import sequence_estimator_class, sequence_estimator_names
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
 from scenarios.errors import BoresightError

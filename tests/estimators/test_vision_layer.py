@@ -10,11 +10,9 @@ import pytest
 from scipy.ndimage import affine_transform, gaussian_filter
 from scipy.spatial import cKDTree
 
-from estimators.slam.vision.carriers import Look
-from estimators.slam.vision.epipolar import agree_with_direction, agree_with_fundamental, fitted_direction
+from estimators.slam.vision.carriers import Look, local_flow
 from estimators.slam.vision.features import find_features
-from estimators.slam.vision.flow import local_flow
-from estimators.slam.vision.matching import matched
+from estimators.slam.vision.matching import agree_with_direction, agree_with_fundamental, fitted_direction, matched
 from estimators.slam.vision.registration import Spline, Warps, cut, register
 from estimators.slam.vision.tracker import Tracker
 from scenarios.geometry import Camera

@@ -9,13 +9,19 @@ from numpy.linalg import LinAlgError as NumpyLinAlgError
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from estimators.slam.gating import mahalanobis_squares
-from estimators.slam.levenberg import RANK_TOLERANCE, Solution
-from estimators.slam.normal import Layout, normal_equations
-from estimators.slam.residuals import bearing_jacobians, bearing_residuals, cost, distance_jacobians
+from estimators.slam.normal import (
+    Layout,
+    bearing_jacobians,
+    bearing_residuals,
+    cost,
+    distance_jacobians,
+    normal_equations,
+)
+from estimators.slam.solver import RANK_TOLERANCE, Solution
 
 
 def minimise(problem, state, rule):
-    """`estimators.slam.levenberg.minimise`."""
+    """`estimators.slam.solver.minimise`."""
     layout = Layout.of(problem)
     value = cost(problem, state)
     if not np.isfinite(value):
@@ -34,7 +40,7 @@ def minimise(problem, state, rule):
 
 
 def reduced_rank_deficiency(problem, state):
-    """`estimators.slam.levenberg.reduced_rank_deficiency`."""
+    """`estimators.slam.solver.reduced_rank_deficiency`."""
     layout = Layout.of(problem)
     try:
         matrix = normal_equations(problem, state, layout).reduced()[0]
@@ -45,7 +51,7 @@ def reduced_rank_deficiency(problem, state):
 
 
 def view_covariance(problem, state, view):
-    """`estimators.slam.levenberg.view_covariance`."""
+    """`estimators.slam.solver.view_covariance`."""
     layout = Layout.of(problem)
     matrix, _, _ = normal_equations(problem, state, layout).reduced()
     slot = 3 * int(layout.view[view])
@@ -63,12 +69,12 @@ def schur(information, gradient, out):
 
 
 def sighting_squares(problem, state):
-    """`estimators.slam.deviations.sighting_squares`."""
+    """`estimators.slam.solver.sighting_squares`."""
     return np.sum(bearing_residuals(problem, state) ** 2, axis=1)
 
 
 def landmark_information(problem, state):
-    """`estimators.slam.deviations.landmark_information`."""
+    """`estimators.slam.solver.landmark_information`."""
     problem = replace(problem, frozen=None, prior=None)
     told = np.zeros((len(state.points_m), 3, 3))
     for point, rows in (
@@ -80,7 +86,7 @@ def landmark_information(problem, state):
 
 
 def pixel_squares(camera, frame, rows, lines_m, own_m2):
-    """`estimators.slam.deviations.pixel_squares`."""
+    """`estimators.slam.solver.pixel_squares`."""
     in_camera = lines_m @ frame.R_cam_body.T
     by_line = camera.jacobian(in_camera) @ frame.R_cam_body
     spread = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2) + frame.sigma_px**2 * np.eye(2)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.slam.compiled import kernel
 from estimators.slam.compiled.envelope import add_diagonal, block_of_inverse, dense, eliminate, factorise, solve
 from estimators.slam.compiled.equations import FlatEquations, linearise
-from estimators.slam.compiled.flat import FlatProblem
-from estimators.slam.compiled.jit import kernel
-from estimators.slam.compiled.layout import FlatLayout, make_layout
-from estimators.slam.compiled.sight import SIGHT_ROWS, look
+from estimators.slam.compiled.problem import FlatLayout, FlatProblem, make_layout
+from estimators.slam.compiled.residuals import SIGHT_ROWS, look
 
 __all__ = ["block_of_inverse", "dense", "eliminate", "factorise", "minimise", "reduced_at"]
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled.jit import kernel
+from estimators.slam.compiled import kernel
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

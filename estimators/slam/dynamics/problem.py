@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.dynamics.field import Field
-from estimators.slam.dynamics.propagation import propagated, propagated_with_derivatives
-from estimators.slam.state import Adjustment, State
+from estimators.slam.dynamics.force_model import Field, propagated, propagated_with_derivatives
+from estimators.slam.problem import Adjustment, State
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from estimators.options import parse_options
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gathered
-from estimators.slam.dynamics.solve import covariance_of, minimise_dynamic
-from estimators.slam.dynamics.system import Rows, dynamic_cost, dynamic_equations
+from estimators.slam.dynamics.solver import Rows, covariance_of, dynamic_cost, dynamic_equations, minimise_dynamic
 from estimators.slam.dynamics.window import Window
 from estimators.slam.following import LostError, check_scale, follow
-from estimators.slam.levenberg import StoppingRule
 from estimators.slam.marginal import departing, schur, touched
 from estimators.slam.options import DynamicOptions
+from estimators.slam.solver import StoppingRule
 from scenarios.tracks import TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]

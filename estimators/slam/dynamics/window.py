@@ -7,12 +7,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.dynamics.field import Field
+from estimators.slam.dynamics.force_model import Field, propagated
 from estimators.slam.dynamics.problem import Arcs, DynamicAdjustment, DynamicPrior, DynamicState, arc_information
-from estimators.slam.dynamics.propagation import propagated
 from estimators.slam.following import LostError, lookup
-from estimators.slam.journal import Journal
-from estimators.slam.state import Adjustment, State
+from estimators.slam.problem import Adjustment, State
+from estimators.slam.slam_map import Journal
 from scenarios.tracks import Forces, TrackSequence
 
 FloatArray = NDArray[np.float64]

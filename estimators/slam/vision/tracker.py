@@ -8,16 +8,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.vision.carriers import LEAST_MATCHES, Carrier, FeatureCarrier, Look, PatchCarrier, Step
-from estimators.slam.vision.epipolar import (
+from estimators.slam.vision.carriers import (
+    LEAST_MATCHES,
+    Carrier,
+    FeatureCarrier,
+    Look,
+    PatchCarrier,
+    Step,
+    growth,
+    local_flow,
+)
+from estimators.slam.vision.features import Features
+from estimators.slam.vision.matching import (
     agree_with_direction,
     agree_with_fundamental,
     fitted_direction,
+    guided_rows,
     off_plane,
 )
-from estimators.slam.vision.features import Features
-from estimators.slam.vision.flow import growth, local_flow
-from estimators.slam.vision.guided import guided_rows
 from scenarios.geometry import Camera
 from scenarios.spec.vision import ImageVisionSpec
 from scenarios.tracks import Prediction

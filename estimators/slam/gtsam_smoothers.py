@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from estimators.options import parse_options
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.following import LostError, check_scale, follow
-from estimators.slam.journal import Journal
-from estimators.slam.levenberg import StoppingRule
 from estimators.slam.options import GtsamFixedLagOptions, GtsamOptions
-from estimators.slam.state import Adjustment, State
+from estimators.slam.problem import Adjustment, State
+from estimators.slam.slam_map import Journal
+from estimators.slam.solver import StoppingRule
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera
 from scenarios.tracks import TrackFrame, TrackSequence

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from estimators.options import parse_options
-from estimators.slam.association import without_tracks
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.following import LostError, follow
-from estimators.slam.levenberg import StoppingRule, minimise
-from estimators.slam.loops.history import History, slots
-from estimators.slam.loops.outside import Staying, landmark_covariance, told_from_outside
+from estimators.slam.loop_history import History, slots
+from estimators.slam.marginal import Staying, landmark_covariance, told_from_outside
 from estimators.slam.options import LoopOptions
+from estimators.slam.outliers import without_tracks
+from estimators.slam.problem import Adjustment, State
 from estimators.slam.smoother import WindowSmoother
-from estimators.slam.state import Adjustment, State
+from estimators.slam.solver import StoppingRule, minimise
 from scenarios.tracks import TrackFrame, TrackSequence
 
 IndexArray = NDArray[np.int64]

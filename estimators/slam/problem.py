@@ -119,3 +119,13 @@ class Adjustment:
             np.where(np.isnan(frozen.positions_m), state.positions_m, frozen.positions_m),
             np.where(np.isnan(frozen.points_m), state.points_m, frozen.points_m),
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjusted:
+    """An adjustment at its minimum: problem, state, its views by number, and its landmarks (n,) by track, ascending."""
+
+    problem: Adjustment
+    state: State
+    views: tuple[int, ...]
+    tracks: IndexArray

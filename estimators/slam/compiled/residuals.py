@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.compiled.flat import FlatProblem
-from estimators.slam.compiled.jit import kernel
+from estimators.slam.compiled import kernel
+from estimators.slam.compiled.problem import FlatProblem
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.slam.following import LostError, lookup, median_distance
-from estimators.slam.levenberg import StoppingRule, minimise
-from estimators.slam.state import Adjustment, Distances, Motions, Sightings, State
+from estimators.slam.problem import Adjustment, Distances, Motions, Sightings, State
+from estimators.slam.solver import StoppingRule, minimise
 from scenarios.geometry import Camera
 from scenarios.tracks import TrackFrame
 

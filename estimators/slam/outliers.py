@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from estimators.slam.deviations import landmark_information, pixel_squares, sighting_squares
-from estimators.slam.expected import Common, Expected, guessed_landmarks, guessed_points, mapped_landmarks
 from estimators.slam.following import lookup
-from estimators.slam.hearing import fitting
-from estimators.slam.journal import Journal
-from estimators.slam.levenberg import StoppingRule
-from estimators.slam.state import Adjustment, State
+from estimators.slam.gating import fitting
+from estimators.slam.prediction import Common, Expected, guessed_landmarks, guessed_points, mapped_landmarks
+from estimators.slam.problem import Adjusted, Adjustment, State
+from estimators.slam.slam_map import Journal
+from estimators.slam.solver import StoppingRule, landmark_information, pixel_squares, sighting_squares
 from scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
@@ -86,16 +85,6 @@ def all_fit(journal: Journal, heard: Heard, before: tuple[Adjustment, State], li
     guessed, own = guessed_points(journal, sights, heard.depth_m)
     squares = pixel_squares(journal.camera, frame, once, guessed - journal.positions_m[heard.view], own)
     return bool((squares <= limit).all())
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Adjusted:
-    """An adjustment at its minimum: problem, state, its views by number, and its landmarks (n,) by track, ascending."""
-
-    problem: Adjustment
-    state: State
-    views: tuple[int, ...]
-    tracks: IndexArray
 
 
 class Jury:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.slam.following import lookup
-from estimators.slam.journal import Journal
-from estimators.slam.state import Adjustment, Motions, Prior
+from estimators.slam.problem import Adjustment, Motions, Prior
+from estimators.slam.slam_map import Journal
 from scenarios.tracks import TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
