@@ -14,9 +14,15 @@ from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.ekf_health import Health
 from estimators.slam.ekf_pose import PoseState
 from estimators.slam.ekf_state import FilterState
-from estimators.slam.ekf_update import Iteration, Sight, innovation_covariance, iterated, updated
+from estimators.slam.ekf_update import (
+    FrameMeasurements,
+    IterationRule,
+    innovation_covariance,
+    iterated_update,
+    kalman_update,
+)
 from estimators.slam.following import LostError, check_scale, follow
-from estimators.slam.gating import believed
+from estimators.slam.gating import gate_pixels
 from estimators.slam.options import ConsistentFilterOptions, FilterOptions, Gate, IteratedFilterOptions
 from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
@@ -24,13 +30,13 @@ FloatArray = NDArray[np.float64]
 
 BoolArray = NDArray[np.bool_]
 
-Update = Callable[[FilterState, Sight], tuple[FilterState, float]]
+Update = Callable[[FilterState, FrameMeasurements], tuple[FilterState, float]]
 
 _KNOWN = 0.1
 _FEWEST = 3
 
 
-def gated(state: FilterState, sight: Sight, update: Update, options: FilterOptions) -> BoolArray:
+def gated(state: FilterState, measured: FrameMeasurements, update: Update, options: FilterOptions) -> BoolArray:
     """(k,) pixels that are believed.
 
     Where the prediction is poor, what it says of a landmark whose distance is a guess is vague and not linear. As in
@@ -42,24 +48,24 @@ def gated(state: FilterState, sight: Sight, update: Update, options: FilterOptio
     numpy.linalg.LinAlgError
         If the covariance of an innovation is not positive definite.
     """
-    fit = _believed(state, sight, options.gate, options.false_alarm)
-    known = state.inverse_sigmas[sight.rows] < _KNOWN
+    fit = _gate(state, measured, options.gate, options.false_alarm)
+    known = state.inverse_sigmas[measured.rows] < _KNOWN
     first = fit & known
     if options.gate != "one-point" or known.all() or np.count_nonzero(first) < _FEWEST:
         return fit
-    moved, _ = update(state, sight.only(first))
-    fit[~known] = _believed(moved, sight.only(~known), "individual", options.false_alarm)
+    moved, _ = update(state, measured.subset(first))
+    fit[~known] = _gate(moved, measured.subset(~known), "individual", options.false_alarm)
     return fit
 
 
-def _believed(state: FilterState, sight: Sight, gate: Gate, false_alarm: float) -> BoolArray:
-    innovation = sight.innovation(state)
-    size = sight.uv_px.size
+def _gate(state: FilterState, measured: FrameMeasurements, gate: Gate, false_alarm: float) -> BoolArray:
+    innovation = measured.innovation(state)
+    size = measured.uv_px.size
     residual = innovation.residual[:size].reshape(-1, 2)
-    covariance = innovation_covariance(state, innovation)[:size, :size] + sight.second_order(state)
+    covariance = innovation_covariance(state, innovation)[:size, :size] + measured.second_order(state)
     fit = np.asarray(np.isfinite(residual).all(axis=1), dtype=np.bool_)
     both = np.repeat(fit, 2)
-    fit[fit] = believed(residual[fit], covariance[np.ix_(both, both)], gate, false_alarm)
+    fit[fit] = gate_pixels(residual[fit], covariance[np.ix_(both, both)], gate, false_alarm)
     return fit
 
 
@@ -79,7 +85,7 @@ class EkfSlam:
 
     def follow(self, sequence: TrackSequence) -> SequenceEstimate:
         """Estimate the camera position at every frame from the frames up to it."""
-        return follow(sequence, _Filter(sequence, self.options, _once))
+        return follow(sequence, _Filter(sequence, self.options, _single_update))
 
 
 class IteratedEkfSlam:
@@ -98,7 +104,7 @@ class IteratedEkfSlam:
 
     def follow(self, sequence: TrackSequence) -> SequenceEstimate:
         """Estimate the camera position at every frame from the frames up to it."""
-        return follow(sequence, _Filter(sequence, self.options, _to_the_minimum(self.options.iterations)))
+        return follow(sequence, _Filter(sequence, self.options, _iterated_update(self.options.iterations)))
 
 
 class ConsistentEkfSlam:
@@ -125,17 +131,17 @@ class ConsistentEkfSlam:
 
     def follow(self, sequence: TrackSequence) -> SequenceEstimate:
         """Estimate the camera position at every frame from the frames up to it."""
-        update = _to_the_minimum(self.options.iterations)
+        update = _iterated_update(self.options.iterations)
         return follow(sequence, _Filter(sequence, self.options, update, self.options.settled_sigma))
 
 
-def _once(state: FilterState, sight: Sight) -> tuple[FilterState, float]:
-    return updated(state, sight.innovation(state))
+def _single_update(state: FilterState, measured: FrameMeasurements) -> tuple[FilterState, float]:
+    return kalman_update(state, measured.innovation(state))
 
 
-def _to_the_minimum(steps: int) -> Update:
-    def update(state: FilterState, sight: Sight) -> tuple[FilterState, float]:
-        return iterated(state, sight, Iteration(steps))
+def _iterated_update(steps: int) -> Update:
+    def update(state: FilterState, measured: FrameMeasurements) -> tuple[FilterState, float]:
+        return iterated_update(state, measured, IterationRule(steps))
 
     return update
 
@@ -166,8 +172,8 @@ class _Filter:
         else:
             self.state = self._begun(frame)
         self._take_new(frame)
-        self.state = self.state.settling(self.settled_sigma)
-        position, covariance, points = self.state.told(self.camera)
+        self.state = self.state.with_fixed_linearisation(self.settled_sigma)
+        position, covariance, points = self.state.estimate(self.camera)
         check_scale(covariance, points, position, self.options.uncertainty_max)
         velocity = self.state.velocity_m_s if self.started else None
         self.started = True
@@ -180,11 +186,11 @@ class _Filter:
         state = self.state.predicted(frame)
         order = np.argsort(state.tracks)
         nowhere = replace(frame, tracks=state.tracks[order], uv_px=np.zeros((len(order), 2)), ranges=())
-        sight = Sight.of(self.camera, state, nowhere)
-        innovation = sight.innovation(state)
+        measured = FrameMeasurements.of(self.camera, state, nowhere)
+        innovation = measured.innovation(state)
         covariance = innovation.jacobian @ state.covariance @ innovation.jacobian.T
         return Prediction(
-            state.tracks[sight.rows], -innovation.residual.reshape(-1, 2), covariance + sight.second_order(state)
+            state.tracks[measured.rows], -innovation.residual.reshape(-1, 2), covariance + measured.second_order(state)
         )
 
     def _begun(self, frame: TrackFrame) -> FilterState:
@@ -202,24 +208,24 @@ class _Filter:
 
     def _take_measured(self, frame: TrackFrame) -> None:
         """Update by what is believed of the frame, and test the innovation."""
-        sight = Sight.of(self.camera, self.state, frame)
+        measured = FrameMeasurements.of(self.camera, self.state, frame)
         try:
-            sight = self._gated(sight)
-            if not np.isfinite(sight.residual(self.state)).all():
+            measured = self._gated(measured)
+            if not np.isfinite(measured.residual(self.state)).all():
                 raise LostError("the filter diverges: a landmark is behind the camera that sees it")
-            self.state, squared = self.update(self.state, sight)
+            self.state, squared = self.update(self.state, measured)
         except np.linalg.LinAlgError as error:
             raise LostError("the filter diverges: the innovation has no positive definite covariance") from error
-        self.health.test(squared, len(sight.variance), self.state.landmarks[:, 2])
+        self.health.test(squared, len(measured.variance), self.state.landmarks[:, 2])
         self.state = self.state.without(np.isin(self.state.tracks, self.health.discredited()))
 
-    def _gated(self, sight: Sight) -> Sight:
+    def _gated(self, measured: FrameMeasurements) -> FrameMeasurements:
         """Leave out what the gate refuses; a landmark that it refuses again and again is to be taken in anew."""
         if self.options.gate == "none":
-            return sight
-        fit = gated(self.state, sight, self.update, self.options)
-        self.health.judge(self.state.tracks[sight.rows], fit)
-        return sight.only(fit)
+            return measured
+        fit = gated(self.state, measured, self.update, self.options)
+        self.health.judge(self.state.tracks[measured.rows], fit)
+        return measured.subset(fit)
 
     def _take_new(self, frame: TrackFrame) -> None:
         """Take in tracks that the state does not hold: at their measured range, or at a guess."""
@@ -236,7 +242,7 @@ class _Filter:
             row = tracks == item.track
             elements[row, 2] = 1.0 / item.range_m
             noise[row, 2] = (item.sigma_m / item.range_m**2) ** 2
-        self.state = self.state.joined(tracks, elements, noise)
+        self.state = self.state.augmented(tracks, elements, noise)
 
     def _inverse_guess(self, frame: TrackFrame) -> float:
         """Guess the inverse distance of a new landmark: the mean of those in view, or of the first ranges."""

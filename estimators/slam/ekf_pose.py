@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from estimators.slam.ekf_state import SIZE, FilterState, turn_jacobians
-from estimators.slam.ekf_update import Innovation, updated
+from estimators.slam.ekf_update import Innovation, kalman_update
 from scenarios.geometry import Camera, cross_matrix
 from scenarios.tracks import TrackFrame
 
@@ -48,7 +48,7 @@ def left_jacobian(turns_rad: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + cosine * cross + rest * (cross @ cross), dtype=np.float64)
 
 
-def turn_of(rotation: FloatArray) -> FloatArray:
+def rotation_vector(rotation: FloatArray) -> FloatArray:
     """(3,) rotation vector of a rotation (3, 3), at most half a turn long."""
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=np.float64)
 
@@ -158,12 +158,12 @@ class PoseState(FilterState):
         by_camera[:, :, _TURN] = -by_line @ cross_matrix(lines) @ self.attitude.T @ left_jacobian(self.x[_TURN])
         return by_camera
 
-    def told(self, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def estimate(self, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the position (3,), its covariance and the points (n, 3) in the body's axes as it is known.
 
         Of what lasts, the body's rotation has the share of its variance, and the rest is the misalignment's.
         """
-        position, covariance, points = FilterState.told(self, camera)
+        position, covariance, points = FilterState.estimate(self, camera)
         grown = max(self.frame.attitude_lasting_rad**2 - self.misalignment_rad**2, 0.0)
         if grown == 0.0:
             return position, covariance, points
@@ -200,7 +200,7 @@ class PoseState(FilterState):
         about = self.frame.R_body_inertial @ frame.R_body_inertial.T
         return replace(self, x=x, covariance=covariance, frame=frame, R_camera=turned @ about)
 
-    def folded(self) -> Self:
+    def with_errors_reset(self) -> Self:
         """Take the errors of attitudes into the attitudes: what is left of them refers to the new ones."""
         turns = np.concatenate([self.x[None, _TURN], self.anchor_turns])
         rotations = rotation_of(turns) @ np.concatenate([self.R_camera[None], self.R_cam_body])
@@ -248,7 +248,7 @@ def _star_tracked(state: PoseState) -> PoseState:
     jacobian = np.zeros((3, len(state.x)))
     jacobian[:, _TURN] = jacobian[:, _LASTING] = np.eye(3)
     variance = np.full(3, _star_tracker_variance(frame))
-    return updated(state, Innovation(turn_of(found), jacobian, variance))[0]
+    return kalman_update(state, Innovation(rotation_vector(found), jacobian, variance))[0]
 
 
 def _star_tracker_variance(frame: TrackFrame) -> float:

@@ -140,7 +140,7 @@ class FilterState:
         del lines
         return -by_line
 
-    def told(self, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def estimate(self, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the position (3,), its covariance and the points (n, 3) in the body's axes as it is known."""
         return self.position_m.copy(), self.covariance[:3, :3].copy(), self.points(camera)
 
@@ -151,7 +151,7 @@ class FilterState:
         covariance[:3, :3] += frame.motion_covariance_m2
         return replace(self, x=x, covariance=covariance, frame=frame)
 
-    def folded(self) -> Self:
+    def with_errors_reset(self) -> Self:
         """Take errors that an update has corrected out of ``x`` where they belong elsewhere."""
         return self
 
@@ -167,12 +167,12 @@ class FilterState:
             settled=self.settled[~lost],
         )
 
-    def settling(self, sigma: float) -> Self:
+    def with_fixed_linearisation(self, sigma: float) -> Self:
         """Keep the derivatives of landmarks whose inverse distance is known to ``sigma``, relative, as they are now."""
         now = np.isnan(self.settled[:, 0]) & (self.inverse_sigmas < sigma)
         return replace(self, settled=np.where(now[:, None], self.landmarks[:, 2:], self.settled))
 
-    def joined(self, tracks: IndexArray, elements: FloatArray, noise: FloatArray) -> Self:
+    def augmented(self, tracks: IndexArray, elements: FloatArray, noise: FloatArray) -> Self:
         """Append landmarks anchored at the present camera: equations (9) to (11).
 
         ``x_aug = [x, u, v, rho, T]``, with the covariance ``P_ll = dl/dx_c P_XX dl/dx_c' + R_l``, where R_l has the

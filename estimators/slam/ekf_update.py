@@ -33,7 +33,7 @@ class Innovation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
+class FrameMeasurements:
     """What a frame tells of the landmarks of a state.
 
     Parameters
@@ -53,7 +53,7 @@ class Sight:
     range_sigma_m: FloatArray
 
     @classmethod
-    def of(cls, camera: Camera, state: FilterState, frame: TrackFrame) -> Sight:
+    def of(cls, camera: Camera, state: FilterState, frame: TrackFrame) -> FrameMeasurements:
         """Match the tracks of a frame with the landmarks of the state."""
         rows, seen = _matched(state.tracks, frame.tracks)
         ranged, which = _matched(state.tracks, np.array([item.track for item in frame.ranges], dtype=np.int64))
@@ -68,7 +68,7 @@ class Sight:
             np.array([item.sigma_m for item in ranges], dtype=np.float64),
         )
 
-    def only(self, kept: BoolArray) -> Sight:
+    def subset(self, kept: BoolArray) -> FrameMeasurements:
         """Leave out the pixels, and the distances, of the landmarks that (k,) does not mark."""
         near = np.isin(self.range_rows, self.rows[kept])
         return replace(
@@ -103,8 +103,8 @@ class Sight:
         by_line = self.camera.jacobian(seen @ state.attitude.T) @ state.attitude
         by_range = (ranged / np.linalg.norm(ranged, axis=1)[:, None])[:, None, :]
         by_landmark = state.landmark_jacobians(self.camera)
-        pixels = _by_state(state.camera_jacobians(by_line, seen), by_line, by_landmark, self.rows)
-        ranges = _by_state(state.camera_jacobians(by_range, ranged), by_range, by_landmark, self.range_rows)
+        pixels = _state_jacobian(state.camera_jacobians(by_line, seen), by_line, by_landmark, self.rows)
+        ranges = _state_jacobian(state.camera_jacobians(by_range, ranged), by_range, by_landmark, self.range_rows)
         return Innovation(self.residual(state), np.concatenate([pixels, ranges]), self.variance)
 
     def second_order(self, state: FilterState) -> FloatArray:
@@ -123,7 +123,9 @@ class Sight:
         return wide.reshape(2 * len(own), 2 * len(own))
 
 
-def _by_state(by_camera: FloatArray, by_line: FloatArray, by_landmark: FloatArray, rows: IndexArray) -> FloatArray:
+def _state_jacobian(
+    by_camera: FloatArray, by_line: FloatArray, by_landmark: FloatArray, rows: IndexArray
+) -> FloatArray:
     """(k r, C + L n) derivative by the whole state of measurements of the landmarks (k,) that ``rows`` tells.
 
     They have the derivatives (k, r, C) by the camera and (k, r, 3) by the line, and points (n, 3, L) by the landmarks.
@@ -144,7 +146,7 @@ def _matched(held: IndexArray, seen: IndexArray) -> tuple[IndexArray, IndexArray
 
 
 @dataclass(frozen=True, slots=True)
-class Iteration:
+class IterationRule:
     """At most so many steps; it ends where the cost falls by less than ``tolerance`` (chi-square has 1 a degree)."""
 
     steps: int
@@ -152,7 +154,7 @@ class Iteration:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Place:
+class _Iterate:
     """A state on the way, how far it is from the prediction by the inverse of its covariance, and what it costs."""
 
     state: FilterState
@@ -160,7 +162,7 @@ class _Place:
     cost: float
 
 
-def updated(state: AnyState, innovation: Innovation) -> tuple[AnyState, float]:
+def kalman_update(state: AnyState, innovation: Innovation) -> tuple[AnyState, float]:
     """Update by all measurements at once; return the state and the squared normalised innovation.
 
     With S = L L', the covariance loses W' W, W = L^-1 H P: symmetric by construction, and 6 times cheaper than Joseph's
@@ -171,14 +173,14 @@ def updated(state: AnyState, innovation: Innovation) -> tuple[AnyState, float]:
     numpy.linalg.LinAlgError
         If the covariance of the innovation is not positive definite.
     """
-    factor, crossed = _factored(state.covariance, innovation)
+    factor, crossed = _factorise(state.covariance, innovation)
     white = solve_triangular(factor, innovation.residual, lower=True, check_finite=False)
     weighted = solve_triangular(factor, crossed.T, lower=True, check_finite=False)
     moved = replace(state, x=state.x + weighted.T @ white, covariance=state.covariance - weighted.T @ weighted)
-    return moved.folded(), float(white @ white)
+    return moved.with_errors_reset(), float(white @ white)
 
 
-def iterated(state: FilterState, sight: Sight, rule: Iteration) -> tuple[FilterState, float]:
+def iterated_update(state: FilterState, measured: FrameMeasurements, rule: IterationRule) -> tuple[FilterState, float]:
     """Update at the minimum of prediction and measurements together; return the state and the least cost.
 
     Gauss-Newton from the prediction x0: ``x = x0 + K (z - h(x_i) - H_i (x0 - x_i))`` (Bell and Cathey 1993), halved
@@ -191,22 +193,22 @@ def iterated(state: FilterState, sight: Sight, rule: Iteration) -> tuple[FilterS
         If the covariance of an innovation is not positive definite.
     """
     start, covariance = state.x, state.covariance
-    place = _place(state, start, np.zeros(len(start)), sight)
+    place = _evaluate(state, start, np.zeros(len(start)), measured)
     for _ in range(rule.steps):
-        innovation = sight.innovation(place.state)
-        factor, crossed = _factored(covariance, innovation)
+        innovation = measured.innovation(place.state)
+        factor, crossed = _factorise(covariance, innovation)
         target = innovation.residual + innovation.jacobian @ (place.state.x - start)
         multipliers = cho_solve((factor, True), target, check_finite=False)
         end = (start + crossed @ multipliers, innovation.jacobian.T @ multipliers)
-        better = _shortened(place, end, start, sight)
+        better = _line_search(place, end, start, measured)
         if better is None:
             break
         fallen, place = place.cost - better.cost, better
         if fallen < rule.tolerance:
             break
-    factor, crossed = _factored(covariance, sight.innovation(place.state))
+    factor, crossed = _factorise(covariance, measured.innovation(place.state))
     weighted = solve_triangular(factor, crossed.T, lower=True, check_finite=False)
-    return replace(place.state, covariance=covariance - weighted.T @ weighted).folded(), place.cost
+    return replace(place.state, covariance=covariance - weighted.T @ weighted).with_errors_reset(), place.cost
 
 
 def innovation_covariance(state: FilterState, innovation: Innovation) -> FloatArray:
@@ -216,7 +218,7 @@ def innovation_covariance(state: FilterState, innovation: Innovation) -> FloatAr
     return np.asarray(0.5 * (S + S.T), dtype=np.float64)
 
 
-def _factored(covariance: FloatArray, innovation: Innovation) -> tuple[FloatArray, FloatArray]:
+def _factorise(covariance: FloatArray, innovation: Innovation) -> tuple[FloatArray, FloatArray]:
     """Return the lower Cholesky factor of S, and P H' (n, m)."""
     crossed = covariance @ innovation.jacobian.T
     S = innovation.jacobian @ crossed
@@ -227,26 +229,28 @@ def _factored(covariance: FloatArray, innovation: Innovation) -> tuple[FloatArra
     return np.tril(factor), crossed
 
 
-def _place(
-    template: FilterState, start: FloatArray, pull: FloatArray, sight: Sight, x: FloatArray | None = None
-) -> _Place:
+def _evaluate(
+    template: FilterState, start: FloatArray, pull: FloatArray, measured: FrameMeasurements, x: FloatArray | None = None
+) -> _Iterate:
     state = template if x is None else replace(template, x=x)
-    residual = sight.residual(state)
-    cost = float(np.sum(residual**2 / sight.variance) + pull @ (state.x - start))
+    residual = measured.residual(state)
+    cost = float(np.sum(residual**2 / measured.variance) + pull @ (state.x - start))
     sound = np.isfinite(cost) and bool(np.all(state.landmarks[:, 2] > 0.0))
-    return _Place(state, pull, cost if sound else float("inf"))
+    return _Iterate(state, pull, cost if sound else float("inf"))
 
 
-def _shortened(place: _Place, end: tuple[FloatArray, FloatArray], start: FloatArray, sight: Sight) -> _Place | None:
+def _line_search(
+    place: _Iterate, end: tuple[FloatArray, FloatArray], start: FloatArray, measured: FrameMeasurements
+) -> _Iterate | None:
     """Go towards ``end``, half as far each time until the cost does not grow; None if it does however near."""
     x, pull = end
     share = 1.0
     while share > _SHORTEST:
-        found = _place(
+        found = _evaluate(
             place.state,
             start,
             place.pull + share * (pull - place.pull),
-            sight,
+            measured,
             place.state.x + share * (x - place.state.x),
         )
         if found.cost <= place.cost * (1.0 + 1e-9):

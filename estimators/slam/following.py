@@ -35,7 +35,7 @@ class Follower(Protocol):
 
 
 @runtime_checkable
-class Foresight(Protocol):
+class PixelPredictor(Protocol):
     """A follower that can tell where its landmarks will be."""
 
     def predict(self, frame: TrackFrame) -> Prediction | None:
@@ -74,7 +74,7 @@ def follow(sequence: TrackSequence, follower: Follower) -> SequenceEstimate:
     done: list[FrameEstimate] = []
     check = FrameCheck()
     reason = "" if sequence.frames else "the sequence has no frame"
-    for number, frame in enumerate(frames_of(sequence, partial(foreseen, follower))):
+    for number, frame in enumerate(frames_of(sequence, partial(next_pixels, follower))):
         start = time.perf_counter()
         try:
             check.check(frame)
@@ -92,9 +92,9 @@ def frames_of(sequence: TrackSequence, predict: Predict) -> Iterable[TrackFrame]
     return sequence.frames if sequence.eye is None else sequence.eye.frames(predict)
 
 
-def foreseen(follower: Follower, frame: TrackFrame) -> Prediction | None:
+def next_pixels(follower: Follower, frame: TrackFrame) -> Prediction | None:
     """Ask a follower where its landmarks will be in a frame; None from one that cannot tell, and before the start."""
-    return follower.predict(frame) if isinstance(follower, Foresight) else None
+    return follower.predict(frame) if isinstance(follower, PixelPredictor) else None
 
 
 def check_scale(covariance_m2: FloatArray, points_m: FloatArray, position_m: FloatArray, limit: float) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from estimators.slam.options import Gate
-from estimators.slam.prediction import DEPTH_SIGMA, Expected
+from estimators.slam.prediction import DEPTH_SIGMA, PredictedLines
 from scenarios.geometry import Camera
 from scenarios.tracks import TrackFrame
 
@@ -21,10 +21,10 @@ BoolArray = NDArray[np.bool_]
 
 _MOST_HYPOTHESES = 64
 
-_FEWEST_KNOWN = 3
+_LEAST_KNOWN = 3
 
 
-def fitting(camera: Camera, frame: TrackFrame, seen: Expected, false_alarm: float, limit: float) -> BoolArray:
+def gate_frame(camera: Camera, frame: TrackFrame, seen: PredictedLines, false_alarm: float, limit: float) -> BoolArray:
     """(n,) pixels that fit.
 
     Landmarks of the map agree among themselves first, by one-point RANSAC. Those whose distance is a guess are judged
@@ -33,32 +33,34 @@ def fitting(camera: Camera, frame: TrackFrame, seen: Expected, false_alarm: floa
     """
     sound = np.asarray((seen.lines_m @ frame.R_cam_body.T)[:, 2] > 0.0, dtype=np.bool_)
     first = sound & seen.known
-    if np.count_nonzero(first) < _FEWEST_KNOWN:
+    if np.count_nonzero(first) < _LEAST_KNOWN:
         first = sound
     if not first.any():
         return sound
-    residual, by_line = _pixels(camera, frame, seen, seen.lines_m)
-    H = by_line[first] @ seen.by_all[first]
+    residual, by_line = _linearised_pixels(camera, frame, seen, seen.lines_m)
+    H = by_line[first] @ seen.by_shared[first]
     rows = H.reshape(-1, H.shape[2])
-    own = _own(frame, seen.some(first), by_line[first], seen.covariance)
+    own = _individual_covariance(frame, seen.subset(first), by_line[first], seen.covariance)
     spread = rows @ seen.covariance @ rows.T + _block_diagonal(own)
     fit = np.zeros(len(sound), dtype=np.bool_)
-    fit[first] = believed(residual[first], spread, "one-point", false_alarm)
+    fit[first] = gate_pixels(residual[first], spread, "one-point", false_alarm)
     others = sound & ~first
     if others.any() and fit.any():
         inside = np.repeat(fit[first], 2)
         gain = np.linalg.solve(spread[np.ix_(inside, inside)], rows[inside] @ seen.covariance).T
         shift = gain @ residual[fit].ravel()
         left = seen.covariance - gain @ (rows[inside] @ seen.covariance)
-        fit[others] = _alone(camera, frame, seen.some(others), shift, left) <= limit
+        fit[others] = _single_squares(camera, frame, seen.subset(others), shift, left) <= limit
     return fit
 
 
-def _alone(camera: Camera, frame: TrackFrame, seen: Expected, shift: FloatArray, left: FloatArray) -> FloatArray:
+def _single_squares(
+    camera: Camera, frame: TrackFrame, seen: PredictedLines, shift: FloatArray, left: FloatArray
+) -> FloatArray:
     """(n,) squared distances of single pixels, what is common having moved by ``shift`` with ``left`` as covariance."""
-    residual, by_line = _pixels(camera, frame, seen, seen.lines_m + seen.by_all @ shift)
-    rows = by_line @ seen.by_all
-    return mahalanobis_squares(residual, _own_blocks(rows, left) + _own(frame, seen, by_line, left))
+    residual, by_line = _linearised_pixels(camera, frame, seen, seen.lines_m + seen.by_shared @ shift)
+    rows = by_line @ seen.by_shared
+    return mahalanobis_squares(residual, _own_blocks(rows, left) + _individual_covariance(frame, seen, by_line, left))
 
 
 def _own_blocks(rows: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -68,21 +70,25 @@ def _own_blocks(rows: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray(half @ np.swapaxes(rows, 1, 2), dtype=np.float64)
 
 
-def _pixels(camera: Camera, frame: TrackFrame, seen: Expected, lines_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _linearised_pixels(
+    camera: Camera, frame: TrackFrame, seen: PredictedLines, lines_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Measured less expected pixels (n, 2), and derivatives (n, 2, 3) of these by the lines; anything where behind."""
     in_camera = lines_m @ frame.R_cam_body.T
     in_camera = np.where(in_camera[:, 2:] > 0.0, in_camera, [0.0, 0.0, 1.0])
     return frame.uv_px[seen.rows] - camera.project(in_camera), camera.jacobian(in_camera) @ frame.R_cam_body
 
 
-def _own(frame: TrackFrame, seen: Expected, by_line: FloatArray, covariance: FloatArray) -> FloatArray:
+def _individual_covariance(
+    frame: TrackFrame, seen: PredictedLines, by_line: FloatArray, covariance: FloatArray
+) -> FloatArray:
     """(n, 2, 2) what a pixel shares with no other.
 
     Where the distance is a guess there is a term of second order: a pixel goes with the way of the camera over the
     distance, and both are uncertain.
     """
     own_m2, guessed = seen.own_m2.copy(), ~seen.known
-    own_m2[guessed] += DEPTH_SIGMA**2 * _own_blocks(seen.by_all[guessed], covariance)
+    own_m2[guessed] += DEPTH_SIGMA**2 * _own_blocks(seen.by_shared[guessed], covariance)
     own = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2)
     return np.asarray(own + frame.sigma_px**2 * np.eye(2), dtype=np.float64)
 
@@ -95,7 +101,7 @@ def _block_diagonal(blocks: FloatArray) -> FloatArray:
     return wide.reshape(2 * len(k), 2 * len(k))
 
 
-def believed(residual_px: FloatArray, covariance_px2: FloatArray, gate: Gate, false_alarm: float) -> BoolArray:
+def gate_pixels(residual_px: FloatArray, covariance_px2: FloatArray, gate: Gate, false_alarm: float) -> BoolArray:
     """(n,) pixels that fit the prediction.
 
     Parameters
@@ -114,10 +120,10 @@ def believed(residual_px: FloatArray, covariance_px2: FloatArray, gate: Gate, fa
     if gate == "individual" or not alone.any():
         return alone
     together = np.ones(n, dtype=np.bool_)
-    if _contradictions(residual_px, covariance_px2, together).max() <= limit:
+    if _contradiction_squares(residual_px, covariance_px2, together).max() <= limit:
         return together
     core = _consensus(residual_px, joint, alone, limit)
-    return _rescued(residual_px, covariance_px2, _cleared(residual_px, covariance_px2, core, limit), limit)
+    return _readmitted(residual_px, covariance_px2, _snooped(residual_px, covariance_px2, core, limit), limit)
 
 
 def _consensus(residual_px: FloatArray, joint: FloatArray, alone: BoolArray, limit: float) -> BoolArray:
@@ -138,18 +144,18 @@ def _consensus(residual_px: FloatArray, joint: FloatArray, alone: BoolArray, lim
     return best
 
 
-def _cleared(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolArray, limit: float) -> BoolArray:
+def _snooped(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolArray, limit: float) -> BoolArray:
     """(n,) the core without those that the rest of it contradicts, the worst first (Baarda's data snooping)."""
     left = core.copy()
     while np.count_nonzero(left) > 2:
-        squares = _contradictions(residual_px, covariance_px2, left)
+        squares = _contradiction_squares(residual_px, covariance_px2, left)
         if squares.max() <= limit:
             break
         left[np.flatnonzero(left)[squares.argmax()]] = False
     return left
 
 
-def _contradictions(residual_px: FloatArray, covariance_px2: FloatArray, among: BoolArray) -> FloatArray:
+def _contradiction_squares(residual_px: FloatArray, covariance_px2: FloatArray, among: BoolArray) -> FloatArray:
     """(k,) squared distance of each of those marked from what all the others of them predict.
 
     With L the inverse of their covariance, what the others leave of pixel j is ``L_jj^-1 (L r)_j``, of covariance
@@ -162,7 +168,7 @@ def _contradictions(residual_px: FloatArray, covariance_px2: FloatArray, among: 
     return mahalanobis_squares(pull, inverse.reshape(len(k), 2, len(k), 2)[k, :, k])
 
 
-def _rescued(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolArray, limit: float) -> BoolArray:
+def _readmitted(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolArray, limit: float) -> BoolArray:
     """(n,) the core, and those that fit what all of it together predicts."""
     inside = np.repeat(core, 2)
     gain = np.linalg.solve(covariance_px2[np.ix_(inside, inside)], covariance_px2[inside]).T

@@ -14,7 +14,7 @@ from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.following import LostError, check_scale, follow
 from estimators.slam.options import GtsamFixedLagOptions, GtsamOptions
 from estimators.slam.problem import Adjustment, State
-from estimators.slam.slam_map import Journal
+from estimators.slam.slam_map import SlamMap
 from estimators.slam.solver import StoppingRule
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera
@@ -114,7 +114,7 @@ def graph_of(problem: Adjustment, state: State) -> tuple[Any, Any]:
             graph.add(factors.place(i, position, np.zeros((3, 3))))
     for j, point in enumerate(state.points_m):
         values.insert(factors.point(j), point)
-    seen, ranged, moved = problem.sightings, problem.distances, problem.motions
+    seen, ranged, moved = problem.pixels, problem.distances, problem.motions
     for i, j, uv, sigma in zip(
         seen.view.tolist(), seen.point.tolist(), seen.uv_px, seen.sigma_px.tolist(), strict=True
     ):
@@ -178,7 +178,7 @@ class IncrementalFollower:
     def __init__(self, sequence: TrackSequence, options: GtsamOptions, lag: int | None) -> None:
         self.options, self.lag = options, lag
         self.sequence = sequence
-        self.journal = Journal(sequence.camera)
+        self.slam_map = SlamMap(sequence.camera)
         self.factors = Factors(sequence.camera)
         self.engine = self._engine()
         self.mapped: set[int] = set()
@@ -189,15 +189,15 @@ class IncrementalFollower:
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         """Take the next frame in. Raises LostError."""
-        number = len(self.journal.positions_m)
-        self.journal.frames[number] = frame
+        number = len(self.slam_map.positions_m)
+        self.slam_map.frames[number] = frame
         if number == 0:
-            self.journal.positions_m[0] = self.sequence.position_m.copy()
-            self.journal.guess(0, self.journal.median_depth(0))
+            self.slam_map.positions_m[0] = self.sequence.position_m.copy()
+            self.slam_map.guess(0, self.slam_map.median_depth(0))
         else:
             self._check_connected(number)
-            depth_m = self.journal.median_depth(number - 1)
-            self.journal.place(number, StoppingRule(self.options.tolerance * depth_m, self.options.iterations))
+            depth_m = self.slam_map.median_depth(number - 1)
+            self.slam_map.place(number, StoppingRule(self.options.tolerance * depth_m, self.options.iterations))
         graph, values = self.factors.gtsam.NonlinearFactorGraph(), self.factors.gtsam.Values()
         self._add_view(graph, values, number)
         self._add_landmarks(graph, values, number)
@@ -217,7 +217,7 @@ class IncrementalFollower:
         return gtsam.IncrementalFixedLagSmoother(float(self.lag), parameters)
 
     def _check_connected(self, number: int) -> None:
-        shared = self.journal.shared(number - 1, number)
+        shared = self.slam_map.shared(number - 1, number)
         if shared < self.options.connectivity:
             raise LostError(
                 f"tracks are lost: {shared} landmarks are shared with the frame before,"
@@ -225,32 +225,32 @@ class IncrementalFollower:
             )
 
     def _add_view(self, graph: Any, values: Any, number: int) -> None:
-        frame, factors = self.journal.frames[number], self.factors
-        values.insert(factors.view(number), factors.pose(frame.R_cam_body, self.journal.positions_m[number]))
+        frame, factors = self.slam_map.frames[number], self.factors
+        values.insert(factors.view(number), factors.pose(frame.R_cam_body, self.slam_map.positions_m[number]))
         graph.add(factors.attitude(number, frame.R_cam_body))
         if number == 0:
             graph.add(factors.place(0, self.sequence.position_m, self.sequence.position_covariance_m2))
         elif self.options.motion:
-            attitudes = self.journal.attitudes([number - 1, number])
+            attitudes = self.slam_map.attitudes([number - 1, number])
             graph.add(factors.motion((number - 1, number), attitudes, frame.motion_m, frame.motion_covariance_m2))
 
     def _add_landmarks(self, graph: Any, values: Any, number: int) -> None:
         """Tell of all landmarks that were seen twice or whose distance is known; a new one with its first sight."""
-        journal, frame = self.journal, self.journal.frames[number]
+        slam_map, frame = self.slam_map, self.slam_map.frames[number]
         ranges = {item.track: item for item in frame.ranges}
-        before = set(journal.frames[number - 1].tracks.tolist()) if number else set()
+        before = set(slam_map.frames[number - 1].tracks.tolist()) if number else set()
         for row, track in enumerate(frame.tracks.tolist()):
             if track not in self.mapped:
                 if track not in before and track not in ranges:
                     continue
                 views = [view for view in (number - 1, number) if view == number or track in before]
                 if len(views) == 2:
-                    journal.points_m[track] = journal.triangulate(track, views)
-                    journal.guessed.discard(track)
-                    earlier = journal.frames[number - 1]
+                    slam_map.points_m[track] = slam_map.triangulate(track, views)
+                    slam_map.guessed.discard(track)
+                    earlier = slam_map.frames[number - 1]
                     uv_px = earlier.uv_px[int(np.flatnonzero(earlier.tracks == track)[0])]
                     graph.add(self.factors.sighting(number - 1, track, uv_px, earlier.sigma_px))
-                values.insert(self.factors.point(track), journal.points_m[track])
+                values.insert(self.factors.point(track), slam_map.points_m[track])
                 self.mapped.add(track)
             graph.add(self.factors.sighting(number, track, frame.uv_px[row], frame.sigma_px))
             if track in ranges:
@@ -261,22 +261,22 @@ class IncrementalFollower:
         if self.lag is None:
             self.engine.update(graph, values)
         else:
-            seen = [self.factors.point(t) for t in self.journal.frames[number].tracks.tolist() if t in self.mapped]
+            seen = [self.factors.point(t) for t in self.slam_map.frames[number].tracks.tolist() if t in self.mapped]
             self.engine.update(graph, values, dict.fromkeys([self.factors.view(number), *seen], float(number)))
         for _ in range(self.options.rounds - 1):
             self.engine.update()
 
     def _estimate(self, number: int) -> FrameEstimate:
-        factors, journal, engine = self.factors, self.journal, self.engine
+        factors, slam_map, engine = self.factors, self.slam_map, self.engine
         pose = engine.calculateEstimatePose3(factors.view(number))
         local = engine.marginalCovariance(factors.view(number))[3:, 3:]  # in the camera's axes
         turn = pose.rotation().matrix()
         covariance = turn @ local @ turn.T
-        tracks = sorted(track for track in journal.frames[number].tracks.tolist() if track in self.mapped)
+        tracks = sorted(track for track in slam_map.frames[number].tracks.tolist() if track in self.mapped)
         points = np.array([engine.calculateEstimatePoint3(factors.point(track)) for track in tracks]).reshape(-1, 3)
         position = np.asarray(pose.translation(), dtype=np.float64)
-        journal.positions_m[number] = position
-        journal.points_m.update(zip(tracks, points, strict=True))
+        slam_map.positions_m[number] = position
+        slam_map.points_m.update(zip(tracks, points, strict=True))
         if number:
             check_scale(covariance, points, position, self.options.uncertainty_max)
         return FrameEstimate(position, covariance, np.array(tracks, dtype=np.int64), points, 0.0)

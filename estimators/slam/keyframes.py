@@ -11,11 +11,11 @@ import numpy as np
 from estimators.slam.following import LostError
 from estimators.slam.options import BundleOptions
 from estimators.slam.problem import Distances
-from estimators.slam.slam_map import Journal
+from estimators.slam.slam_map import SlamMap
 
 
 @dataclass(frozen=True, slots=True)
-class Gauge:
+class DepthGauge:
     """The distance of a landmark from a view, and its standard deviation, m."""
 
     view: int
@@ -24,7 +24,7 @@ class Gauge:
     sigma_m: float
 
 
-def measured_gauge(journal: Journal, view: int) -> Gauge:
+def measure_gauge(slam_map: SlamMap, view: int) -> DepthGauge:
     """Return the range measured at ``view`` with the smallest error.
 
     Raises
@@ -32,16 +32,16 @@ def measured_gauge(journal: Journal, view: int) -> Gauge:
     LostError
         If there is none: the scale is unobservable.
     """
-    ranges = journal.frames[view].ranges
+    ranges = slam_map.frames[view].ranges
     if not ranges:
         raise LostError("no range is measured at the first frame: the scale is unobservable")
     best = min(ranges, key=lambda item: (item.sigma_m, item.track))
-    return Gauge(view, best.track, best.range_m, best.sigma_m)
+    return DepthGauge(view, best.track, best.range_m, best.sigma_m)
 
 
-def gauge_rows(journal: Journal, gauge: Gauge, views: Sequence[int], tracks: Sequence[int]) -> Distances:
+def gauge_distances(slam_map: SlamMap, gauge: DepthGauge, views: Sequence[int], tracks: Sequence[int]) -> Distances:
     """Return what holds the scale of a window: the ranges that its leading view measured, or else the gauge."""
-    lead = journal.distances(views[-1:], tracks)
+    lead = slam_map.distances(views[-1:], tracks)
     if len(lead.view):
         return replace(lead, view=lead.view + len(views) - 1)
     return Distances(
@@ -52,15 +52,19 @@ def gauge_rows(journal: Journal, gauge: Gauge, views: Sequence[int], tracks: Seq
     )
 
 
-def estimated_anew(journal: Journal, gauge: Gauge, sigma_m: float) -> Gauge:
+def reestimate_gauge(slam_map: SlamMap, gauge: DepthGauge, sigma_m: float) -> DepthGauge:
     """Return a gauge with its present estimate, as after an adjustment to a range that was measured later."""
-    distance = float(np.linalg.norm(journal.points_m[gauge.track] - journal.positions_m[gauge.view]))
-    return Gauge(gauge.view, gauge.track, distance, sigma_m)
+    distance = float(np.linalg.norm(slam_map.points_m[gauge.track] - slam_map.positions_m[gauge.view]))
+    return DepthGauge(gauge.view, gauge.track, distance, sigma_m)
 
 
-def handed_over(
-    journal: Journal, gauge: Gauge, views: Sequence[int], seen: Mapping[int, Sequence[int]], options: BundleOptions
-) -> Gauge:
+def hand_over_gauge(
+    slam_map: SlamMap,
+    gauge: DepthGauge,
+    views: Sequence[int],
+    seen: Mapping[int, Sequence[int]],
+    options: BundleOptions,
+) -> DepthGauge:
     """Return the gauge for a window of ``views``, the oldest first; ``seen`` tells which of them saw each track.
 
     The old one serves while its view is the oldest and "as long as the connectivity with the last acquired view can be
@@ -79,23 +83,23 @@ def handed_over(
     held = lead in by if options.connected == "last-two" else len(by) >= 2
     if gauge.view == oldest and held:
         return gauge
-    measured = {item.track: item for item in journal.frames[oldest].ranges}
-    known = measured.keys() | (journal.points_m.keys() - journal.guessed)
+    measured = {item.track: item for item in slam_map.frames[oldest].ranges}
+    known = measured.keys() | (slam_map.points_m.keys() - slam_map.guessed)
     candidates = [
         track
-        for track in journal.frames[oldest].tracks.tolist()
+        for track in slam_map.frames[oldest].tracks.tolist()
         if track in known and len(seen[track]) >= 2 and (lead in seen[track] or len(seen[track]) > 2)
     ]
     if not candidates:
         raise LostError("no landmark can take the depth gauge over: the scale is unobservable")
     best = min(candidates, key=lambda track: (track not in measured, lead not in seen[track], -len(seen[track]), track))
     if best in measured:
-        return Gauge(oldest, best, measured[best].range_m, measured[best].sigma_m)
-    distance = float(np.linalg.norm(journal.points_m[best] - journal.positions_m[oldest]))
-    return Gauge(oldest, best, distance, options.gauge_sigma_m)
+        return DepthGauge(oldest, best, measured[best].range_m, measured[best].sigma_m)
+    distance = float(np.linalg.norm(slam_map.points_m[best] - slam_map.positions_m[oldest]))
+    return DepthGauge(oldest, best, distance, options.gauge_sigma_m)
 
 
-class Tracks(Protocol):
+class SharedLandmarks(Protocol):
     """Counts landmarks that two frames share: those of a journal, or of frames as they came."""
 
     def shared(self, first: int, second: int) -> int:
@@ -104,7 +108,7 @@ class Tracks(Protocol):
 
 
 def trailing_views(
-    journal: Journal, tracks: Tracks, trailing: Sequence[int], lead: int, options: BundleOptions
+    slam_map: SlamMap, tracks: SharedLandmarks, trailing: Sequence[int], lead: int, options: BundleOptions
 ) -> list[int]:
     """Second strategy: the trailing views stay as long as they are connected with the leading one.
 
@@ -127,19 +131,19 @@ def trailing_views(
     if len(views) < options.views - 1:
         return _grown(tracks, views, lead, options)
     base = views[-1] if options.connected == "last-two" else views[0]
-    if _connected(journal, tracks, base, views[-1], lead, options):
+    if _connected(slam_map, tracks, base, views[-1], lead, options):
         return views
     return _connected_part(tracks, [*views[1:], lead - 1] if views[-1] != lead - 1 else views[1:], lead, options)
 
 
-def offset_views(tracks: Tracks, lead: int, options: BundleOptions) -> list[int]:
+def offset_views(tracks: SharedLandmarks, lead: int, options: BundleOptions) -> list[int]:
     """First strategy: a constant offset, counted in frames, between the views; fewer at the beginning."""
     back = [lead - options.offset_frames * step for step in range(1, options.views)]
     views = sorted(view for view in back if view >= 0) or [0]
     return _connected_part(tracks, views, lead, options)
 
 
-def _grown(tracks: Tracks, views: list[int], lead: int, options: BundleOptions) -> list[int]:
+def _grown(tracks: SharedLandmarks, views: list[int], lead: int, options: BundleOptions) -> list[int]:
     """Let the view before the leading one in when the leading one has moved far enough from the last."""
     held = tracks.shared(views[-1], views[-1])
     share = (options.connectivity / held) ** (1.0 / (options.views - 1))
@@ -148,12 +152,14 @@ def _grown(tracks: Tracks, views: list[int], lead: int, options: BundleOptions) 
     return _connected_part(tracks, candidate, lead, options)
 
 
-def _connected(journal: Journal, tracks: Tracks, oldest: int, last: int, lead: int, options: BundleOptions) -> bool:
+def _connected(
+    slam_map: SlamMap, tracks: SharedLandmarks, oldest: int, last: int, lead: int, options: BundleOptions
+) -> bool:
     shared = tracks.shared(oldest, lead) >= options.connectivity
-    return shared and _angle(journal, last, lead) <= np.radians(options.angle_max_deg)
+    return shared and _angle(slam_map, last, lead) <= np.radians(options.angle_max_deg)
 
 
-def _connected_part(tracks: Tracks, views: list[int], lead: int, options: BundleOptions) -> list[int]:
+def _connected_part(tracks: SharedLandmarks, views: list[int], lead: int, options: BundleOptions) -> list[int]:
     """Drop the oldest views until the leading one is connected with the first that remains."""
     while views and tracks.shared(views[0], lead) < options.connectivity:
         views = views[1:]
@@ -167,7 +173,7 @@ def _connected_part(tracks: Tracks, views: list[int], lead: int, options: Bundle
     )
 
 
-def _angle(journal: Journal, first: int, second: int) -> float:
+def _angle(slam_map: SlamMap, first: int, second: int) -> float:
     """Angle between two camera positions at the centre of the body, rad."""
-    a, b = journal.positions_m[first], journal.positions_m[second]
+    a, b = slam_map.positions_m[first], slam_map.positions_m[second]
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))

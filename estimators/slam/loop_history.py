@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.slam.following import lookup
-from estimators.slam.problem import Adjustment, Motions, Prior
-from estimators.slam.slam_map import Journal
+from estimators.slam.problem import Adjustment, Motions, QuadraticPrior
+from estimators.slam.slam_map import SlamMap
 from scenarios.tracks import TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 
-class History:
+class GlobalMap:
     """The journal of all frames, whose tracks are landmarks.
 
     ``members`` are the tracks of each landmark that has more than one, ``seen`` the frames of each landmark, and
@@ -25,33 +25,33 @@ class History:
     """
 
     def __init__(self, sequence: TrackSequence, *, motion: bool) -> None:
-        self.journal = Journal(sequence.camera)
+        self.slam_map = SlamMap(sequence.camera)
         self.first_m = sequence.position_m
         self.first_covariance_m2 = sequence.position_covariance_m2
         self.motion = motion
         self.landmark: dict[int, int] = {}
         self.members: dict[int, set[int]] = {}
         self.seen: dict[int, set[int]] = {}
-        self.named: dict[int, dict[int, int]] = {}
+        self.track_in_frame: dict[int, dict[int, int]] = {}
 
     def add(self, number: int, frame: TrackFrame) -> None:
         """Take a frame in, or anew where its pixels have changed."""
-        for landmark in self.named.pop(number, {}):
+        for landmark in self.track_in_frame.pop(number, {}):
             self.seen[landmark].discard(number)
-        self.journal.frames[number] = self._renamed(frame)
-        self.named[number] = {self.of(track): track for track in frame.tracks.tolist()}
-        for landmark in self.named[number]:
+        self.slam_map.frames[number] = self._renamed(frame)
+        self.track_in_frame[number] = {self.of(track): track for track in frame.tracks.tolist()}
+        for landmark in self.track_in_frame[number]:
             self.seen.setdefault(landmark, set()).add(number)
 
     def of(self, track: int) -> int:
         """Return the landmark of a track: the oldest track of it that is known."""
         return self.landmark.get(track, track)
 
-    def may_be_one(self, first: int, second: int) -> bool:
+    def may_merge(self, first: int, second: int) -> bool:
         """Tell whether two landmarks are different by their numbers, and were never seen in one image."""
         return first != second and not self.seen.get(first, set()) & self.seen.get(second, set())
 
-    def unite(self, new: int, old: int) -> None:
+    def merge(self, new: int, old: int) -> None:
         """Take two landmarks for one, which goes by the number of ``old``."""
         members = self.members.pop(new, {new})
         self.members[old] = self.members.pop(old, {old}) | members
@@ -59,37 +59,37 @@ class History:
         numbers = self.seen.pop(new)
         self.seen[old] |= numbers
         for number in numbers:
-            self.named[number][old] = self.named[number].pop(new)
-            self.journal.frames[number] = self._renamed(self.journal.frames[number])
+            self.track_in_frame[number][old] = self.track_in_frame[number].pop(new)
+            self.slam_map.frames[number] = self._renamed(self.slam_map.frames[number])
 
     def problem(self, kept: Collection[int] = ()) -> tuple[Adjustment, list[int]]:
         """Make the adjustment of all frames, and list its landmarks; those in ``kept`` stay in the reduced system."""
-        journal = self.journal
-        views = sorted(journal.frames)
-        ranged = {item.track for frame in journal.frames.values() for item in frame.ranges}
+        slam_map = self.slam_map
+        views = sorted(slam_map.frames)
+        ranged = {item.track for frame in slam_map.frames.values() for item in frame.ranges}
         tracks = sorted(track for track, by in self.seen.items() if len(by) >= 2 or track in ranged)
         for track in tracks:
-            if track not in journal.points_m:
-                journal.points_m[track] = journal.triangulate(track, sorted(self.seen[track]))
+            if track not in slam_map.points_m:
+                slam_map.points_m[track] = slam_map.triangulate(track, sorted(self.seen[track]))
         free = np.ones(len(views), dtype=np.bool_)
         free[0] = bool(np.any(self.first_covariance_m2))
         problem = Adjustment(
-            camera=journal.camera,
-            R_cam_body=journal.attitudes(views),
-            sightings=journal.sightings(views, tracks),
+            camera=slam_map.camera,
+            R_cam_body=slam_map.attitudes(views),
+            pixels=slam_map.pixels(views, tracks),
             free_views=free,
             free_points=np.ones(len(tracks), dtype=np.bool_),
-            distances=journal.distances(views, tracks),
-            motions=journal.motions(views) if self.motion else Motions(),
+            distances=slam_map.distances(views, tracks),
+            motions=slam_map.motions(views) if self.motion else Motions(),
             prior=self._first_prior() if free[0] else None,
             kept_points=np.isin(tracks, sorted(kept)),
         )
         return problem, tracks
 
-    def _first_prior(self) -> Prior:
+    def _first_prior(self) -> QuadraticPrior:
         none = np.zeros(0, dtype=np.int64)
         information = np.asarray(np.linalg.inv(self.first_covariance_m2), dtype=np.float64)
-        return Prior(np.zeros(1, dtype=np.int64), none, self.first_m[None], information, np.zeros(3))
+        return QuadraticPrior(np.zeros(1, dtype=np.int64), none, self.first_m[None], information, np.zeros(3))
 
     def _renamed(self, frame: TrackFrame) -> TrackFrame:
         """Call the tracks of a frame by their landmarks."""

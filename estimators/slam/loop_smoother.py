@@ -13,8 +13,8 @@ from scipy.special import gammaincinv
 from estimators.options import parse_options
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.following import LostError, follow
-from estimators.slam.loop_history import History, slots
-from estimators.slam.marginal import Staying, landmark_covariance, told_from_outside
+from estimators.slam.loop_history import GlobalMap, slots
+from estimators.slam.marginal import Retained, landmark_covariance, marginalise_outside
 from estimators.slam.options import LoopOptions
 from estimators.slam.outliers import without_tracks
 from estimators.slam.problem import Adjustment, State
@@ -30,7 +30,7 @@ FloatArray = NDArray[np.float64]
 _SAME_PLACE_M = 1e-3
 
 
-def agreeing(differences_m: FloatArray, covariance_m2: FloatArray, probability: float) -> list[int]:
+def compatible_pairs(differences_m: FloatArray, covariance_m2: FloatArray, probability: float) -> list[int]:
     """List the largest set of pairs that may all be right at once.
 
     A right pair is one landmark estimated twice: the difference is noise, most of it common to all pairs, since it is
@@ -112,17 +112,17 @@ class LoopSmoother:
 
     def follow(self, sequence: TrackSequence) -> SequenceEstimate:
         """Estimate the camera position at every frame from the frames up to it."""
-        return follow(sequence, _Closing(sequence, self.options))
+        return follow(sequence, _LoopClosingWindow(sequence, self.options))
 
 
-class _Closing(WindowSmoother):
+class _LoopClosingWindow(WindowSmoother):
     """The window at work on one sequence, and the history behind it."""
 
     def __init__(self, sequence: TrackSequence, options: LoopOptions) -> None:
         super().__init__(sequence, options)
         self.loops = options
-        self.history = History(sequence, motion=options.motion)
-        self.came: dict[int, TrackFrame] = {}
+        self.global_map = GlobalMap(sequence, motion=options.motion)
+        self.raw: dict[int, TrackFrame] = {}
         self.pending: set[tuple[int, int]] = set()
         self.closed_at = 0
         self.closures = self.united = self.refused = 0
@@ -132,16 +132,16 @@ class _Closing(WindowSmoother):
         return {**super().diagnostics(), **{name: float(count) for name, count in counts.items()}}
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
-        number = len(self.journal.positions_m)
-        self.came[number] = self.weighted(frame)
+        number = len(self.slam_map.positions_m)
+        self.raw[number] = self.weighted(frame)
         estimate = super().advance(frame)
         self.pending |= {(int(new), int(old)) for new, old in frame.again}
         if number - self.closed_at < self.loops.closure_frames or len(self.pending) < self.loops.closure_pairs:
             return estimate
-        self._remember()
+        self._update_global_map()
         ripe = [pair for pair in sorted(self.pending) if self._is_determined(*pair)]
-        known = self.history
-        pairs = sorted({(known.of(a), known.of(b)) for a, b in ripe if known.may_be_one(known.of(a), known.of(b))})
+        known = self.global_map
+        pairs = sorted({(known.of(a), known.of(b)) for a, b in ripe if known.may_merge(known.of(a), known.of(b))})
         if len(pairs) < self.loops.closure_pairs:
             return estimate
         self.pending.difference_update(ripe)
@@ -150,38 +150,38 @@ class _Closing(WindowSmoother):
 
     def _marginalise(self, problem: Adjustment, state: State, tracks: Sequence[int]) -> None:
         """Let the oldest view go into the history, too."""
-        self.history.add(self.views[0], self._believed(self.views[0]))
-        del self.came[self.views[0]]
+        self.global_map.add(self.views[0], self._believed(self.views[0]))
+        del self.raw[self.views[0]]
         super()._marginalise(problem, state, tracks)
 
     def _is_determined(self, *tracks: int) -> bool:
         """Tell whether the landmarks of all of ``tracks`` were seen twice or more."""
-        return all(len(self.history.seen.get(self.history.of(track), ())) >= 2 for track in tracks)
+        return all(len(self.global_map.seen.get(self.global_map.of(track), ())) >= 2 for track in tracks)
 
     def _close(self, pairs: list[tuple[int, int]]) -> FrameEstimate | None:
         """Unite what agrees, adjust all frames, and begin the window anew from there; nothing where none agree."""
         try:
-            united = self._unite(pairs)
+            united = self._merge(pairs)
             if not united:
                 return None
             problem, state, tracks = self._adjusted()
-            self._re_anchor(problem, state, tracks)
+            self._replace_prior(problem, state, tracks)
         except np.linalg.LinAlgError as error:
             raise LostError("the history of all frames is not determined") from error
         self.closures += 1
         return self._smoothed()
 
-    def _remember(self) -> None:
+    def _update_global_map(self) -> None:
         """Give the history the frames of the window and the present estimates; united landmarks keep theirs."""
-        known = self.history
+        known = self.global_map
         for view in self.views:
             known.add(view, self._believed(view))
-        known.journal.positions_m.update({view: self.journal.positions_m[view] for view in known.journal.frames})
-        for track, point in self.journal.points_m.items():
+        known.slam_map.positions_m.update({view: self.slam_map.positions_m[view] for view in known.slam_map.frames})
+        for track, point in self.slam_map.points_m.items():
             if track in known.seen and track not in known.members:
-                known.journal.points_m[track] = point
+                known.slam_map.points_m[track] = point
 
-    def _unite(self, pairs: list[tuple[int, int]]) -> int:
+    def _merge(self, pairs: list[tuple[int, int]]) -> int:
         """Test the pairs against each other and unite those that agree; return their number."""
         problem, state, tracks = self._adjusted({landmark for pair in pairs for landmark in pair})
         first, second = (slots(tracks, side) for side in zip(*pairs, strict=True))
@@ -189,73 +189,75 @@ class _Closing(WindowSmoother):
         joint = landmark_covariance(problem, state, np.concatenate([first, second]))
         half = len(joint) // 2
         covariance = joint[:half, :half] + joint[half:, half:] - joint[:half, half:] - joint[half:, :half]
-        good = agreeing(differences, covariance, self.loops.recognition)
+        good = compatible_pairs(differences, covariance, self.loops.recognition)
         if len(good) < self.loops.closure_pairs:
             good = []
         for new, old in (pairs[k] for k in good):
-            new, old = self.history.of(new), self.history.of(old)
-            if self.history.may_be_one(new, old):
-                self.history.unite(new, old)
+            new, old = self.global_map.of(new), self.global_map.of(old)
+            if self.global_map.may_merge(new, old):
+                self.global_map.merge(new, old)
                 self.united += 1
         self.refused += len(pairs) - len(good)
         return len(good)
 
     def _adjusted(self, kept: Collection[int] = ()) -> tuple[Adjustment, State, list[int]]:
         """Adjust all frames; what it comes to stays in the history."""
-        known = self.history
+        known = self.global_map
         problem, tracks = known.problem(kept)
-        views = sorted(known.journal.frames)
+        views = sorted(known.slam_map.frames)
         rule = StoppingRule(self.loops.closure_tolerance_m, self.options.iterations)
-        solution = minimise(problem, known.journal.state(views, tracks), rule)
+        solution = minimise(problem, known.slam_map.state(views, tracks), rule)
         if not np.isfinite(solution.cost):
             raise LostError("a landmark is behind a camera that sees it")
-        known.journal.keep(solution.state, views, tracks)
+        known.slam_map.keep(solution.state, views, tracks)
         return problem, solution.state, tracks
 
-    def _re_anchor(self, problem: Adjustment, state: State, tracks: list[int]) -> None:
+    def _replace_prior(self, problem: Adjustment, state: State, tracks: list[int]) -> None:
         """Let what all frames outside the window tell take the place of the window's prior.
 
         The window knows a landmark by one track. What it saw of it under another track, or has
         left to its prior, goes over into the new one.
         """
-        known, views = self.history, np.array(sorted(self.history.journal.frames))
-        alive = {known.of(track): track for track in self.came[self.views[-1]].tracks.tolist()}
-        numbers = np.array([self._front_number(track, alive) for track in tracks], dtype=np.int64)
+        known, views = self.global_map, np.array(sorted(self.global_map.slam_map.frames))
+        alive = {known.of(track): track for track in self.raw[self.views[-1]].tracks.tolist()}
+        numbers = np.array([self._window_number(track, alive) for track in tracks], dtype=np.int64)
         inside = np.isin(views, self.views)
         outer = np.array([min(known.seen[track]) < self.views[0] for track in tracks])
         stays = np.isin(tracks, sorted(alive)) | ~outer
-        rows = (problem.sightings, problem.distances)
+        rows = (problem.pixels, problem.distances)
         sighted, ranged = (
             inside[seen.view]
             & stays[seen.point]
-            & self._under(numbers[seen.point], views[seen.view], seen.point, tracks)
+            & self._seen_under_number(numbers[seen.point], views[seen.view], seen.point, tracks)
             for seen in rows
         )
-        prior = told_from_outside(problem, state, Staying(inside, stays, sighted, ranged))
+        prior = marginalise_outside(problem, state, Retained(inside, stays, sighted, ranged))
         for slot, track in enumerate(tracks):
-            self.journal.points_m[int(numbers[slot])] = state.points_m[slot]
+            self.slam_map.points_m[int(numbers[slot])] = state.points_m[slot]
             members = known.members.get(track, {track})
             self.absorbed |= members - {int(numbers[slot])} if stays[slot] else members
-        self.journal.positions_m.update(zip(views.tolist(), state.positions_m, strict=True))
+        self.slam_map.positions_m.update(zip(views.tolist(), state.positions_m, strict=True))
         self.prior = replace(prior, views=views[prior.views], points=numbers[prior.points])
         self.first_positions_m = dict(zip(self.prior.views.tolist(), state.positions_m[prior.views], strict=True))
         self.first_points_m = dict(zip(self.prior.points.tolist(), state.points_m[prior.points], strict=True))
 
-    def _under(self, numbers: IndexArray, views: IndexArray, points: IndexArray, tracks: list[int]) -> BoolArray:
+    def _seen_under_number(
+        self, numbers: IndexArray, views: IndexArray, points: IndexArray, tracks: list[int]
+    ) -> BoolArray:
         """(k,): whether a view of the window has a landmark under the number by which the window knows it."""
-        held = {view: set(self.journal.frames[view].tracks.tolist()) for view in self.views}
-        named = self.history.named
+        held = {view: set(self.slam_map.frames[view].tracks.tolist()) for view in self.views}
+        named = self.global_map.track_in_frame
         rows = zip(numbers.tolist(), views.tolist(), points.tolist(), strict=True)
         return np.array(
             [named[view][tracks[point]] == number and number in held.get(view, ()) for number, view, point in rows],
             dtype=np.bool_,
         )
 
-    def _front_number(self, landmark: int, alive: Mapping[int, int]) -> int:
+    def _window_number(self, landmark: int, alive: Mapping[int, int]) -> int:
         """Return the number by which the window knows a landmark: that of the track in view, if there is one."""
         if landmark in alive:
             return alive[landmark]
-        return max(self.history.members.get(landmark, {landmark}))
+        return max(self.global_map.members.get(landmark, {landmark}))
 
     def _smoothed(self) -> FrameEstimate:
         """Adjust the window once more."""
@@ -265,5 +267,5 @@ class _Closing(WindowSmoother):
 
     def _believed(self, view: int) -> TrackFrame:
         """Return a frame of the window as it came, without the pixels that are refused."""
-        refused = set() if self.jury is None else self.jury.refused.get(view, set())
-        return without_tracks(self.came[view], refused)
+        refused = set() if self.gate is None else self.gate.refused.get(view, set())
+        return without_tracks(self.raw[view], refused)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from estimators.slam.compiled import descent
-from estimators.slam.normal import Layout, normal_equations
-from estimators.slam.problem import Adjustment, Distances, Motions, Prior, Sightings, State
+from estimators.slam.normal import VariableOrdering, normal_equations
+from estimators.slam.problem import Adjustment, Distances, Motions, PixelMeasurements, QuadraticPrior, State
 from estimators.slam.solver import reduced_system
 
 BoolArray = NDArray[np.bool_]
@@ -20,16 +20,16 @@ IndexArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Staying:
+class Retained:
     """What a window goes on with: views (V,), landmarks (L,), and of its sightings (k,) and distances (m,) which."""
 
     views: BoolArray
     points: BoolArray
-    sightings: BoolArray
+    pixels: BoolArray
     distances: BoolArray
 
 
-def told_from_outside(problem: Adjustment, state: State, staying: Staying) -> Prior:
+def marginalise_outside(problem: Adjustment, state: State, staying: Retained) -> QuadraticPrior:
     """Marginalise all views, landmarks and measurements that do not stay, at once.
 
     All is linearised at ``state``. Motions stay between views that stay. The quadratic is in the views and landmarks
@@ -40,17 +40,17 @@ def told_from_outside(problem: Adjustment, state: State, staying: Staying) -> Pr
     numpy.linalg.LinAlgError
         If what goes is not determined.
     """
-    part = _outside(problem, staying)
-    layout = Layout.of(part)
-    matrix, right, _ = normal_equations(part, state, layout).reduced()
+    part = _outside_part(problem, staying)
+    ordering = VariableOrdering.of(part)
+    matrix, right, _ = normal_equations(part, state, ordering).reduced()
     views = np.flatnonzero(part.free_views & staying.views)
-    points = np.flatnonzero(layout.kept_point >= 0)
-    stays = np.zeros(layout.kept, dtype=np.bool_)
-    stays[layout.view[views]] = True
-    stays[layout.kept_point[points]] = True
-    information, gradient = schur(matrix, -right, np.repeat(~stays, 3))
+    points = np.flatnonzero(ordering.kept_point >= 0)
+    stays = np.zeros(ordering.kept, dtype=np.bool_)
+    stays[ordering.view[views]] = True
+    stays[ordering.kept_point[points]] = True
+    information, gradient = eliminate_rows(matrix, -right, np.repeat(~stays, 3))
     origin = np.concatenate([state.positions_m[views], state.points_m[points]])
-    return restricted(Prior(views, points, origin, information, gradient))
+    return without_empty_variables(QuadraticPrior(views, points, origin, information, gradient))
 
 
 def landmark_covariance(problem: Adjustment, state: State, points: IndexArray) -> FloatArray:
@@ -61,21 +61,21 @@ def landmark_covariance(problem: Adjustment, state: State, points: IndexArray) -
     scipy.linalg.LinAlgError
         If the reduced matrix is not positive definite.
     """
-    layout = Layout.of(problem)
-    matrix, _, _ = normal_equations(problem, state, layout).reduced()
-    rows = (3 * layout.kept_point[points][:, None] + np.arange(3)).ravel()
+    ordering = VariableOrdering.of(problem)
+    matrix, _, _ = normal_equations(problem, state, ordering).reduced()
+    rows = (3 * ordering.kept_point[points][:, None] + np.arange(3)).ravel()
     solved = cho_solve(cho_factor(matrix), np.eye(len(matrix))[:, rows])[rows]
     return np.asarray(0.5 * (solved + solved.T), dtype=np.float64)
 
 
-def _outside(problem: Adjustment, staying: Staying) -> Adjustment:
+def _outside_part(problem: Adjustment, staying: Retained) -> Adjustment:
     """Return the part of ``problem`` that goes; of its landmarks only those that it speaks of are free."""
-    seen, measured, moved = problem.sightings, problem.distances, problem.motions
-    goes, ranged = ~staying.sightings, ~staying.distances
+    seen, measured, moved = problem.pixels, problem.distances, problem.motions
+    goes, ranged = ~staying.pixels, ~staying.distances
     motion = ~(staying.views[moved.start] & staying.views[moved.end])
     part = replace(
         problem,
-        sightings=Sightings(seen.view[goes], seen.point[goes], seen.uv_px[goes], seen.sigma_px[goes]),
+        pixels=PixelMeasurements(seen.view[goes], seen.point[goes], seen.uv_px[goes], seen.sigma_px[goes]),
         distances=Distances(
             measured.view[ranged], measured.point[ranged], measured.range_m[ranged], measured.sigma_m[ranged]
         ),
@@ -83,22 +83,22 @@ def _outside(problem: Adjustment, staying: Staying) -> Adjustment:
             moved.start[motion], moved.end[motion], moved.displacement_m[motion], moved.information[motion]
         ),
     )
-    told = touched(part)
+    told = constrained_points(part)
     return replace(part, free_points=told, kept_points=told & staying.points)
 
 
-def departing(problem: Adjustment, view: int, lost: BoolArray) -> Adjustment:
+def departing_part(problem: Adjustment, view: int, lost: BoolArray) -> Adjustment:
     """Return the part of ``problem`` that goes when a view and the landmarks marked in ``lost`` (L,) are marginalised.
 
     These are all measurements that join one of them with anything, and the prior. The landmarks that stay are kept.
     """
-    seen, measured, moved = problem.sightings, problem.distances, problem.motions
+    seen, measured, moved = problem.pixels, problem.distances, problem.motions
     goes = (seen.view == view) | lost[seen.point]
     ranged = (measured.view == view) | lost[measured.point]
     motion = (moved.start == view) | (moved.end == view)
     return replace(
         problem,
-        sightings=Sightings(seen.view[goes], seen.point[goes], seen.uv_px[goes], seen.sigma_px[goes]),
+        pixels=PixelMeasurements(seen.view[goes], seen.point[goes], seen.uv_px[goes], seen.sigma_px[goes]),
         distances=Distances(
             measured.view[ranged], measured.point[ranged], measured.range_m[ranged], measured.sigma_m[ranged]
         ),
@@ -109,7 +109,7 @@ def departing(problem: Adjustment, view: int, lost: BoolArray) -> Adjustment:
     )
 
 
-def marginalised(problem: Adjustment, state: State, view: int, lost: BoolArray) -> Prior:
+def marginalise_view(problem: Adjustment, state: State, view: int, lost: BoolArray) -> QuadraticPrior:
     """Marginalise a view and the landmarks marked in ``lost`` (L,), all linearised at ``state``.
 
     The quadratic is about the variables that stay and that the departing measurements, or the old prior, speak of.
@@ -119,21 +119,21 @@ def marginalised(problem: Adjustment, state: State, view: int, lost: BoolArray) 
     numpy.linalg.LinAlgError
         If what goes is not determined.
     """
-    part = departing(problem, view, lost)
-    part = replace(part, free_points=part.free_points & touched(part))
+    part = departing_part(problem, view, lost)
+    part = replace(part, free_points=part.free_points & constrained_points(part))
     matrix, right, view_slots, point_slots = reduced_system(part, state)
     slots = point_slots[lost & (point_slots >= 0)]  # joined to others by the old prior
     if view_slots[view] >= 0:
         slots = np.append(slots, view_slots[view])
     out = np.zeros(len(matrix), dtype=np.bool_)
     out.reshape(-1, 3)[slots] = True
-    information, gradient = schur(matrix, -right, out)
+    information, gradient = eliminate_rows(matrix, -right, out)
     views = np.flatnonzero(problem.free_views & (np.arange(len(problem.free_views)) != view))
     points = np.flatnonzero(part.free_points & ~lost)
-    return restricted(Prior(views, points, _values(state, views, points), information, gradient))
+    return without_empty_variables(QuadraticPrior(views, points, _values(state, views, points), information, gradient))
 
 
-def schur(
+def eliminate_rows(
     information: NDArray[np.float64], gradient: NDArray[np.float64], out: BoolArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Eliminate the rows marked in ``out``.
@@ -152,10 +152,10 @@ def schur(
     return matrix[count:, count:].copy(), right[count:].copy()
 
 
-def touched(part: Adjustment) -> BoolArray:
+def constrained_points(part: Adjustment) -> BoolArray:
     """(L,) landmarks that a measurement of ``part`` or its prior speaks of."""
     told = np.zeros(len(part.free_points), dtype=np.bool_)
-    told[part.sightings.point] = True
+    told[part.pixels.point] = True
     told[part.distances.point] = True
     if part.prior is not None:
         told[part.prior.points] = True
@@ -166,12 +166,12 @@ def _values(state: State, views: NDArray[np.int64], points: NDArray[np.int64]) -
     return np.concatenate([state.positions_m[views], state.points_m[points]])
 
 
-def restricted(prior: Prior) -> Prior:
+def without_empty_variables(prior: QuadraticPrior) -> QuadraticPrior:
     """Leave the variables out that nothing is said about."""
     told = np.any(prior.information.reshape(len(prior.origin_m), -1) != 0.0, axis=1)
     rows = np.repeat(told, 3)
     count = len(prior.views)
-    return Prior(
+    return QuadraticPrior(
         prior.views[told[:count]],
         prior.points[told[count:]],
         prior.origin_m[told],

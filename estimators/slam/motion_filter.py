@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-from estimators.slam.dynamics.force_model import Field, propagated
+from estimators.slam.dynamics.force_model import ForceModel, propagate
 from estimators.slam.following import LostError
 from estimators.slam.options import BundleOptions
 from scenarios.tracks import Forces, TrackFrame, TrackSequence
@@ -68,7 +68,7 @@ class MotionFilter:
         (3,) each.
     """
 
-    field: Field
+    field: ForceModel
     acceleration_m_s2: float
     sigma_m: float
     time_s: float
@@ -82,14 +82,14 @@ class MotionFilter:
         """Begin with the first position of a sequence and the velocity that is known there."""
         first = sequence.frames[0]
         position = first.R_body_inertial.T @ sequence.position_m
-        field = Field.of(forces, float(np.linalg.norm(position)))
+        field = ForceModel.of(forces, float(np.linalg.norm(position)))
         return cls(field, acceleration_m_s2, sigma_m, first.time_s, position, forces.velocity_m_s.copy())
 
     def predicted(self, time_s: float) -> MotionFilter:
         """Move to a later epoch."""
         unit = self.field.time_s
         start = np.concatenate([self.position_m, self.velocity_m_s * unit])[None]
-        end = propagated(self.field, start, self.field.known, np.array([(time_s - self.time_s) / unit]))[0]
+        end = propagate(self.field, start, self.field.known, np.array([(time_s - self.time_s) / unit]))[0]
         return replace(self, time_s=time_s, position_m=end[:3], velocity_m_s=end[3:] / unit)
 
     def corrected(self, position_m: FloatArray, gain: SteadyGain) -> MotionFilter:

@@ -19,14 +19,14 @@ IndexArray = NDArray[np.int64]
 
 def bearing_residuals(problem: Adjustment, state: State) -> FloatArray:
     """(k, 2) in standard deviations; NaN where a landmark is behind its camera."""
-    seen = problem.sightings
+    seen = problem.pixels
     pixels = problem.camera.project(_in_camera(problem, state))
     return np.asarray((pixels - seen.uv_px) / seen.sigma_px[:, None], dtype=np.float64)
 
 
 def bearing_jacobians(problem: Adjustment, state: State) -> FloatArray:
     """(k, 2, 3) of `bearing_residuals` by the landmark, 1/m."""
-    seen = problem.sightings
+    seen = problem.pixels
     by_camera = problem.camera.jacobian(_in_camera(problem, state))
     return np.asarray(by_camera @ problem.R_cam_body[seen.view] / seen.sigma_px[:, None, None], dtype=np.float64)
 
@@ -69,13 +69,13 @@ def cost(problem: Adjustment, state: State) -> float:
 
 def _in_camera(problem: Adjustment, state: State) -> FloatArray:
     """(k, 3) the landmarks of all sightings in the axes of their cameras."""
-    seen = problem.sightings
+    seen = problem.pixels
     lines = state.points_m[seen.point] - state.positions_m[seen.view]
     return np.asarray(np.einsum("kij,kj->ki", problem.R_cam_body[seen.view], lines), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Layout:
+class VariableOrdering:
     """Slots of the variables, -1 where there is none, and which sightings meet at an eliminated landmark.
 
     Parameters
@@ -92,16 +92,16 @@ class Layout:
 
     view: IndexArray
     kept_point: IndexArray
-    gone_point: IndexArray
+    eliminated_point: IndexArray
     kept: int
-    gone: int
+    eliminated: int
     link_kept: IndexArray
-    link_gone: IndexArray
+    link_eliminated: IndexArray
     left: IndexArray
     right: IndexArray
 
     @classmethod
-    def of(cls, problem: Adjustment) -> Layout:
+    def of(cls, problem: Adjustment) -> VariableOrdering:
         """Return the layout of ``problem``."""
         joined = np.zeros(len(problem.free_points), dtype=np.bool_)
         if problem.kept_points is not None:
@@ -113,18 +113,18 @@ class Layout:
         kept_point = _slots(problem.free_points & joined)
         kept = views + int(kept_point.max(initial=-1)) + 1
         kept_point = np.where(kept_point >= 0, kept_point + views, -1)
-        gone_point = _slots(problem.free_points & ~joined)
+        eliminated_point = _slots(problem.free_points & ~joined)
         pair_view, pair_point = _pairs(problem)
-        linked = (view[pair_view] >= 0) & (gone_point[pair_point] >= 0)
-        left, right = _meetings(gone_point[pair_point[linked]])
+        linked = (view[pair_view] >= 0) & (eliminated_point[pair_point] >= 0)
+        left, right = _meetings(eliminated_point[pair_point[linked]])
         return cls(
             view=view,
             kept_point=kept_point,
-            gone_point=gone_point,
+            eliminated_point=eliminated_point,
             kept=kept,
-            gone=int(gone_point.max(initial=-1)) + 1,
+            eliminated=int(eliminated_point.max(initial=-1)) + 1,
             link_kept=view[pair_view[linked]],
-            link_gone=gone_point[pair_point[linked]],
+            link_eliminated=eliminated_point[pair_point[linked]],
             left=left,
             right=right,
         )
@@ -134,12 +134,12 @@ class Layout:
 class NormalEquations:
     """The matrix and the gradient by blocks: kept (3n, 3n), eliminated (e, 3, 3), entries of the coupling (m, 3, 3)."""
 
-    layout: Layout
+    ordering: VariableOrdering
     kept: FloatArray
-    gone: FloatArray
+    eliminated: FloatArray
     coupling: FloatArray
     kept_gradient: FloatArray
-    gone_gradient: FloatArray
+    eliminated_gradient: FloatArray
 
     def reduced(self, damping: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the reduced matrix and right side (Schur complement), and the inverted blocks of the eliminated ones.
@@ -151,59 +151,59 @@ class NormalEquations:
         numpy.linalg.LinAlgError
             If a landmark has no distance and ``damping`` is 0.
         """
-        layout = self.layout
-        inverse = np.asarray(np.linalg.inv(self.gone + damping * np.eye(3)), dtype=np.float64)
-        weighted = self.coupling @ inverse[layout.link_gone]
-        product = weighted[layout.left] @ np.swapaxes(self.coupling[layout.right], 1, 2)
-        slots = layout.link_kept[layout.left] * layout.kept + layout.link_kept[layout.right]
-        matrix = self.kept + damping * np.eye(3 * layout.kept) - _dense(_scatter(slots, product, layout.kept**2))
-        taken = np.einsum("kij,kj->ki", weighted, self.gone_gradient[layout.link_gone])
-        right = _scatter(layout.link_kept, taken, layout.kept).ravel() - self.kept_gradient
+        ordering = self.ordering
+        inverse = np.asarray(np.linalg.inv(self.eliminated + damping * np.eye(3)), dtype=np.float64)
+        weighted = self.coupling @ inverse[ordering.link_eliminated]
+        product = weighted[ordering.left] @ np.swapaxes(self.coupling[ordering.right], 1, 2)
+        slots = ordering.link_kept[ordering.left] * ordering.kept + ordering.link_kept[ordering.right]
+        matrix = self.kept + damping * np.eye(3 * ordering.kept) - _dense(_scatter(slots, product, ordering.kept**2))
+        taken = np.einsum("kij,kj->ki", weighted, self.eliminated_gradient[ordering.link_eliminated])
+        right = _scatter(ordering.link_kept, taken, ordering.kept).ravel() - self.kept_gradient
         return 0.5 * (matrix + matrix.T), right, inverse
 
     def back_substituted(self, kept_step: FloatArray, inverse: FloatArray) -> FloatArray:
         """(e, 3) steps of the eliminated landmarks, given (n, 3) those of the kept variables."""
-        layout = self.layout
-        moved = np.einsum("kji,kj->ki", self.coupling, kept_step[layout.link_kept])
-        right = -self.gone_gradient - _scatter(layout.link_gone, moved, layout.gone)
+        ordering = self.ordering
+        moved = np.einsum("kji,kj->ki", self.coupling, kept_step[ordering.link_kept])
+        right = -self.eliminated_gradient - _scatter(ordering.link_eliminated, moved, ordering.eliminated)
         return np.asarray(np.einsum("kij,kj->ki", inverse, right), dtype=np.float64)
 
-    def stepped(self, state: State, kept_step: FloatArray, gone_step: FloatArray) -> State:
+    def stepped(self, state: State, kept_step: FloatArray, eliminated_step: FloatArray) -> State:
         """Return ``state`` after the steps (n, 3) and (e, 3)."""
-        layout = self.layout
+        ordering = self.ordering
         steps = np.concatenate([kept_step, np.zeros((1, 3))])  # slot -1: no step
-        points = state.points_m + steps[layout.kept_point]
-        points += np.concatenate([gone_step, np.zeros((1, 3))])[layout.gone_point]
-        return State(state.positions_m + steps[layout.view], points)
+        points = state.points_m + steps[ordering.kept_point]
+        points += np.concatenate([eliminated_step, np.zeros((1, 3))])[ordering.eliminated_point]
+        return State(state.positions_m + steps[ordering.view], points)
 
 
-def normal_equations(problem: Adjustment, state: State, layout: Layout) -> NormalEquations:
+def normal_equations(problem: Adjustment, state: State, ordering: VariableOrdering) -> NormalEquations:
     """Linearise ``problem`` at ``state``: J' W J and J' W f of equation (3), by blocks."""
     view, point = _pairs(problem)
     blocks, gradients = _pair_terms(problem, state)
-    n = layout.kept
-    cells, values = _kept_cells(problem, layout, blocks)
+    n = ordering.kept
+    cells, values = _kept_cells(problem, ordering, blocks)
     kept = _dense(_scatter(cells, values, n * n))
-    kept_gradient = _add_motion(problem, state, layout, kept)
-    kept_gradient += _kept_gradient(layout, view, point, gradients)
-    _add_prior(problem, state, layout, kept, kept_gradient)
-    slot = layout.gone_point[point]
-    gone = slot >= 0
-    linked = gone & (layout.view[view] >= 0)
+    kept_gradient = _add_motion(problem, state, ordering, kept)
+    kept_gradient += _kept_gradient(ordering, view, point, gradients)
+    _add_prior(problem, state, ordering, kept, kept_gradient)
+    slot = ordering.eliminated_point[point]
+    eliminated = slot >= 0
+    linked = eliminated & (ordering.view[view] >= 0)
     return NormalEquations(
-        layout=layout,
+        ordering=ordering,
         kept=kept,
-        gone=_scatter(slot[gone], blocks[gone], layout.gone),
+        eliminated=_scatter(slot[eliminated], blocks[eliminated], ordering.eliminated),
         coupling=-blocks[linked],
         kept_gradient=kept_gradient.ravel(),
-        gone_gradient=_scatter(slot[gone], gradients[gone], layout.gone),
+        eliminated_gradient=_scatter(slot[eliminated], gradients[eliminated], ordering.eliminated),
     )
 
 
 def _pairs(problem: Adjustment) -> tuple[IndexArray, IndexArray]:
     """(m,) view and (m,) landmark of every measurement that joins one of each: sightings, then distances."""
-    view = np.concatenate([problem.sightings.view, problem.distances.view])
-    return view, np.concatenate([problem.sightings.point, problem.distances.point])
+    view = np.concatenate([problem.pixels.view, problem.distances.view])
+    return view, np.concatenate([problem.pixels.point, problem.distances.point])
 
 
 def _pair_terms(problem: Adjustment, state: State) -> tuple[FloatArray, FloatArray]:
@@ -218,31 +218,33 @@ def _pair_terms(problem: Adjustment, state: State) -> tuple[FloatArray, FloatArr
     return np.concatenate(blocks), np.concatenate(gradients)
 
 
-def _kept_cells(problem: Adjustment, layout: Layout, blocks: FloatArray) -> tuple[IndexArray, FloatArray]:
+def _kept_cells(problem: Adjustment, ordering: VariableOrdering, blocks: FloatArray) -> tuple[IndexArray, FloatArray]:
     """Cells (row * n + column) of the kept matrix that measurements fill, and the 3 x 3 blocks that they add there."""
     view, point = _pairs(problem)
-    i, j = layout.view[view], layout.kept_point[point]
+    i, j = ordering.view[view], ordering.kept_point[point]
     both = (i >= 0) & (j >= 0)
-    n = layout.kept
+    n = ordering.kept
     cells = [i[i >= 0] * (n + 1), j[j >= 0] * (n + 1), i[both] * n + j[both], j[both] * n + i[both]]
     values = [blocks[i >= 0], blocks[j >= 0], -blocks[both], -blocks[both]]
     return np.concatenate(cells), np.concatenate(values)
 
 
-def _kept_gradient(layout: Layout, view: IndexArray, point: IndexArray, gradients: FloatArray) -> FloatArray:
+def _kept_gradient(
+    ordering: VariableOrdering, view: IndexArray, point: IndexArray, gradients: FloatArray
+) -> FloatArray:
     """(n, 3) gradient of sightings and distances by the kept variables."""
-    i, j = layout.view[view], layout.kept_point[point]
+    i, j = ordering.view[view], ordering.kept_point[point]
     slots = np.concatenate([i[i >= 0], j[j >= 0]])
-    return _scatter(slots, np.concatenate([-gradients[i >= 0], gradients[j >= 0]]), layout.kept)
+    return _scatter(slots, np.concatenate([-gradients[i >= 0], gradients[j >= 0]]), ordering.kept)
 
 
-def _add_motion(problem: Adjustment, state: State, layout: Layout, kept: FloatArray) -> FloatArray:
+def _add_motion(problem: Adjustment, state: State, ordering: VariableOrdering, kept: FloatArray) -> FloatArray:
     """Add predicted motions to the kept matrix in place; return their gradient, (n, 3)."""
-    gradient = np.zeros((layout.kept, 3))
+    gradient = np.zeros((ordering.kept, 3))
     motions = problem.motions
     pulls = np.einsum("kij,kj->ki", motions.information, motion_residuals(problem, state))
     for start, end, information, pull in zip(motions.start, motions.end, motions.information, pulls, strict=True):
-        slots = {1.0: layout.view[end], -1.0: layout.view[start]}
+        slots = {1.0: ordering.view[end], -1.0: ordering.view[start]}
         for sign, a in slots.items():
             if a < 0:
                 continue
@@ -253,12 +255,14 @@ def _add_motion(problem: Adjustment, state: State, layout: Layout, kept: FloatAr
     return gradient
 
 
-def _add_prior(problem: Adjustment, state: State, layout: Layout, kept: FloatArray, gradient: FloatArray) -> None:
+def _add_prior(
+    problem: Adjustment, state: State, ordering: VariableOrdering, kept: FloatArray, gradient: FloatArray
+) -> None:
     """Add the prior's quadratic to the kept matrix and gradient in place."""
     prior = problem.prior
     if prior is None:
         return
-    slots = np.concatenate([layout.view[prior.views], layout.kept_point[prior.points]])
+    slots = np.concatenate([ordering.view[prior.views], ordering.kept_point[prior.points]])
     rows = (3 * slots[:, None] + np.arange(3)).ravel()
     kept[np.ix_(rows, rows)] += prior.information
     pull = prior.information @ prior.offset(state) + prior.gradient

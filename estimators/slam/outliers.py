@@ -14,34 +14,40 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from estimators.slam.following import lookup
-from estimators.slam.gating import fitting
-from estimators.slam.prediction import Common, Expected, guessed_landmarks, guessed_points, mapped_landmarks
-from estimators.slam.problem import Adjusted, Adjustment, State
-from estimators.slam.slam_map import Journal
+from estimators.slam.gating import gate_frame
+from estimators.slam.prediction import (
+    PredictedLines,
+    SharedUncertainty,
+    guessed_points,
+    predict_guessed,
+    predict_mapped,
+)
+from estimators.slam.problem import AdjustedWindow, Adjustment, State
+from estimators.slam.slam_map import SlamMap
 from estimators.slam.solver import StoppingRule, landmark_information, pixel_squares, sighting_squares
 from scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
-MOST_ROUNDS = 5
+MAX_ROUNDS = 5
 """Adjustments of a frame at most, each without what the one before found wrong."""
 
-_MOST_VARIABLES = 1500
+_MAX_GATED_VARIABLES = 1500
 """Of an adjustment's reduced system whose covariance is worked out; beyond, pixels are judged after it alone."""
 
-_LOOK_BACK = 5
-_MOST_IN_A_ROW = 2
-_FARTHEST = 3.0
-_BACK = 0.5
+_FRAMES_BACK = 5
+_REFUSALS_IN_A_ROW = 2
+_DEPTH_RATIO = 3.0
+_READMIT_SHARE = 0.5
 """Share of the limit below which a refused pixel comes back."""
 
-_FEWEST = 8
+_LEAST_MAPPED = 8
 """Landmarks of the map, below which a wrong one draws the camera along."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Heard:
+class FrameMatches:
     """What a new frame sees of what is known.
 
     Parameters
@@ -62,109 +68,109 @@ class Heard:
     depth_m: float
 
 
-def all_fit(journal: Journal, heard: Heard, before: tuple[Adjustment, State], limit: float) -> bool:
+def all_within_gate(slam_map: SlamMap, matches: FrameMatches, before: tuple[Adjustment, State], limit: float) -> bool:
     """Tell whether the squared distance of every pixel is within ``limit``; False where the map is too small."""
-    rows = np.flatnonzero(heard.points >= 0)
-    if len(rows) < _FEWEST:
+    rows = np.flatnonzero(matches.points >= 0)
+    if len(rows) < _LEAST_MAPPED:
         return False
     problem, state = before
-    frame = journal.frames[heard.view]
-    points = heard.points[rows]
-    lines_m = state.points_m[points] - journal.positions_m[heard.view]
-    squares = pixel_squares(journal.camera, frame, rows, lines_m, np.zeros((len(rows), 3, 3)))
+    frame = slam_map.frames[matches.view]
+    points = matches.points[rows]
+    lines_m = state.points_m[points] - slam_map.positions_m[matches.view]
+    squares = pixel_squares(slam_map.camera, frame, rows, lines_m, np.zeros((len(rows), 3, 3)))
     odd = np.flatnonzero(~(squares <= limit))
     if len(odd):
         if 2 * len(odd) > len(rows) or (problem.prior is not None and np.isin(points[odd], problem.prior.points).any()):
             return False
         own = np.asarray(np.linalg.inv(landmark_information(problem, state)[points[odd]]), dtype=np.float64)
-        if not (pixel_squares(journal.camera, frame, rows[odd], lines_m[odd], own) <= limit).all():
+        if not (pixel_squares(slam_map.camera, frame, rows[odd], lines_m[odd], own) <= limit).all():
             return False
-    once, sights = heard.once
+    once, sights = matches.once
     if not len(once):
         return True
-    guessed, own = guessed_points(journal, sights, heard.depth_m)
-    squares = pixel_squares(journal.camera, frame, once, guessed - journal.positions_m[heard.view], own)
+    guessed, own = guessed_points(slam_map, sights, matches.depth_m)
+    squares = pixel_squares(slam_map.camera, frame, once, guessed - slam_map.positions_m[matches.view], own)
     return bool((squares <= limit).all())
 
 
-class Jury:
+class OutlierGate:
     """Keeps the frames of a journal free of pixels that do not fit.
 
     ``complete`` are the frames as they came; those of the journal lack what is refused.
     """
 
-    def __init__(self, journal: Journal, false_alarm: float) -> None:
-        self.journal = journal
-        journal.refusing = True
+    def __init__(self, slam_map: SlamMap, false_alarm: float) -> None:
+        self.slam_map = slam_map
+        slam_map.gated = True
         self.false_alarm = false_alarm
         self.limit = float(chdtri(2, false_alarm))
-        self.complete: dict[int, TrackFrame] = {}
+        self.raw_frames: dict[int, TrackFrame] = {}
         self.refused: dict[int, set[int]] = {}
         self.in_a_row: dict[int, list[int]] = {}
-        self.ever = 0
+        self.refused_count = 0
 
-    def admit(self, view: int, frame: TrackFrame) -> None:
+    def add_frame(self, view: int, frame: TrackFrame) -> None:
         """Take in a frame as it is."""
-        self.complete[view] = self.journal.frames[view] = frame
+        self.raw_frames[view] = self.slam_map.frames[view] = frame
 
     def shared(self, first: int, second: int) -> int:
         """Count the landmarks that two frames share as they came."""
-        return len(np.intersect1d(self.complete[first].tracks, self.complete[second].tracks, assume_unique=True))
+        return len(np.intersect1d(self.raw_frames[first].tracks, self.raw_frames[second].tracks, assume_unique=True))
 
-    def forget(self, view: int) -> None:
+    def drop_view(self, view: int) -> None:
         """Forget a view that left the window, and what was refused of it."""
-        self.complete.pop(view, None)
+        self.raw_frames.pop(view, None)
         self.refused.pop(view, None)
 
-    def leave_out(self, view: int, tracks: set[int]) -> None:
+    def drop_tracks(self, view: int, tracks: set[int]) -> None:
         """Forget what a view saw of some tracks."""
-        self.complete[view] = without_tracks(self.complete[view], tracks)
+        self.raw_frames[view] = without_tracks(self.raw_frames[view], tracks)
         self.refused[view] = self.refused.get(view, set()) - tracks
 
-    def place(self, view: int, before: Adjusted | None, rule: StoppingRule, depth_m: float) -> None:
+    def place(self, view: int, before: AdjustedWindow | None, rule: StoppingRule, depth_m: float) -> None:
         """Place a new view, and judge its frame: at once by where that puts it, or else by all that is known.
 
         ``depth_m`` is how far landmarks are about.
         """
-        self.journal.place(view, rule)
-        heard = self._heard(view, before, depth_m)
-        if before is not None and all_fit(self.journal, heard, (before.problem, before.state), self.limit):
+        self.slam_map.place(view, rule)
+        matches = self._match_frame(view, before, depth_m)
+        if before is not None and all_within_gate(self.slam_map, matches, (before.problem, before.state), self.limit):
             self.in_a_row = {}
             return
-        self._hear(heard, before)
+        self._gate_frame(matches, before)
         if self.refused.get(view):
-            self.journal.place(view, rule)
+            self.slam_map.place(view, rule)
 
-    def _hear(self, heard: Heard, before: Adjusted | None) -> None:
+    def _gate_frame(self, matches: FrameMatches, before: AdjustedWindow | None) -> None:
         """Judge a new frame by the adjustment before it and the predicted motion.
 
         Where most of it disagrees, or the adjustment has no covariance, nothing is known well enough to judge by, and
         all is believed.
         """
-        view, frame = heard.view, self.complete[heard.view]
-        if before is not None and 3 * _kept(before.problem) > _MOST_VARIABLES:
+        view, frame = matches.view, self.raw_frames[matches.view]
+        if before is not None and 3 * _kept(before.problem) > _MAX_GATED_VARIABLES:
             return
         try:
-            seen = self._expected(heard, before)
-            fit = fitting(self.journal.camera, frame, seen, self.false_alarm, self.limit)
+            seen = self._predict_lines(matches, before)
+            fit = gate_frame(self.slam_map.camera, frame, seen, self.false_alarm, self.limit)
         except np.linalg.LinAlgError:
             return
         if 2 * np.count_nonzero(fit) > len(fit):
             self._refuse(view, frame.tracks[seen.rows[~fit]].tolist())
-            self._restart(view, frame.tracks[seen.rows[~fit]].tolist(), _prior_tracks(before))
+            self._reinitialise(view, frame.tracks[seen.rows[~fit]].tolist(), _prior_tracks(before))
 
-    def object(self, adjusted: Adjusted) -> bool:
+    def reject_outliers(self, adjusted: AdjustedWindow) -> bool:
         """Refuse pixels that an adjustment leaves too far off; True if it has to be done again.
 
         Of each landmark only the worst goes at a time, and only if it is among the worst of all: one wrong pixel pulls
         the others along. Refused ones that fit again come back with the next frame.
         """
-        seen = adjusted.problem.sightings
+        seen = adjusted.problem.pixels
         squares = sighting_squares(adjusted.problem, adjusted.state)
         for view, point in zip(adjusted.problem.distances.view, adjusted.problem.distances.point, strict=True):
             squares[(seen.view == view) & (seen.point == point)] = 0.0  # without it the range would be lost
-        self._let_back(adjusted)
-        if self._cut_off(adjusted):
+        self._readmit(adjusted)
+        if self._reject_implausible_depths(adjusted):
             return True
         if squares.max(initial=0.0) <= self.limit:
             return False
@@ -175,80 +181,82 @@ class Jury:
             track = int(adjusted.tracks[point])
             self._refuse(adjusted.views[slot], [track])
             if not _in_prior(adjusted.problem, point):
-                self.journal.points_m.pop(track, None)
+                self.slam_map.points_m.pop(track, None)
         return True
 
-    def _cut_off(self, adjusted: Adjusted) -> bool:
+    def _reject_implausible_depths(self, adjusted: AdjustedWindow) -> bool:
         """Refuse the newest pixel of landmarks at a distance out of reason: two pixels always meet somewhere."""
-        seen, state = adjusted.problem.sightings, adjusted.state
+        seen, state = adjusted.problem.pixels, adjusted.state
         distances = np.sqrt(((state.points_m - state.positions_m[-1]) ** 2).sum(axis=1))
         middle = float(np.sort(distances)[len(distances) // 2])
-        odd = np.flatnonzero((distances < middle / _FARTHEST) | (distances > middle * _FARTHEST)).tolist()
+        odd = np.flatnonzero((distances < middle / _DEPTH_RATIO) | (distances > middle * _DEPTH_RATIO)).tolist()
         odd = [point for point in odd if not _in_prior(adjusted.problem, point)]
         for point in odd:
             slots = seen.view[seen.point == point]
             if len(slots):
                 self._refuse(adjusted.views[int(slots.max())], [int(adjusted.tracks[point])])
-            self.journal.points_m.pop(int(adjusted.tracks[point]), None)
+            self.slam_map.points_m.pop(int(adjusted.tracks[point]), None)
         return bool(odd)
 
-    def _restart(self, view: int, refused: Sequence[int], settled: set[int]) -> None:
+    def _reinitialise(self, view: int, refused: Sequence[int], settled: set[int]) -> None:
         """Begin those anew that are refused time and again: it may be their older pixels that were wrong.
 
         Not those that the prior knows or that have a range.
         """
         self.in_a_row = {track: [*self.in_a_row.get(track, []), view] for track in refused}
-        due = [(track, run) for track, run in self.in_a_row.items() if len(run) >= _MOST_IN_A_ROW]
-        ranged = {item.track for frame in self.complete.values() for item in frame.ranges} if due else set()
+        due = [(track, run) for track, run in self.in_a_row.items() if len(run) >= _REFUSALS_IN_A_ROW]
+        ranged = {item.track for frame in self.raw_frames.values() for item in frame.ranges} if due else set()
         for track, run in due:
             if track in settled or track in ranged:
                 continue
-            for other, frame in self.complete.items():
+            for other, frame in self.raw_frames.items():
                 if other in run:
                     self._set(other, self.refused.get(other, set()) - {track})
                 elif np.any(frame.tracks == track):
                     self._refuse(other, [track])
-            self.journal.points_m.pop(track, None)
+            self.slam_map.points_m.pop(track, None)
             del self.in_a_row[track]
 
-    def _heard(self, view: int, before: Adjusted | None, depth_m: float) -> Heard:
+    def _match_frame(self, view: int, before: AdjustedWindow | None, depth_m: float) -> FrameMatches:
         """Gather the landmarks of the map that a frame sees, and those seen once before."""
-        tracks = self.complete[view].tracks
+        tracks = self.raw_frames[view].tracks
         points = np.full(len(tracks), -1) if before is None else lookup(before.tracks, tracks)
         unknown = np.flatnonzero(points < 0).tolist()
         last = self._last_seen(view, tracks[unknown].tolist())
         once = [row for row in unknown if int(tracks[row]) in last]
         sights = [(last[int(tracks[row])], int(tracks[row])) for row in once]
-        return Heard(view, points, (np.array(once, dtype=np.int64), sights), depth_m)
+        return FrameMatches(view, points, (np.array(once, dtype=np.int64), sights), depth_m)
 
-    def _expected(self, heard: Heard, before: Adjusted | None) -> Expected:
+    def _predict_lines(self, matches: FrameMatches, before: AdjustedWindow | None) -> PredictedLines:
         """Tell where a frame is expected to see them, with the covariance."""
-        view, motion = heard.view, self.complete[heard.view].motion_covariance_m2
+        view, motion = matches.view, self.raw_frames[matches.view].motion_covariance_m2
         if before is None:
-            return guessed_landmarks(Common.of(None, (), motion), self.journal, heard.once, heard.depth_m, view)
-        common = Common.of((before.problem, before.state), before.views, motion)
-        guessed = guessed_landmarks(common, self.journal, heard.once, heard.depth_m, view)
-        rows = np.flatnonzero(heard.points >= 0)
-        places = (rows, heard.points[rows])
-        at = self.journal.positions_m[view - 1] + self.complete[view].motion_m
-        return mapped_landmarks(common, (before.problem, before.state, before.views), places, view, at).joined(guessed)
+            return predict_guessed(
+                SharedUncertainty.of(None, (), motion), self.slam_map, matches.once, matches.depth_m, view
+            )
+        common = SharedUncertainty.of((before.problem, before.state), before.views, motion)
+        guessed = predict_guessed(common, self.slam_map, matches.once, matches.depth_m, view)
+        rows = np.flatnonzero(matches.points >= 0)
+        places = (rows, matches.points[rows])
+        at = self.slam_map.positions_m[view - 1] + self.raw_frames[view].motion_m
+        return predict_mapped(common, (before.problem, before.state, before.views), places, view, at).joined(guessed)
 
     def _last_seen(self, view: int, tracks: Sequence[int]) -> dict[int, int]:
         """Tell for each of ``tracks`` that one of the views before saw, as far as believed, the last such view."""
-        views = [other for other in range(view - _LOOK_BACK, view) if other in self.complete] if tracks else []
-        return {track: seen[-1] for track in tracks if (seen := self.journal.seeing(track, views))}
+        views = [other for other in range(view - _FRAMES_BACK, view) if other in self.raw_frames] if tracks else []
+        return {track: seen[-1] for track in tracks if (seen := self.slam_map.seeing(track, views))}
 
     def _refuse(self, view: int, tracks: Sequence[int]) -> None:
         if not tracks:
             return
-        self.ever += len(tracks)
+        self.refused_count += len(tracks)
         self._set(view, self.refused.get(view, set()) | set(tracks))
 
     def _set(self, view: int, refused: set[int]) -> None:
         self.refused[view] = refused
-        self.journal.frames[view] = without_tracks(self.complete[view], refused)
+        self.slam_map.frames[view] = without_tracks(self.raw_frames[view], refused)
 
-    def _let_back(self, adjusted: Adjusted) -> None:
+    def _readmit(self, adjusted: AdjustedWindow) -> None:
         """Give pixels back that fit a landmark which does without them."""
         rows = {track: row for row, track in enumerate(adjusted.tracks.tolist())} if any(self.refused.values()) else {}
         for slot, view in enumerate(adjusted.views):
@@ -257,12 +265,12 @@ class Jury:
             if again:
                 self._set(view, refused - again)
 
-    def _fits(self, view: int, track: int, adjusted: Adjusted, place: tuple[int, int]) -> bool:
-        frame, (slot, row) = self.complete[view], place
+    def _fits(self, view: int, track: int, adjusted: AdjustedWindow, place: tuple[int, int]) -> bool:
+        frame, (slot, row) = self.raw_frames[view], place
         line = adjusted.state.points_m[row] - adjusted.state.positions_m[slot]
         uv = frame.uv_px[np.flatnonzero(frame.tracks == track)[0]]
-        off = (uv - self.journal.camera.project(frame.R_cam_body @ line)) / frame.sigma_px
-        return bool(off @ off < _BACK * self.limit)
+        off = (uv - self.slam_map.camera.project(frame.R_cam_body @ line)) / frame.sigma_px
+        return bool(off @ off < _READMIT_SHARE * self.limit)
 
 
 def without_tracks(frame: TrackFrame, tracks: set[int]) -> TrackFrame:
@@ -282,7 +290,7 @@ def _kept(problem: Adjustment) -> int:
     return int(np.count_nonzero(problem.free_views)) + prior
 
 
-def _prior_tracks(adjusted: Adjusted | None) -> set[int]:
+def _prior_tracks(adjusted: AdjustedWindow | None) -> set[int]:
     """Tracks of the landmarks that the prior of an adjustment knows."""
     if adjusted is None or adjusted.problem.prior is None:
         return set()

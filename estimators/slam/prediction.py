@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from estimators.slam.normal import Layout, bearing_jacobians, distance_jacobians, normal_equations
-from estimators.slam.problem import Adjusted, Adjustment, Distances, Sightings, State
-from estimators.slam.slam_map import Journal
+from estimators.slam.normal import VariableOrdering, bearing_jacobians, distance_jacobians, normal_equations
+from estimators.slam.problem import AdjustedWindow, Adjustment, Distances, PixelMeasurements, State
+from estimators.slam.slam_map import SlamMap
 from estimators.slam.solver import reduced_system
 from scenarios.tracks import Prediction, TrackFrame
 
@@ -34,31 +34,33 @@ def joint_covariance(problem: Adjustment, state: State, view: int, points: NDArr
         If the normal matrix is singular.
     """
     whole = replace(problem, kept_points=np.ones(len(state.points_m), dtype=np.bool_))
-    layout = Layout.of(whole)
-    matrix, _, _ = normal_equations(whole, state, layout).reduced()
-    slots = np.concatenate([[layout.view[view]], layout.kept_point[points]])
+    ordering = VariableOrdering.of(whole)
+    matrix, _, _ = normal_equations(whole, state, ordering).reduced()
+    slots = np.concatenate([[ordering.view[view]], ordering.kept_point[points]])
     rows = (3 * slots[:, None] + np.arange(3)).ravel()
     return np.asarray(np.linalg.inv(matrix)[np.ix_(rows, rows)], dtype=np.float64)
 
 
-def foreseen_by_window(journal: Journal, view: int, frame: TrackFrame, solved: Adjusted | None) -> Prediction | None:
+def predict_from_window(
+    slam_map: SlamMap, view: int, frame: TrackFrame, solved: AdjustedWindow | None
+) -> Prediction | None:
     """Predict from the last adjustment, whose last view is ``view``, and the landmarks that it was of.
 
     Before the first one the position is known, and no landmark. None where the covariance does not exist.
     """
     if solved is None:
-        return predicted_pixels(journal, view, frame, (), np.zeros((3, 3)))
+        return predict_pixels(slam_map, view, frame, (), np.zeros((3, 3)))
     state, tracks = solved.state, solved.tracks
-    rows = np.flatnonzero(np.isin(tracks, journal.frames[view].tracks))
+    rows = np.flatnonzero(np.isin(tracks, slam_map.frames[view].tracks))
     try:
         covariance = joint_covariance(solved.problem, state, len(state.positions_m) - 1, rows)
     except np.linalg.LinAlgError:
         return None
-    return predicted_pixels(journal, view, frame, tracks[rows].tolist(), covariance)
+    return predict_pixels(slam_map, view, frame, tracks[rows].tolist(), covariance)
 
 
-def predicted_pixels(
-    journal: Journal, view: int, frame: TrackFrame, tracks: Sequence[int], covariance: FloatArray
+def predict_pixels(
+    slam_map: SlamMap, view: int, frame: TrackFrame, tracks: Sequence[int], covariance: FloatArray
 ) -> Prediction:
     """Predict the pixels of all landmarks that a view sees in the frame after it.
 
@@ -71,10 +73,10 @@ def predicted_pixels(
     covariance
         (3 + 3 t, 3 + 3 t): of the position of the view, then of those landmarks.
     """
-    seen = np.sort(journal.frames[view].tracks)
-    depth = journal.median_depth(view)
+    seen = np.sort(slam_map.frames[view].tracks)
+    depth = slam_map.median_depth(view)
     place = {track: slot for slot, track in enumerate(tracks)}
-    here = journal.positions_m[view]
+    here = slam_map.positions_m[view]
     camera = here + frame.motion_m
     # Rows of the derivatives by the known variables, and what each landmark has of its own.
     by_known = np.zeros((len(seen), 3, len(covariance)))
@@ -83,14 +85,14 @@ def predicted_pixels(
     for row, track in enumerate(seen.tolist()):
         by_known[row, :, :3] = -np.eye(3)
         if track in place:
-            points[row] = journal.points_m[track]
+            points[row] = slam_map.points_m[track]
             by_known[row, :, 3 + 3 * place[track] : 6 + 3 * place[track]] = np.eye(3)
         else:
-            ray = journal.ray(view, track)
+            ray = slam_map.ray(view, track)
             points[row] = here + depth * ray
             by_known[row, :, :3] = 0.0  # it goes with the camera that saw it
             own[row] = (_UNKNOWN_DEPTH * depth) ** 2 * np.outer(ray, ray)
-    by_line = journal.camera.jacobian((points - camera) @ frame.R_cam_body.T) @ frame.R_cam_body
+    by_line = slam_map.camera.jacobian((points - camera) @ frame.R_cam_body.T) @ frame.R_cam_body
     rows = (by_line @ by_known).reshape(2 * len(seen), -1)
     by_motion = -by_line.reshape(2 * len(seen), 3)
     spread = rows @ covariance @ rows.T + by_motion @ frame.motion_covariance_m2 @ by_motion.T
@@ -100,12 +102,12 @@ def predicted_pixels(
     alone += _UNKNOWN_DEPTH**2 * np.array([track not in place for track in seen.tolist()])[:, None, None] * product
     for row, block in enumerate(alone):
         spread[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += block
-    uv = journal.camera.project((points - camera) @ frame.R_cam_body.T)
+    uv = slam_map.camera.project((points - camera) @ frame.R_cam_body.T)
     return Prediction(seen, uv, spread)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Expected:
+class PredictedLines:
     """Lines from the new camera to landmarks that it may see.
 
     Parameters
@@ -126,28 +128,28 @@ class Expected:
 
     rows: IndexArray
     lines_m: FloatArray
-    by_all: FloatArray
+    by_shared: FloatArray
     covariance: FloatArray
     own_m2: FloatArray
     known: BoolArray
 
-    def some(self, which: BoolArray) -> Expected:
+    def subset(self, which: BoolArray) -> PredictedLines:
         """Return those marked in ``which`` (n,) alone."""
-        return Expected(
+        return PredictedLines(
             self.rows[which],
             self.lines_m[which],
-            self.by_all[which],
+            self.by_shared[which],
             self.covariance,
             self.own_m2[which],
             self.known[which],
         )
 
-    def joined(self, other: Expected) -> Expected:
+    def joined(self, other: PredictedLines) -> PredictedLines:
         """Take two together that are uncertain by the same."""
-        return Expected(
+        return PredictedLines(
             np.concatenate([self.rows, other.rows]),
             np.concatenate([self.lines_m, other.lines_m]),
-            np.concatenate([self.by_all, other.by_all]),
+            np.concatenate([self.by_shared, other.by_shared]),
             self.covariance,
             np.concatenate([self.own_m2, other.own_m2]),
             np.concatenate([self.known, other.known]),
@@ -155,7 +157,7 @@ class Expected:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Common:
+class SharedUncertainty:
     """What is uncertain when a frame comes: free views and landmarks of the prior before it, and the motion.
 
     Parameters
@@ -173,7 +175,7 @@ class Common:
     @classmethod
     def of(
         cls, adjusted: tuple[Adjustment, State] | None, views: Sequence[int], motion_covariance_m2: FloatArray
-    ) -> Common:
+    ) -> SharedUncertainty:
         """Put the covariance of an adjustment and that of the motion after it together.
 
         Raises
@@ -233,7 +235,7 @@ def line_information(problem: Adjustment, state: State, points: IndexArray) -> F
     part = _about(problem, place >= 0)
     told = np.zeros((len(points), len(state.positions_m), 3, 3))
     for measured, by_point in (
-        (part.sightings, bearing_jacobians(part, state)),
+        (part.pixels, bearing_jacobians(part, state)),
         (part.distances, distance_jacobians(part, state)),
     ):
         np.add.at(told, (place[measured.point], measured.view), np.swapaxes(by_point, 1, 2) @ by_point)
@@ -242,11 +244,11 @@ def line_information(problem: Adjustment, state: State, points: IndexArray) -> F
 
 def _about(problem: Adjustment, wanted: BoolArray) -> Adjustment:
     """Return a problem with the sightings and distances of some landmarks, (L,), alone."""
-    seen, measured = problem.sightings, problem.distances
+    seen, measured = problem.pixels, problem.distances
     k, d = wanted[seen.point], wanted[measured.point]
     return replace(
         problem,
-        sightings=Sightings(seen.view[k], seen.point[k], seen.uv_px[k], seen.sigma_px[k]),
+        pixels=PixelMeasurements(seen.view[k], seen.point[k], seen.uv_px[k], seen.sigma_px[k]),
         distances=Distances(measured.view[d], measured.point[d], measured.range_m[d], measured.sigma_m[d]),
     )
 
@@ -268,34 +270,38 @@ def kept_covariance(problem: Adjustment, state: State) -> tuple[FloatArray, Inde
     return 0.5 * (inverse + inverse.T), views, points
 
 
-def mapped_landmarks(
-    common: Common,
+def predict_mapped(
+    common: SharedUncertainty,
     before: tuple[Adjustment, State, Sequence[int]],
     places: tuple[IndexArray, IndexArray],
     view: int,
     position_m: FloatArray,
-) -> Expected:
+) -> PredictedLines:
     """Landmarks of the adjustment before, at (rows of the frame, places in its state), from where ``view`` will be."""
     (rows, points), (problem, state, views) = places, before
     by_landmark, own = common.by_landmarks(problem, state, views, points)
     lines = state.points_m[points] - position_m
-    by_all = by_landmark - common.by_camera(view)
-    return Expected(rows, lines, by_all, common.covariance, own, np.ones(len(rows), dtype=np.bool_))
+    by_shared = by_landmark - common.by_camera(view)
+    return PredictedLines(rows, lines, by_shared, common.covariance, own, np.ones(len(rows), dtype=np.bool_))
 
 
-def guessed_landmarks(
-    common: Common, journal: Journal, places: tuple[IndexArray, Sequence[tuple[int, int]]], depth_m: float, view: int
-) -> Expected:
+def predict_guessed(
+    common: SharedUncertainty,
+    slam_map: SlamMap,
+    places: tuple[IndexArray, Sequence[tuple[int, int]]],
+    depth_m: float,
+    view: int,
+) -> PredictedLines:
     """Landmarks at (rows of the frame, (view, track) that saw them once): as far as their range, or at a guess."""
     rows, sights = places
-    points, own = guessed_points(journal, sights, depth_m)
-    at = journal.positions_m[view - 1] + journal.frames[view].motion_m
+    points, own = guessed_points(slam_map, sights, depth_m)
+    at = slam_map.positions_m[view - 1] + slam_map.frames[view].motion_m
     by_camera = common.by_camera(view)
-    by_all = np.array([common.by_view(other) - by_camera for other, _ in sights])
-    return Expected(
+    by_shared = np.array([common.by_view(other) - by_camera for other, _ in sights])
+    return PredictedLines(
         rows,
         points - at,
-        by_all.reshape(len(sights), 3, len(common.covariance)),
+        by_shared.reshape(len(sights), 3, len(common.covariance)),
         common.covariance,
         own,
         np.zeros(len(sights), dtype=np.bool_),
@@ -303,7 +309,7 @@ def guessed_landmarks(
 
 
 def guessed_points(
-    journal: Journal, sights: Sequence[tuple[int, int]], depth_m: float
+    slam_map: SlamMap, sights: Sequence[tuple[int, int]], depth_m: float
 ) -> tuple[FloatArray, FloatArray]:
     """(n, 3) landmarks that (view, track) saw once, and (n, 3, 3) covariance against that view, m^2.
 
@@ -312,12 +318,12 @@ def guessed_points(
     n = len(sights)
     depths, sigmas = np.full(n, depth_m), np.full(n, DEPTH_SIGMA * depth_m)
     for k, (other, track) in enumerate(sights):
-        for item in journal.frames[other].ranges:
+        for item in slam_map.frames[other].ranges:
             if item.track == track:
                 depths[k], sigmas[k] = item.range_m, item.sigma_m
-    rays = np.array([journal.ray(other, track) for other, track in sights]).reshape(n, 3)
-    noise = np.array([journal.frames[other].sigma_px for other, _ in sights]) / journal.camera.fx_px * depths
+    rays = np.array([slam_map.ray(other, track) for other, track in sights]).reshape(n, 3)
+    noise = np.array([slam_map.frames[other].sigma_px for other, _ in sights]) / slam_map.camera.fx_px * depths
     along = rays[:, :, None] * rays[:, None, :]
     own = (sigmas**2)[:, None, None] * along + (noise**2)[:, None, None] * (np.eye(3) - along)
-    anchors = np.array([journal.positions_m[other] for other, _ in sights]).reshape(n, 3)
+    anchors = np.array([slam_map.positions_m[other] for other, _ in sights]).reshape(n, 3)
     return anchors + depths[:, None] * rays, own

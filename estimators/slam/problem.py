@@ -27,7 +27,7 @@ class State:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sightings:
+class PixelMeasurements:
     """Where views saw landmarks: (k,) view, (k,) point, (k, 2) pixel, (k,) standard deviation of a coordinate, px."""
 
     view: IndexArray
@@ -57,7 +57,7 @@ class Motions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prior:
+class QuadraticPrior:
     """A quadratic in some views and landmarks: ``(x - x0)' H (x - x0) / 2 + g' (x - x0)``, views first.
 
     Parameters
@@ -101,12 +101,12 @@ class Adjustment:
 
     camera: Camera
     R_cam_body: FloatArray
-    sightings: Sightings
+    pixels: PixelMeasurements
     free_views: BoolArray
     free_points: BoolArray
     distances: Distances = field(default_factory=Distances)
     motions: Motions = field(default_factory=Motions)
-    prior: Prior | None = None
+    prior: QuadraticPrior | None = None
     kept_points: BoolArray | None = None
     frozen: State | None = None
 
@@ -122,7 +122,7 @@ class Adjustment:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Adjusted:
+class AdjustedWindow:
     """An adjustment at its minimum: problem, state, its views by number, and its landmarks (n,) by track, ascending."""
 
     problem: Adjustment

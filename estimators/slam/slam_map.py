@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.slam.following import LostError, lookup, median_distance
-from estimators.slam.problem import Adjustment, Distances, Motions, Sightings, State
+from estimators.slam.problem import Adjustment, Distances, Motions, PixelMeasurements, State
 from estimators.slam.solver import StoppingRule, minimise
 from scenarios.geometry import Camera
 from scenarios.tracks import TrackFrame
@@ -21,7 +21,7 @@ BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Sights:
+class _FrameIndex:
     """What is looked up of a frame time and again: the row of each track, and (n, 3) its unit ray, body frame."""
 
     frame: TrackFrame
@@ -29,12 +29,12 @@ class _Sights:
     rays: FloatArray
 
     @classmethod
-    def of(cls, frame: TrackFrame, camera: Camera) -> _Sights:
+    def of(cls, frame: TrackFrame, camera: Camera) -> _FrameIndex:
         rows = {track: row for row, track in enumerate(frame.tracks.tolist())}
         return cls(frame, rows, camera.unproject(frame.uv_px) @ frame.R_cam_body)
 
 
-class Journal:
+class SlamMap:
     """Frames by number, a position for each, and a point for each landmark of the map (all in the body frame)."""
 
     def __init__(self, camera: Camera) -> None:
@@ -43,19 +43,19 @@ class Journal:
         self.positions_m: dict[int, FloatArray] = {}
         self.points_m: dict[int, FloatArray] = {}
         self.guessed: set[int] = set()
-        self.refusing = False  # pixels of its frames may be refused, and a frame be left without a landmark for a while
+        self.gated = False  # pixels of its frames may be refused, and a frame be left without a landmark for a while
         self.last_depth_m: float | None = None
-        self._sights: dict[int, _Sights] = {}
+        self._indices: dict[int, _FrameIndex] = {}
         self._information: dict[int, tuple[FloatArray, FloatArray]] = {}
 
-    def sightings(self, views: Sequence[int], tracks: Sequence[int]) -> Sightings:
+    def pixels(self, views: Sequence[int], tracks: Sequence[int]) -> PixelMeasurements:
         """Gather where ``views`` saw ``tracks`` (sorted), numbered by their places in the two."""
         frames = [self.frames[view] for view in views]
         track = np.concatenate([frame.tracks for frame in frames])
         sizes = [len(frame.tracks) for frame in frames]
         point = lookup(tracks, track)
         kept = point >= 0
-        return Sightings(
+        return PixelMeasurements(
             view=np.repeat(np.arange(len(views)), sizes)[kept],
             point=point[kept],
             uv_px=np.concatenate([frame.uv_px for frame in frames])[kept],
@@ -114,36 +114,36 @@ class Journal:
         """List for each track the views among ``views`` that saw it."""
         seen: defaultdict[int, list[int]] = defaultdict(list)
         for view in views:
-            for track in self._sight(view).rows:
+            for track in self._index(view).rows:
                 seen[track].append(view)
         return dict(seen)
 
     def seeing(self, track: int, views: Sequence[int]) -> list[int]:
         """List those of ``views`` that saw a track."""
-        return [view for view in views if track in self._sight(view).rows]
+        return [view for view in views if track in self._index(view).rows]
 
     def in_view(self, view: int, tracks: Sequence[int]) -> BoolArray:
         """(n,) which of ``tracks`` a view sees."""
-        rows = self._sight(view).rows
+        rows = self._index(view).rows
         return np.array([track in rows for track in tracks], dtype=np.bool_)
 
     def shared(self, first: int, second: int) -> int:
         """Count the landmarks that two views share."""
-        return len(self._sight(first).rows.keys() & self._sight(second).rows.keys())
+        return len(self._index(first).rows.keys() & self._index(second).rows.keys())
 
     def ray(self, view: int, track: int) -> FloatArray:
         """(3,) unit direction from the camera to a landmark, body frame."""
-        sight = self._sight(view)
+        sight = self._index(view)
         return np.asarray(sight.rays[sight.rows[track]], dtype=np.float64)
 
     def median_depth(self, view: int) -> float:
         """Return the median distance from a view to the landmarks of the map in sight, or of its ranges, m."""
         frame = self.frames[view]
-        known = [self.points_m[track] for track in self._sight(view).rows if track in self.points_m]
+        known = [self.points_m[track] for track in self._index(view).rows if track in self.points_m]
         if known:
             self.last_depth_m = median_distance(np.array(known), self.positions_m[view])
             return self.last_depth_m
-        if self.last_depth_m is not None and self.refusing:
+        if self.last_depth_m is not None and self.gated:
             return self.last_depth_m
         if frame.ranges:
             return float(np.median([item.range_m for item in frame.ranges]))
@@ -151,7 +151,7 @@ class Journal:
 
     def place(self, view: int, rule: StoppingRule) -> None:
         """Motion-only adjustment: a new view's position from the landmarks in sight and its predicted motion."""
-        tracks = sorted(track for track in self._sight(view).rows if track in self.points_m)
+        tracks = sorted(track for track in self._index(view).rows if track in self.points_m)
         self.positions_m[view] = self.positions_m[view - 1] + self.frames[view].motion_m
         if not tracks:
             return
@@ -159,7 +159,7 @@ class Journal:
         problem = Adjustment(
             camera=self.camera,
             R_cam_body=self.attitudes(views),
-            sightings=self.sightings(views, tracks),
+            pixels=self.pixels(views, tracks),
             free_views=np.array([False, True]),
             free_points=np.zeros(len(tracks), dtype=np.bool_),
             motions=self.motions(views),
@@ -200,8 +200,8 @@ class Journal:
             kept = self._information[view] = covariance, np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         return kept[1]
 
-    def _sight(self, view: int) -> _Sights:
-        kept = self._sights.get(view)
+    def _index(self, view: int) -> _FrameIndex:
+        kept = self._indices.get(view)
         if kept is None or kept.frame is not self.frames[view]:
-            kept = self._sights[view] = _Sights.of(self.frames[view], self.camera)
+            kept = self._indices[view] = _FrameIndex.of(self.frames[view], self.camera)
         return kept

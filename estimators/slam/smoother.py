@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from estimators.options import parse_options
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from estimators.slam.following import LostError, check_scale, follow, lookup
-from estimators.slam.marginal import marginalised
+from estimators.slam.marginal import marginalise_view
 from estimators.slam.options import BatchOptions, SmootherOptions
-from estimators.slam.outliers import MOST_ROUNDS, Jury, without_tracks
-from estimators.slam.prediction import foreseen_by_window
-from estimators.slam.problem import Adjusted, Adjustment, Motions, Prior, State
-from estimators.slam.slam_map import Journal
+from estimators.slam.outliers import MAX_ROUNDS, OutlierGate, without_tracks
+from estimators.slam.prediction import predict_from_window
+from estimators.slam.problem import AdjustedWindow, Adjustment, Motions, QuadraticPrior, State
+from estimators.slam.slam_map import SlamMap
 from estimators.slam.solver import StoppingRule, minimise, view_covariance
 from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_LOOSELY = 10.0
+_WEAK_RATIO = 10.0
 
 
 class FixedLagSmoother:
@@ -75,23 +75,23 @@ class WindowSmoother:
 
     def __init__(self, sequence: TrackSequence, options: SmootherOptions) -> None:
         self.options = options
-        self.journal = Journal(sequence.camera)
+        self.slam_map = SlamMap(sequence.camera)
         self.first_m = sequence.position_m
         self.first_covariance_m2 = sequence.position_covariance_m2
         self.views: list[int] = []
-        self.prior: Prior | None = None
+        self.prior: QuadraticPrior | None = None
         self.absorbed: set[int] = set()
         self.first_positions_m: dict[int, FloatArray] = {}
         self.first_points_m: dict[int, FloatArray] = {}
-        self.jury = Jury(self.journal, options.false_alarm) if options.associations == "consensus" else None
-        self.adjusted: Adjusted | None = None
+        self.gate = OutlierGate(self.slam_map, options.false_alarm) if options.associations == "consensus" else None
+        self.adjusted: AdjustedWindow | None = None
         self.iterations = 0
         self.widest_prior = 0
 
     def diagnostics(self) -> dict[str, float]:
         """Return the steps of a minimisation, and how many variables the prior had at most."""
-        frames = max(len(self.journal.positions_m) - 1, 1)
-        refused = {} if self.jury is None else {"refused_pixels": float(self.jury.ever)}
+        frames = max(len(self.slam_map.positions_m) - 1, 1)
+        refused = {} if self.gate is None else {"refused_pixels": float(self.gate.refused_count)}
         return {
             "iterations_per_frame": self.iterations / frames,
             "prior_variables": float(self.widest_prior),
@@ -100,21 +100,21 @@ class WindowSmoother:
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
         """Take the next frame in, and drop the oldest one where the window is full. Raises LostError."""
-        number = len(self.journal.positions_m)
+        number = len(self.slam_map.positions_m)
         frame = self.weighted(frame)
-        self.journal.frames[number] = frame
-        if self.jury is not None:
-            self.jury.admit(number, frame)
+        self.slam_map.frames[number] = frame
+        if self.gate is not None:
+            self.gate.add_frame(number, frame)
         self.views.append(number)
         if number == 0:
             return self._begin(frame)
-        depth = self.journal.median_depth(number - 1)
+        depth = self.slam_map.median_depth(number - 1)
         rule = StoppingRule(self.options.tolerance * depth, self.options.iterations)
         self._check_connected(number)
-        if self.jury is None:
-            self.journal.place(number, rule)
+        if self.gate is None:
+            self.slam_map.place(number, rule)
         else:
-            self.jury.place(number, self.adjusted, rule, depth)
+            self.gate.place(number, self.adjusted, rule, depth)
         self.adjusted = self._adjust(rule)
         problem, state, tracks = self.adjusted.problem, self.adjusted.state, self.adjusted.tracks.tolist()
         estimate = self._estimate(problem, state, tracks)
@@ -130,39 +130,39 @@ class WindowSmoother:
         """
         if self.options.attitude == "known":
             return frame
-        shift_px = frame.attitude_noise_rad / self.journal.camera.pixel_angle_rad
+        shift_px = frame.attitude_noise_rad / self.slam_map.camera.pixel_angle_rad
         return replace(frame, sigma_px=math.hypot(frame.sigma_px, shift_px))
 
-    def _adjust(self, rule: StoppingRule) -> Adjusted:
+    def _adjust(self, rule: StoppingRule) -> AdjustedWindow:
         """Adjust the window, again as long as what is left of a pixel is too much."""
-        for rounds in range(MOST_ROUNDS):
+        for rounds in range(MAX_ROUNDS):
             tracks = self._map()
             problem = self._problem(tracks)
-            solution = minimise(problem, self.journal.state(self.views, tracks), rule)
+            solution = minimise(problem, self.slam_map.state(self.views, tracks), rule)
             self.iterations += solution.iterations
             if not np.isfinite(solution.cost):
                 raise LostError("a landmark is behind a camera that sees it")
-            self.journal.keep(solution.state, self.views, tracks)
-            adjusted = Adjusted(problem, solution.state, tuple(self.views), np.array(tracks, dtype=np.int64))
-            if self.jury is None or rounds + 1 == MOST_ROUNDS or not self.jury.object(adjusted):
+            self.slam_map.keep(solution.state, self.views, tracks)
+            adjusted = AdjustedWindow(problem, solution.state, tuple(self.views), np.array(tracks, dtype=np.int64))
+            if self.gate is None or rounds + 1 == MAX_ROUNDS or not self.gate.reject_outliers(adjusted):
                 break
         return adjusted
 
     def predict(self, frame: TrackFrame) -> Prediction | None:
         """Tell where the landmarks in view will be in the next frame."""
-        return foreseen_by_window(self.journal, self.views[-1], frame, self.adjusted) if self.views else None
+        return predict_from_window(self.slam_map, self.views[-1], frame, self.adjusted) if self.views else None
 
     def _begin(self, frame: TrackFrame) -> FrameEstimate:
         """Place the first view, and all landmarks provisionally at the distance that was measured."""
-        journal = self.journal
-        journal.positions_m[0] = self.first_m.copy()
-        journal.guess(0, journal.median_depth(0))
+        slam_map = self.slam_map
+        slam_map.positions_m[0] = self.first_m.copy()
+        slam_map.guess(0, slam_map.median_depth(0))
         if self._first_is_free():
             information = np.asarray(np.linalg.inv(self.first_covariance_m2), dtype=np.float64)
             none = np.zeros(0, dtype=np.int64)
-            self.prior = Prior(np.zeros(1, dtype=np.int64), none, self.first_m[None], information, np.zeros(3))
-        ranged = sorted(item.track for item in frame.ranges if item.track in journal.points_m)
-        points = journal.state((), ranged).points_m
+            self.prior = QuadraticPrior(np.zeros(1, dtype=np.int64), none, self.first_m[None], information, np.zeros(3))
+        ranged = sorted(item.track for item in frame.ranges if item.track in slam_map.points_m)
+        points = slam_map.state((), ranged).points_m
         return FrameEstimate(
             self.first_m.copy(), self.first_covariance_m2.copy(), np.array(ranged, dtype=np.int64), points, 0.0
         )
@@ -171,7 +171,7 @@ class WindowSmoother:
         return bool(np.any(self.first_covariance_m2))
 
     def _check_connected(self, number: int) -> None:
-        shared = (self.journal if self.jury is None else self.jury).shared(number - 1, number)
+        shared = (self.slam_map if self.gate is None else self.gate).shared(number - 1, number)
         if shared < self.options.connectivity:
             raise LostError(
                 f"tracks are lost: {shared} landmarks are shared with the frame before,"
@@ -180,32 +180,32 @@ class WindowSmoother:
 
     def _map(self) -> list[int]:
         """List the landmarks that the window determines, sorted; those without an estimate get one."""
-        seen = self.journal.seen_by(self.views)
-        ranged = {item.track for view in self.views for item in self.journal.frames[view].ranges}
+        seen = self.slam_map.seen_by(self.views)
+        ranged = {item.track for view in self.views for item in self.slam_map.frames[view].ranges}
         joined = set() if self.prior is None else set(self.prior.points.tolist())
         determined = {
             track for track, by in seen.items() if track not in self.absorbed and (len(by) >= 2 or track in ranged)
         }
         tracks = sorted(determined | joined)  # also those of the prior whose pixels are all refused
-        self.journal.triangulate_new(tracks, seen)
+        self.slam_map.triangulate_new(tracks, seen)
         return tracks
 
     def _problem(self, tracks: list[int]) -> Adjustment:
         free_views = np.ones(len(self.views), dtype=np.bool_)
         free_views[0] = self.views[0] != 0 or self._first_is_free()
         return Adjustment(
-            camera=self.journal.camera,
-            R_cam_body=self.journal.attitudes(self.views),
-            sightings=self.journal.sightings(self.views, tracks),
+            camera=self.slam_map.camera,
+            R_cam_body=self.slam_map.attitudes(self.views),
+            pixels=self.slam_map.pixels(self.views, tracks),
             free_views=free_views,
             free_points=np.ones(len(tracks), dtype=np.bool_),
-            distances=self.journal.distances(self.views, tracks),
-            motions=self.journal.motions(self.views) if self.options.motion else Motions(),
+            distances=self.slam_map.distances(self.views, tracks),
+            motions=self.slam_map.motions(self.views) if self.options.motion else Motions(),
             prior=self._local_prior(tracks),
             frozen=self._frozen(tracks),
         )
 
-    def _local_prior(self, tracks: list[int]) -> Prior | None:
+    def _local_prior(self, tracks: list[int]) -> QuadraticPrior | None:
         """Return the prior with its variables numbered as the problem does."""
         if self.prior is None:
             return None
@@ -232,21 +232,21 @@ class WindowSmoother:
     def _marginalise(self, problem: Adjustment, state: State, tracks: Sequence[int]) -> None:
         """Drop the oldest view, and the landmarks that it saw and that are lost; keep what they tell."""
         number = np.array(tracks, dtype=np.int64)
-        oldest = self.journal.in_view(self.views[0], tracks)
+        oldest = self.slam_map.in_view(self.views[0], tracks)
         if problem.prior is not None:
             oldest[problem.prior.points] = True
-        newest = self.journal.frames if self.jury is None else self.jury.complete
+        newest = self.slam_map.frames if self.gate is None else self.gate.raw_frames
         lost = oldest & ~np.isin(number, newest[self.views[-1]].tracks)
-        begun_anew = self._beyond_the_cap(number, oldest & ~lost)
+        excess = self._beyond_prior_size(number, oldest & ~lost)
         try:
-            local = marginalised(problem, state, 0, lost | begun_anew)
+            local = marginalise_view(problem, state, 0, lost | excess)
         except np.linalg.LinAlgError as error:
             raise LostError("the scale is unobservable: the oldest view is not determined") from error
         old = np.zeros(0, dtype=np.int64) if self.prior is None else self.prior.points
         self.prior = replace(local, views=np.array(self.views)[local.views], points=number[local.points])
-        if self.jury is not None:
-            self.prior = _held(
-                self.prior, lookup(old.tolist(), self.prior.points) < 0, self.journal.median_depth(self.views[-1])
+        if self.gate is not None:
+            self.prior = _with_weak_lines(
+                self.prior, lookup(old.tolist(), self.prior.points) < 0, self.slam_map.median_depth(self.views[-1])
             )
         self.widest_prior = max(self.widest_prior, len(local.origin_m))
         for view, position in zip(self.prior.views.tolist(), state.positions_m[local.views], strict=True):
@@ -254,13 +254,13 @@ class WindowSmoother:
         for track, point in zip(self.prior.points.tolist(), state.points_m[local.points], strict=True):
             self.first_points_m.setdefault(track, point)
         self.absorbed |= set(number[lost].tolist())
-        del self.journal.frames[self.views[0]]
-        if self.jury is not None:
-            self.jury.forget(self.views[0])
+        del self.slam_map.frames[self.views[0]]
+        if self.gate is not None:
+            self.gate.drop_view(self.views[0])
         self.views = self.views[1:]
-        self._begin_anew(number[begun_anew])
+        self._forget_measurements(number[excess])
 
-    def _beyond_the_cap(self, number: IndexArray, staying: BoolArray) -> BoolArray:
+    def _beyond_prior_size(self, number: IndexArray, staying: BoolArray) -> BoolArray:
         """(L,) landmarks that the prior has no room for: those of the prior stay until they are lost.
 
         A dense prior costs the cube of its size. What the window saw of such a landmark is marginalised with it, and so
@@ -275,18 +275,18 @@ class WindowSmoother:
         beyond[order[: self.options.prior_landmarks]] = False
         return beyond
 
-    def _begin_anew(self, tracks: IndexArray) -> None:
+    def _forget_measurements(self, tracks: IndexArray) -> None:
         """Forget what the window saw of ``tracks``: the prior knows it."""
         gone = set(tracks.tolist())
         for view in self.views if gone else ():
-            self.journal.frames[view] = without_tracks(self.journal.frames[view], gone)
-            if self.jury is not None:
-                self.jury.leave_out(view, gone)
+            self.slam_map.frames[view] = without_tracks(self.slam_map.frames[view], gone)
+            if self.gate is not None:
+                self.gate.drop_tracks(view, gone)
         for track in gone:
             self.first_points_m.pop(track, None)
 
 
-def _held(prior: Prior, new: BoolArray, depth_m: float) -> Prior:
+def _with_weak_lines(prior: QuadraticPrior, new: BoolArray, depth_m: float) -> QuadraticPrior:
     """Hold landmarks that are new in a prior at their line from its first view, to within ten times their distance.
 
     It may know one from a single bearing, and the pixels that would tell its distance may be refused later on. A line
@@ -294,7 +294,7 @@ def _held(prior: Prior, new: BoolArray, depth_m: float) -> Prior:
     """
     if len(prior.views) == 0 or not new.any():
         return prior
-    weight = 1.0 / (_LOOSELY * depth_m) ** 2
+    weight = 1.0 / (_WEAK_RATIO * depth_m) ** 2
     information, view = prior.information.copy(), np.arange(3)
     for point in (len(prior.views) + np.flatnonzero(new)).tolist():
         own = 3 * point + view

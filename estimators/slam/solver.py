@@ -102,10 +102,10 @@ def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
     scipy.linalg.LinAlgError
         If the reduced matrix is not positive definite.
     """
-    known, matrix, _, layout = descent.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
-    if not known or not descent.factorise(matrix, layout.shape):
+    known, matrix, _, ordering = descent.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
+    if not known or not descent.factorise(matrix, ordering.shape):
         raise LinAlgError("the reduced matrix is not positive definite")
-    return np.asarray(descent.block_of_inverse(matrix, layout.shape, layout.view_slot[view]), dtype=np.float64)
+    return np.asarray(descent.block_of_inverse(matrix, ordering.shape, ordering.view_slot[view]), dtype=np.float64)
 
 
 def reduced_system(problem: Adjustment, state: State) -> tuple[FloatArray, FloatArray, IndexArray, IndexArray]:

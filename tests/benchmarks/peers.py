@@ -74,7 +74,7 @@ def solved_by_ceres(problem: Adjustment, state: State) -> PeerSolution:
     The cost functions are C++ but for the distances, of which a window has one.
     """
     ceres, colmap, functions = load_ceres()
-    camera, seen, ranged = problem.camera, problem.sightings, problem.distances
+    camera, seen, ranged = problem.camera, problem.pixels, problem.distances
     began = time.process_time()
     turns = Rotation.from_matrix(problem.R_cam_body)
     poses = [np.concatenate([q, t]) for q, t in zip(turns.as_quat(), -turns.apply(state.positions_m), strict=True)]

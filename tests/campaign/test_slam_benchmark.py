@@ -19,7 +19,7 @@ def test_window_starts_away_from_its_minimum_and_has_one() -> None:
     found = minimise(problem, start, StoppingRule(1e-6))
     assert found.converged
     assert found.cost < 1e-2 * minimise(problem, start, StoppingRule(1e-6, 0)).cost
-    freedom = 2 * len(problem.sightings.view) + 1 - 3 * (3 + len(start.points_m))
+    freedom = 2 * len(problem.pixels.view) + 1 - 3 * (3 + len(start.points_m))
     assert 0.2 * freedom < 2.0 * found.cost < 3.0 * freedom
 
 

@@ -9,7 +9,7 @@ from estimators.slam.options import SmootherOptions
 from estimators.slam.prediction import joint_covariance
 from estimators.slam.smoother import WindowSmoother
 from estimators.slam.solver import view_covariance
-from estimators.slam.vision.features import Features
+from estimators.slam.vision.features import ImageFeatures
 from estimators.slam.vision.matching import guided_rows
 from scenarios.tracks import Prediction
 
@@ -59,7 +59,7 @@ def world(rng, n=25, clutter=300):
     return (
         Prediction(np.arange(n), expected, shared),
         descriptors,
-        Features(uv, look.astype(np.float32), np.ones(len(uv))),
+        ImageFeatures(uv, look.astype(np.float32), np.ones(len(uv))),
     )
 
 
@@ -75,9 +75,9 @@ def test_landmarks_are_found_though_some_look_more_like_something_else():
 
 def test_what_is_not_there_is_not_found():
     prediction, descriptors, features = world(np.random.default_rng(2))
-    gone = Features(features.uv_px[10:], features.descriptors[10:], features.strength[10:])
+    gone = ImageFeatures(features.uv_px[10:], features.descriptors[10:], features.strength[10:])
     rows = guided_rows(prediction, descriptors, gone, 0.5)
     assert (rows[:10] == -1).mean() > 0.8
     assert np.mean(rows[10:] == np.arange(15)) > 0.9
-    nothing = Features(np.empty((0, 2)), np.empty((0, 64), dtype=np.float32), np.empty(0))
+    nothing = ImageFeatures(np.empty((0, 2)), np.empty((0, 64), dtype=np.float32), np.empty(0))
     assert (guided_rows(prediction, descriptors, nothing, 0.5) == -1).all()

@@ -18,12 +18,12 @@ from estimators.slam import marginal, solver
 from estimators.slam.bundle import BundleSlam
 from estimators.slam.compiled import descent, equations
 from estimators.slam.compiled import envelope as packed
-from estimators.slam.compiled import problem as layouts
-from estimators.slam.compiled import residuals as sight
+from estimators.slam.compiled import problem as flat_problem
+from estimators.slam.compiled import residuals as residual_kernels
 from estimators.slam.compiled.problem import flat
-from estimators.slam.normal import Layout, cost, normal_equations
-from estimators.slam.problem import Adjustment, Distances, Motions, Prior, State
-from estimators.slam.slam_map import Journal
+from estimators.slam.normal import VariableOrdering, cost, normal_equations
+from estimators.slam.problem import Adjustment, Distances, Motions, QuadraticPrior, State
+from estimators.slam.slam_map import SlamMap
 from estimators.slam.smoother import BatchAdjustment, FixedLagSmoother
 from estimators.slam.solver import StoppingRule, minimise, reduced_rank_deficiency, view_covariance
 
@@ -32,7 +32,7 @@ REFERENCED = (
     "minimise",
     "reduced_rank_deficiency",
     "view_covariance",
-    "schur",
+    "eliminate_rows",
     "sighting_squares",
     "landmark_information",
     "pixel_squares",
@@ -43,29 +43,29 @@ def window(seed: int) -> tuple[Adjustment, State]:
     """Five views and their landmarks with everything that a problem can hold, at a disturbed state."""
     rng = np.random.default_rng([31, seed])
     sequence, truth = make_sequence(rng, Recipe(frames=5, landmarks=6 + 2 * seed, range_all=True))
-    journal = Journal(sequence.camera)
-    journal.frames = dict(enumerate(sequence.frames))
-    journal.positions_m = dict(enumerate(truth.positions_m))
-    journal.points_m = dict(truth.points_m)
+    slam_map = SlamMap(sequence.camera)
+    slam_map.frames = dict(enumerate(sequence.frames))
+    slam_map.positions_m = dict(enumerate(truth.positions_m))
+    slam_map.points_m = dict(truth.points_m)
     views = list(range(5))
-    tracks = sorted(track for track, by in journal.seen_by(views).items() if len(by) >= 2)
-    true = journal.state(views, tracks)
+    tracks = sorted(track for track, by in slam_map.seen_by(views).items() if len(by) >= 2)
+    true = slam_map.state(views, tracks)
     state = State(
         true.positions_m + rng.normal(size=true.positions_m.shape), true.points_m + rng.normal(size=(len(tracks), 3))
     )
     problem = Adjustment(
         camera=sequence.camera,
-        R_cam_body=journal.attitudes(views),
-        sightings=journal.sightings(views, tracks),
+        R_cam_body=slam_map.attitudes(views),
+        pixels=slam_map.pixels(views, tracks),
         free_views=np.ones(5, dtype=bool),
         free_points=np.ones(len(tracks), dtype=bool),
-        distances=journal.distances(views, tracks),
-        motions=journal.motions(views),
+        distances=slam_map.distances(views, tracks),
+        motions=slam_map.motions(views),
     )
     variables = np.array([0, 2]), rng.permutation(len(tracks))[:3]
     origin = np.concatenate([true.positions_m[variables[0]], true.points_m[variables[1]]])
     root = rng.normal(size=(15, 20))
-    prior = Prior(*variables, origin, root @ root.T, rng.normal(size=15))
+    prior = QuadraticPrior(*variables, origin, root @ root.T, rng.normal(size=15))
     frozen = State(np.full((5, 3), np.nan), np.full((len(tracks), 3), np.nan))
     frozen.positions_m[0] = true.positions_m[0]
     frozen.points_m[variables[1]] = origin[2:]
@@ -101,15 +101,19 @@ def in_numpy(monkeypatch: pytest.MonkeyPatch):
 def test_equations_are_those_of_numpy(seed: int) -> None:
     problem, state = window(seed)
     at = state.positions_m, state.points_m
-    sights = np.empty((sight.SIGHT_ROWS, len(problem.sightings.view)))
-    assert sight.look(flat(problem), *at, sights) == pytest.approx(cost(problem, state), rel=1e-12)
-    layout = layouts.make_layout(flat(problem))
-    system = equations.linearise(flat(problem), layout, *at, sights)
-    done, matrix, right, inverse = descent.reduced(system, layout, 0.3)
+    residuals = np.empty((residual_kernels.RESIDUAL_ROWS, len(problem.pixels.view)))
+    assert residual_kernels.evaluate_residuals(flat(problem), *at, residuals) == pytest.approx(
+        cost(problem, state), rel=1e-12
+    )
+    ordering = flat_problem.make_ordering(flat(problem))
+    system = equations.linearise(flat(problem), ordering, *at, residuals)
+    done, matrix, right, inverse = descent.reduced(system, ordering, 0.3)
     assert done
-    expected, expected_right, expected_inverse = normal_equations(problem, state, Layout.of(problem)).reduced(0.3)
+    expected, expected_right, expected_inverse = normal_equations(problem, state, VariableOrdering.of(problem)).reduced(
+        0.3
+    )
     for found, wanted in [
-        (packed.dense(matrix, layout.shape), expected),
+        (packed.dense(matrix, ordering.shape), expected),
         (right, expected_right),
         (inverse, expected_inverse.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]),
     ]:

@@ -11,7 +11,7 @@ from slam_orbits import GM, INTERVAL_S, LIGHT, RATE, Drive, make_orbit_sequence
 from slam_sequences import ORBIT_M, Recipe, make_sequence
 
 from estimators.slam.bundle import BundleSlam
-from estimators.slam.dynamics.force_model import Field
+from estimators.slam.dynamics.force_model import ForceModel
 from estimators.slam.motion_filter import MotionFilter, steady_gain
 from scenarios.tracks import Forces
 
@@ -20,7 +20,7 @@ CIRCLE = np.array([0.0, ORBIT_M * RATE, 0.0])
 
 def motion(radiation: np.ndarray, velocity: np.ndarray) -> MotionFilter:
     forces = Forces(GM, 0.0, radiation, 0.0, 1e-7, velocity, np.zeros((3, 3)))
-    field = Field.of(forces, ORBIT_M)
+    field = ForceModel.of(forces, ORBIT_M)
     return MotionFilter(field, 1e-7, 1.0, 100.0, np.array([ORBIT_M, 0.0, 0.0]), velocity)
 
 

@@ -12,9 +12,9 @@ from slam_sequences import CAMERA, ORBIT_M, STEP_RAD, Recipe, look_down, make_se
 
 from estimators.slam.contract import SequenceEstimate
 from estimators.slam.ekf import ConsistentEkfSlam, EkfSlam, IteratedEkfSlam
-from estimators.slam.ekf_pose import PoseState, left_jacobian, rotation_of, turn_of
+from estimators.slam.ekf_pose import PoseState, left_jacobian, rotation_of, rotation_vector
 from estimators.slam.ekf_state import landmark_points, turn_jacobians
-from estimators.slam.ekf_update import Sight
+from estimators.slam.ekf_update import FrameMeasurements
 from estimators.slam.smoother import FixedLagSmoother
 from scenarios.geometry import cross_matrix
 from scenarios.tracks import TrackFrame, TrackSequence
@@ -53,7 +53,7 @@ def state() -> PoseState:
     start = PoseState.at_first(on_orbit(0), 0.01 * np.eye(3), frame_at(0, **sigmas), TURN_NOISE_RAD)
     elements = np.column_stack([rng.uniform(300, 700, (3, 2)), np.full(3, 1.0 / 620.0)])
     noise = np.tile([0.4, 0.4, (0.1 / 620.0) ** 2], (3, 1))
-    moved = start.joined(np.array([4, 7, 9]), elements, noise).predicted(frame_at(1, **sigmas))
+    moved = start.augmented(np.array([4, 7, 9]), elements, noise).predicted(frame_at(1, **sigmas))
     x = moved.x.copy()
     x[6:9] = 0.05, -0.1, 0.2
     x[15:].reshape(3, 9)[:, 6:] = rng.normal(0.0, 0.1, (3, 3))
@@ -82,7 +82,7 @@ def test_rotation_vectors_are_those_of_scipy(angle: float) -> None:
     turn = angle * np.array([[2.0, -1.0, 2.0], [0.6, 0.0, -0.8]]) / np.array([[3.0], [1.0]])
     foreign = Rotation.from_rotvec(turn)
     np.testing.assert_allclose(rotation_of(turn), foreign.as_matrix(), atol=1e-15)
-    np.testing.assert_allclose(turn_of(foreign[0].as_matrix()), turn[0], atol=1e-14)
+    np.testing.assert_allclose(rotation_vector(foreign[0].as_matrix()), turn[0], atol=1e-14)
     np.testing.assert_allclose(cross_matrix(turn)[1] @ [1.0, 2.0, 3.0], np.cross(turn[1], [1.0, 2.0, 3.0]), atol=1e-15)
     for row, J in zip(turn, left_jacobian(turn), strict=True):
         numeric = differences(
@@ -109,7 +109,9 @@ def test_landmark_turns_with_its_anchor(state: PoseState) -> None:
 
 def test_innovation_derivatives_are_those_of_central_differences(state: PoseState) -> None:
     """Of pixels and of distances, at attitudes that are not those which the filter holds beside its state."""
-    seen = Sight(CAMERA, np.array([2, 0]), np.full((2, 2), 500.0), 0.7, np.array([1, 2]), np.full(2, 600.0), np.ones(2))
+    seen = FrameMeasurements(
+        CAMERA, np.array([2, 0]), np.full((2, 2), 500.0), 0.7, np.array([1, 2]), np.full(2, 600.0), np.ones(2)
+    )
     landmark = [1e-2, 1e-2, 1e-8, 1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6]
     steps = np.concatenate([np.full(6, 1e-3), np.full(3, 1e-6), np.full(6, 1e-3), np.tile(landmark, 3)])
     numeric = differences(lambda x: -seen.residual(replace(state, x=x)), state.x, steps)
@@ -120,7 +122,7 @@ def test_innovation_derivatives_are_those_of_central_differences(state: PoseStat
 
 def test_propagation_has_the_derivatives_of_central_differences(state: PoseState) -> None:
     """With a body that turns below the camera; what is added has the covariance of drawn motions and accelerations."""
-    start = state.folded()
+    start = state.with_errors_reset()
     end = start.propagated(frame_at(2))
     shifts = np.concatenate([np.full(6, 1e-3), np.full(3, 1e-5), np.full(3, 1e-7), np.full(3, 1e-5)])
     columns = []
@@ -129,7 +131,7 @@ def test_propagation_has_the_derivatives_of_central_differences(state: PoseState
         for sign in (1.0, -1.0):
             x = start.x.copy()
             x[i] += sign * shift
-            sides.append(errors_of(end, replace(start, x=x).folded().propagated(frame_at(2))))
+            sides.append(errors_of(end, replace(start, x=x).with_errors_reset().propagated(frame_at(2))))
         columns.append((sides[0] - sides[1]) / (2.0 * shift))
     F = np.stack(columns, axis=1)
     scale = 1.0 / np.sqrt(np.diag(end.covariance))
@@ -167,7 +169,7 @@ def _drawn_noise(start: PoseState, count: int) -> np.ndarray:
 
 
 def test_folding_keeps_the_pose_and_refers_errors_to_it(state: PoseState) -> None:
-    folded = state.folded()
+    folded = state.with_errors_reset()
     np.testing.assert_allclose(folded.attitude, state.attitude, atol=1e-15)
     np.testing.assert_allclose(folded.points(CAMERA), state.points(CAMERA), atol=1e-10)
     assert not folded.x[6:9].any()
@@ -184,21 +186,21 @@ def test_folding_keeps_the_pose_and_refers_errors_to_it(state: PoseState) -> Non
 
 def test_what_is_told_stands_in_the_axes_that_the_spacecraft_knows(state: PoseState) -> None:
     """Without a misalignment all that lasts is the body's: with the measured attitude landmarks look the same."""
-    grown = replace(state.folded(), misalignment_rad=0.0)
+    grown = replace(state.with_errors_reset(), misalignment_rad=0.0)
     grown = replace(grown, x=grown.x + np.eye(len(grown.x))[12] * 0.01)
-    position, covariance, points = grown.told(CAMERA)
+    position, covariance, points = grown.estimate(CAMERA)
     known = Rotation.from_rotvec(grown.x[12:15]).as_matrix() @ grown.attitude
     there = (grown.points(CAMERA) - grown.position_m) @ grown.attitude.T
     np.testing.assert_allclose((points - position) @ known.T, there, atol=1e-9)
     steps = np.full(len(grown.x), 1e-5)
-    J = differences(lambda x: replace(grown, x=x).told(CAMERA)[0], grown.x, steps)
+    J = differences(lambda x: replace(grown, x=x).estimate(CAMERA)[0], grown.x, steps)
     J[:, 6:9] = 0.0  # a turn of the axes is itself the error: of second order
     expected = J @ grown.covariance @ J.T
     np.testing.assert_allclose(covariance, expected, rtol=0.02, atol=0.02 * np.abs(expected).max())
-    still = replace(state.folded(), misalignment_rad=state.frame.attitude_lasting_rad)
-    np.testing.assert_array_equal(still.told(CAMERA)[0], still.position_m)
+    still = replace(state.with_errors_reset(), misalignment_rad=state.frame.attitude_lasting_rad)
+    np.testing.assert_array_equal(still.estimate(CAMERA)[0], still.position_m)
     half = replace(grown, misalignment_rad=np.sqrt(0.5) * grown.frame.attitude_lasting_rad)
-    np.testing.assert_allclose(half.told(CAMERA)[0], 0.5 * (position + grown.position_m), atol=0.02)
+    np.testing.assert_allclose(half.estimate(CAMERA)[0], 0.5 * (position + grown.position_m), atol=0.02)
 
 
 def test_star_tracker_without_landmarks_is_consistent() -> None:
@@ -329,7 +331,7 @@ def test_same_input_gives_the_same_bits_and_stays_as_it_was() -> None:
 def test_propagation_adds_the_whole_covariance_of_the_motion(state: PoseState) -> None:
     """To the position, on which nothing else of the camera depends."""
     frame = frame_at(2)
-    moved = state.folded().propagated(frame)
-    added = moved.covariance[:3, :3] - state.folded().covariance[:3, :3]
+    moved = state.with_errors_reset().propagated(frame)
+    added = moved.covariance[:3, :3] - state.with_errors_reset().covariance[:3, :3]
     np.testing.assert_allclose(added, frame.motion_covariance_m2, rtol=1e-9)
     assert np.trace(frame.motion_covariance_m2) > 0.0

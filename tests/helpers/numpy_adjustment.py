@@ -10,7 +10,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from estimators.slam.gating import mahalanobis_squares
 from estimators.slam.normal import (
-    Layout,
+    VariableOrdering,
     bearing_jacobians,
     bearing_residuals,
     cost,
@@ -22,13 +22,13 @@ from estimators.slam.solver import RANK_TOLERANCE, Solution
 
 def minimise(problem, state, rule):
     """`estimators.slam.solver.minimise`."""
-    layout = Layout.of(problem)
+    ordering = VariableOrdering.of(problem)
     value = cost(problem, state)
     if not np.isfinite(value):
         return Solution(state, value, 0, converged=False)
     damping = -1.0
     for iteration in range(1, rule.iterations + 1):
-        system = normal_equations(problem, state, layout)
+        system = normal_equations(problem, state, ordering)
         damping = _first_damping(system) if damping < 0.0 else damping
         trial, step, damping = _descend(problem, system, state, value, damping)
         if trial is None:
@@ -41,26 +41,26 @@ def minimise(problem, state, rule):
 
 def reduced_rank_deficiency(problem, state):
     """`estimators.slam.solver.reduced_rank_deficiency`."""
-    layout = Layout.of(problem)
+    ordering = VariableOrdering.of(problem)
     try:
-        matrix = normal_equations(problem, state, layout).reduced()[0]
+        matrix = normal_equations(problem, state, ordering).reduced()[0]
     except NumpyLinAlgError:
-        return 3 * layout.kept
+        return 3 * ordering.kept
     values = np.linalg.eigvalsh(matrix) if len(matrix) else np.zeros(1)
     return int(np.count_nonzero(values < RANK_TOLERANCE * values[-1]))
 
 
 def view_covariance(problem, state, view):
     """`estimators.slam.solver.view_covariance`."""
-    layout = Layout.of(problem)
-    matrix, _, _ = normal_equations(problem, state, layout).reduced()
-    slot = 3 * int(layout.view[view])
+    ordering = VariableOrdering.of(problem)
+    matrix, _, _ = normal_equations(problem, state, ordering).reduced()
+    slot = 3 * int(ordering.view[view])
     columns = np.eye(len(matrix))[:, slot : slot + 3]
     covariance = cho_solve(cho_factor(matrix), columns)[slot : slot + 3]
     return 0.5 * (covariance + covariance.T)
 
 
-def schur(information, gradient, out):
+def eliminate_rows(information, gradient, out):
     """`estimators.slam.marginal.schur`."""
     cross = information[np.ix_(out, ~out)]
     solved = cho_solve(cho_factor(information[np.ix_(out, out)]), np.column_stack([cross, gradient[out]]))
@@ -78,7 +78,7 @@ def landmark_information(problem, state):
     problem = replace(problem, frozen=None, prior=None)
     told = np.zeros((len(state.points_m), 3, 3))
     for point, rows in (
-        (problem.sightings.point, bearing_jacobians(problem, state)),
+        (problem.pixels.point, bearing_jacobians(problem, state)),
         (problem.distances.point, distance_jacobians(problem, state)),
     ):
         np.add.at(told, point, np.swapaxes(rows, 1, 2) @ rows)
@@ -95,7 +95,7 @@ def pixel_squares(camera, frame, rows, lines_m, own_m2):
 
 def _first_damping(system):
     """Return a millionth of the mean diagonal."""
-    diagonal = np.concatenate([np.diag(system.kept), np.diagonal(system.gone, axis1=1, axis2=2).ravel()])
+    diagonal = np.concatenate([np.diag(system.kept), np.diagonal(system.eliminated, axis1=1, axis2=2).ravel()])
     return 1e-6 * float(diagonal.mean()) if len(diagonal) else 1.0
 
 
@@ -108,12 +108,12 @@ def _descend(problem, system, state, value, damping):
     step = 0.0
     for _ in range(25):
         try:
-            kept_step, gone_step = _solve(system, damping)
+            kept_step, eliminated_step = _solve(system, damping)
         except (LinAlgError, NumpyLinAlgError):
             damping *= 10.0
             continue
-        step = float(max(np.abs(kept_step).max(initial=0.0), np.abs(gone_step).max(initial=0.0)))
-        trial = system.stepped(state, kept_step, gone_step)
+        step = float(max(np.abs(kept_step).max(initial=0.0), np.abs(eliminated_step).max(initial=0.0)))
+        trial = system.stepped(state, kept_step, eliminated_step)
         if cost(problem, trial) <= value + 1e-12 * abs(value) + 1e-18:
             return trial, step, 0.1 * damping
         damping *= 10.0

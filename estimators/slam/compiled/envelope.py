@@ -78,7 +78,7 @@ def factorise(values: FloatArray, shape: Envelope) -> bool:
         if not _factorise_rows(values, begin, width):
             return False
         for j in range(i + 1, shape.reach[i] + 1):
-            _take(values, shape.begin[j], shape.width[j], begin, width, 3 * (j - i))
+            _subtract_multiples(values, shape.begin[j], shape.width[j], begin, width, 3 * (j - i))
     return True
 
 
@@ -103,7 +103,9 @@ def _factorise_rows(values: FloatArray, begin: int, width: int) -> bool:
 
 
 @kernel
-def _take(values: FloatArray, target: int, target_width: int, source: int, width: int, column: int) -> None:
+def _subtract_multiples(
+    values: FloatArray, target: int, target_width: int, source: int, width: int, column: int
+) -> None:
     """Subtract from the three rows of a block the multiples of three finished rows that these hold from ``column`` on.
 
     What that leaves below the diagonal is not used.

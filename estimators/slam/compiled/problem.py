@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimators.slam.compiled import kernel
 from estimators.slam.compiled.envelope import Envelope, make_envelope
-from estimators.slam.problem import Adjustment, Prior, State
+from estimators.slam.problem import Adjustment, QuadraticPrior, State
 
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -20,7 +20,7 @@ _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 _FLOAT, _INDEX, _BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
 _NO_STATE = State(np.zeros((0, 3)), np.zeros((0, 3)))
-_NO_PRIOR = Prior(
+_NO_PRIOR = QuadraticPrior(
     np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0)
 )
 
@@ -64,7 +64,7 @@ def flat(problem: Adjustment) -> FlatProblem:
     """
     if problem.camera.distortion is not None:
         raise ValueError("adjustments know no distortion: correct the pixels for the lens first")
-    camera, seen, ranged, moved = problem.camera, problem.sightings, problem.distances, problem.motions
+    camera, seen, ranged, moved = problem.camera, problem.pixels, problem.distances, problem.motions
     prior = _NO_PRIOR if problem.prior is None else problem.prior
     frozen = _NO_STATE if problem.frozen is None else problem.frozen
     kept = np.zeros(len(problem.free_points), dtype=np.bool_) if problem.kept_points is None else problem.kept_points
@@ -108,7 +108,7 @@ def _plain(values: NDArray[_Scalar], dtype: np.dtype[_Scalar]) -> NDArray[_Scala
     return np.array(values, dtype=dtype, order="C")
 
 
-class FlatLayout(NamedTuple):
+class FlatOrdering(NamedTuple):
     """Slots of the variables as in `Layout`, the envelope of the reduced matrix, and the links by eliminated landmark.
 
     Parameters
@@ -127,7 +127,7 @@ class FlatLayout(NamedTuple):
 
     view_slot: IndexArray
     point_slot: IndexArray
-    gone: IndexArray
+    eliminated: IndexArray
     views: int
     shape: Envelope
     link_begin: IndexArray
@@ -136,26 +136,26 @@ class FlatLayout(NamedTuple):
 
 
 @kernel
-def make_layout(problem: FlatProblem) -> FlatLayout:
+def make_ordering(problem: FlatProblem) -> FlatOrdering:
     """Give the variables their slots and find which eliminated landmark joins which views."""
     view_slot, views = _numbered(problem.free_views, 0)
     free, joined = problem.free_points, problem.kept_points.copy()
     for j in problem.prior_points:
         joined[j] = True
     point_slot, kept = _numbered(free & joined, views)
-    gone_slot, gone = _numbered(free & ~joined, 0)
+    eliminated_slot, eliminated = _numbered(free & ~joined, 0)
     view, point = _ends(problem)
-    begin, link, slot = _links(view_slot[view], gone_slot[point], gone)
+    begin, link, slot = _links(view_slot[view], eliminated_slot[point], eliminated)
     reach = np.arange(kept)
-    for g in range(gone):
+    for g in range(eliminated):
         _couple(reach, slot, begin[g], begin[g + 1])
     if kept > views:
         _couple_pairs(reach, view_slot[view], point_slot[point])
     _couple_pairs(reach, view_slot[problem.motion_start], view_slot[problem.motion_end])
     slots = prior_slots(problem, view_slot, point_slot)
     _couple(reach, slots, 0, len(slots))
-    return FlatLayout(
-        view_slot, point_slot, np.flatnonzero(gone_slot >= 0), views, make_envelope(reach), begin, link, slot
+    return FlatOrdering(
+        view_slot, point_slot, np.flatnonzero(eliminated_slot >= 0), views, make_envelope(reach), begin, link, slot
     )
 
 
@@ -179,21 +179,23 @@ def _ends(problem: FlatProblem) -> tuple[IndexArray, IndexArray]:
 
 
 @kernel
-def _links(view_slot: IndexArray, gone_slot: IndexArray, gone: int) -> tuple[IndexArray, IndexArray, IndexArray]:
+def _links(
+    view_slot: IndexArray, eliminated_slot: IndexArray, eliminated: int
+) -> tuple[IndexArray, IndexArray, IndexArray]:
     """Sort the measurements of eliminated landmarks by landmark, given the slots (m,) of their ends."""
-    begin = np.zeros(gone + 1, np.int64)
+    begin = np.zeros(eliminated + 1, np.int64)
     for k in range(len(view_slot)):
-        if view_slot[k] >= 0 and gone_slot[k] >= 0:
-            begin[gone_slot[k] + 1] += 1
-    for g in range(gone):
+        if view_slot[k] >= 0 and eliminated_slot[k] >= 0:
+            begin[eliminated_slot[k] + 1] += 1
+    for g in range(eliminated):
         begin[g + 1] += begin[g]
     place = begin.copy()
-    link, slot = np.empty(begin[gone], np.int64), np.empty(begin[gone], np.int64)
+    link, slot = np.empty(begin[eliminated], np.int64), np.empty(begin[eliminated], np.int64)
     for k in range(len(view_slot)):
-        if view_slot[k] >= 0 and gone_slot[k] >= 0:
-            at = place[gone_slot[k]]
+        if view_slot[k] >= 0 and eliminated_slot[k] >= 0:
+            at = place[eliminated_slot[k]]
             link[at], slot[at] = k, view_slot[k]
-            place[gone_slot[k]] = at + 1
+            place[eliminated_slot[k]] = at + 1
     return begin, link, slot
 
 

@@ -14,32 +14,34 @@ from estimators.slam.compiled.problem import FlatProblem
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
-SIGHT_ROWS = 6
+RESIDUAL_ROWS = 6
 """Of every sighting: x, y, z of the landmark in the axes of the camera, m; residual u, v, px; its square in sigma."""
 
 
 @kernel
-def look(problem: FlatProblem, positions: FloatArray, points: FloatArray, sights: FloatArray) -> float:
+def evaluate_residuals(problem: FlatProblem, positions: FloatArray, points: FloatArray, residuals: FloatArray) -> float:
     """Half the sum of squares, equation (2), with the prior's quadratic; inf with a landmark behind its camera.
 
     Writes ``sights`` (6, k) down.
     """
-    turned(problem.attitudes, problem.seen_view, problem.seen_point, positions, points, sights)
-    _pixels(problem.pinhole, problem.seen_px, problem.seen_sigma_px, sights)
-    if not _all_positive(sights[2]):
+    to_camera_axes(problem.attitudes, problem.seen_view, problem.seen_point, positions, points, residuals)
+    _pixel_residuals(problem.pinhole, problem.seen_px, problem.seen_sigma_px, residuals)
+    if not _all_positive(residuals[2]):
         return np.inf
     total = 0.0
-    squares = sights[5]
+    squares = residuals[5]
     for k in range(len(squares)):
         total += squares[k]
     for k in range(len(problem.ranged_view)):
-        x, y, z = line(positions, problem.ranged_view[k], points, problem.ranged_point[k])
+        x, y, z = line_of_sight(positions, problem.ranged_view[k], points, problem.ranged_point[k])
         total += ((np.sqrt(x * x + y * y + z * z) - problem.range_m[k]) / problem.range_sigma_m[k]) ** 2
     for k in range(len(problem.motion_start)):
         for i in range(3):
             for j in range(3):
                 information = problem.motion_information[k, i, j]
-                total += drift(problem, k, i, positions) * information * drift(problem, k, j, positions)
+                total += (
+                    motion_residual(problem, k, i, positions) * information * motion_residual(problem, k, j, positions)
+                )
     half = 0.5 * total
     if len(problem.prior_gradient) > 0:
         half += _prior_cost(problem, positions, points)
@@ -47,7 +49,7 @@ def look(problem: FlatProblem, positions: FloatArray, points: FloatArray, sights
 
 
 @kernel
-def turned(
+def to_camera_axes(
     attitudes: FloatArray,
     view: IndexArray,
     point: IndexArray,
@@ -58,7 +60,7 @@ def turned(
     """Turn the lines from views to landmarks into the axes of the cameras, the first three rows of ``in_camera``."""
     for k in range(len(view)):
         i = view[k]
-        a, b, c = line(positions, i, points, point[k])
+        a, b, c = line_of_sight(positions, i, points, point[k])
         in_camera[0, k] = attitudes[i, 0, 0] * a + attitudes[i, 0, 1] * b + attitudes[i, 0, 2] * c
         in_camera[1, k] = attitudes[i, 1, 0] * a + attitudes[i, 1, 1] * b + attitudes[i, 1, 2] * c
         in_camera[2, k] = attitudes[i, 2, 0] * a + attitudes[i, 2, 1] * b + attitudes[i, 2, 2] * c
@@ -74,15 +76,15 @@ def _all_positive(values: FloatArray) -> bool:
 
 
 @kernel
-def _pixels(pinhole: FloatArray, seen_px: FloatArray, sigma_px: FloatArray, sights: FloatArray) -> None:
+def _pixel_residuals(pinhole: FloatArray, seen_px: FloatArray, sigma_px: FloatArray, residuals: FloatArray) -> None:
     """Write the last three of the rows of the sightings, given the first three."""
     fx, fy, cx, cy = pinhole
     for k in range(len(sigma_px)):
-        x, y, z = sights[0, k], sights[1, k], sights[2, k]
+        x, y, z = residuals[0, k], residuals[1, k], residuals[2, k]
         u = fx * x / z + cx - seen_px[k, 0]
         v = fy * y / z + cy - seen_px[k, 1]
-        sights[3, k], sights[4, k] = u, v
-        sights[5, k] = (u * u + v * v) / sigma_px[k] ** 2
+        residuals[3, k], residuals[4, k] = u, v
+        residuals[5, k] = (u * u + v * v) / sigma_px[k] ** 2
 
 
 @kernel
@@ -127,14 +129,14 @@ def prior_offset(problem: FlatProblem, positions: FloatArray, points: FloatArray
 
 
 @kernel
-def line(positions: FloatArray, i: int, points: FloatArray, j: int) -> tuple[float, float, float]:
+def line_of_sight(positions: FloatArray, i: int, points: FloatArray, j: int) -> tuple[float, float, float]:
     """From a view to a landmark, m."""
     return points[j, 0] - positions[i, 0], points[j, 1] - positions[i, 1], points[j, 2] - positions[i, 2]
 
 
 @kernel
-def drift(problem: FlatProblem, k: int, axis: int, positions: FloatArray) -> float:
+def motion_residual(problem: FlatProblem, k: int, axis: int, positions: FloatArray) -> float:
     """One coordinate of a displacement less the predicted one, m."""
     step: float = positions[problem.motion_end[k], axis] - positions[problem.motion_start[k], axis]
-    drift: float = step - problem.motion_m[k, axis]
-    return drift
+    residual: float = step - problem.motion_m[k, axis]
+    return residual

@@ -16,7 +16,7 @@ LONGEST_STEP = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Field:
+class ForceModel:
     """Gravity of a point and a constant pressure of light.
 
     Parameters
@@ -35,7 +35,7 @@ class Field:
     radiation_m: FloatArray
 
     @classmethod
-    def of(cls, forces: Forces, distance_m: float) -> Field:
+    def of(cls, forces: Forces, distance_m: float) -> ForceModel:
         """Choose the units by the distance from the body's centre."""
         time = float(np.sqrt(distance_m**3 / forces.gm_m3_s2))
         return cls(distance_m, time, forces.gm_m3_s2, np.asarray(forces.radiation_m_s2 * time**2, dtype=np.float64))
@@ -76,13 +76,13 @@ class Field:
         return np.asarray(self.length_m**2 * squares**-1.5, dtype=np.float64)
 
 
-def propagated(field: Field, states_m: FloatArray, parameters_m: FloatArray, durations: FloatArray) -> FloatArray:
+def propagate(field: ForceModel, states_m: FloatArray, parameters_m: FloatArray, durations: FloatArray) -> FloatArray:
     """(k, 6) positions and velocities after (k,) durations from (k, 6), inertial axes, units of the field."""
-    return _integrated(field, states_m[:, :, None], parameters_m, durations)[:, :, 0]
+    return _integrate(field, states_m[:, :, None], parameters_m, durations)[:, :, 0]
 
 
-def propagated_with_derivatives(
-    field: Field, states_m: FloatArray, parameters_m: FloatArray, durations: FloatArray
+def propagate_with_derivatives(
+    field: ForceModel, states_m: FloatArray, parameters_m: FloatArray, durations: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return what `propagated` does, and (k, 6, 8) its derivatives by the 6 of the start and the 2 parameters.
 
@@ -91,11 +91,11 @@ def propagated_with_derivatives(
     start = np.zeros((len(states_m), 6, 9))
     start[:, :, 0] = states_m
     start[:, :, 1:7] = np.eye(6)
-    end = _integrated(field, start, parameters_m, durations)
+    end = _integrate(field, start, parameters_m, durations)
     return end[:, :, 0], end[:, :, 1:]
 
 
-def _integrated(field: Field, start: FloatArray, parameters_m: FloatArray, durations: FloatArray) -> FloatArray:
+def _integrate(field: ForceModel, start: FloatArray, parameters_m: FloatArray, durations: FloatArray) -> FloatArray:
     """Integrate by the classical Runge-Kutta method of fourth order, all arcs in as many steps."""
     steps = max(1, int(np.ceil(np.max(durations, initial=0.0) / LONGEST_STEP)))
     h = (durations / steps)[:, None, None]
@@ -109,7 +109,7 @@ def _integrated(field: Field, start: FloatArray, parameters_m: FloatArray, durat
     return y
 
 
-def _rate(field: Field, y: FloatArray, parameters_m: FloatArray) -> FloatArray:
+def _rate(field: ForceModel, y: FloatArray, parameters_m: FloatArray) -> FloatArray:
     """Return the time derivative of (k, 6, 1 + m): the state, then the derivatives, the parameters' in the last two."""
     rate = np.empty_like(y)
     rate[:, :3] = y[:, 3:]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.dynamics.force_model import Field, propagated, propagated_with_derivatives
+from estimators.slam.dynamics.force_model import ForceModel, propagate, propagate_with_derivatives
 from estimators.slam.problem import Adjustment, State
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +25,7 @@ class DynamicState:
     Velocities and parameters are in the units of a `Field`.
     """
 
-    places: State
+    vision: State
     velocities_m: FloatArray
     parameters_m: FloatArray
 
@@ -65,7 +65,7 @@ class DynamicPrior:
 
     def offset(self, state: DynamicState) -> FloatArray:
         """(n,) how far ``state`` is from where the quadratic was made."""
-        return gathered(state, self.views, self.points) - self.origin_m
+        return gather(state, self.views, self.points) - self.origin_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +89,7 @@ class DynamicAdjustment:
 
     vision: Adjustment
     R_body_inertial: FloatArray
-    field: Field
+    field: ForceModel
     arcs: Arcs
     free_velocities: BoolArray
     free_parameters: BoolArray
@@ -101,28 +101,28 @@ class DynamicAdjustment:
         """Return ``state`` but for the variables whose derivatives are taken at their first estimates."""
         v, p = self.frozen_velocities_m, self.frozen_parameters_m
         return DynamicState(
-            self.vision.linearisation_point(state.places),
+            self.vision.linearisation_point(state.vision),
             np.where(np.isnan(v), state.velocities_m, v),
             np.where(np.isnan(p), state.parameters_m, p),
         )
 
     def inertial(self, state: DynamicState) -> FloatArray:
         """(V, 6) positions and velocities in inertial axes."""
-        positions = np.einsum("vji,vj->vi", self.R_body_inertial, state.places.positions_m)
+        positions = np.einsum("vji,vj->vi", self.R_body_inertial, state.vision.positions_m)
         return np.concatenate([positions, state.velocities_m], axis=1)
 
     def arc_residuals(self, state: DynamicState) -> FloatArray:
         """(k, 6) where arcs end less where their motion leads, inertial axes, not whitened."""
         at, arcs = self.inertial(state), self.arcs
         return np.asarray(
-            at[arcs.end] - propagated(self.field, at[arcs.start], state.parameters_m, arcs.duration), dtype=np.float64
+            at[arcs.end] - propagate(self.field, at[arcs.start], state.parameters_m, arcs.duration), dtype=np.float64
         )
 
     def arc_jacobians(self, state: DynamicState) -> FloatArray:
         """(k, 6, 14) of `arc_residuals` by positions of start and end (body), their velocities, and the parameters."""
         where, arcs = self.linearisation_point(state), self.arcs
         start = self.inertial(where)[arcs.start]
-        _, moved = propagated_with_derivatives(self.field, start, where.parameters_m, arcs.duration)
+        _, moved = propagate_with_derivatives(self.field, start, where.parameters_m, arcs.duration)
         turned = np.swapaxes(self.R_body_inertial, 1, 2)
         rows = np.zeros((len(arcs.start), 6, 14))
         rows[:, :, 0:3] = -moved[:, :, 0:3] @ turned[arcs.start]
@@ -133,15 +133,15 @@ class DynamicAdjustment:
         return rows
 
 
-def gathered(state: DynamicState, views: IndexArray, points: IndexArray) -> FloatArray:
+def gather(state: DynamicState, views: IndexArray, points: IndexArray) -> FloatArray:
     """(6 a + 2 + 3 b,) the values of some views, the parameters, and some landmarks, in the order of a prior."""
-    places = state.places
+    vision = state.vision
     return np.concatenate(
         [
-            places.positions_m[views].ravel(),
+            vision.positions_m[views].ravel(),
             state.velocities_m[views].ravel(),
             state.parameters_m,
-            places.points_m[points].ravel(),
+            vision.points_m[points].ravel(),
         ]
     )
 

@@ -12,11 +12,17 @@ from numpy.typing import NDArray
 
 from estimators.options import parse_options
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gathered
-from estimators.slam.dynamics.solver import Rows, covariance_of, dynamic_cost, dynamic_equations, minimise_dynamic
-from estimators.slam.dynamics.window import Window
+from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gather
+from estimators.slam.dynamics.solver import (
+    DynamicOrdering,
+    covariance_of,
+    dynamic_cost,
+    dynamic_equations,
+    minimise_dynamic,
+)
+from estimators.slam.dynamics.window import DynamicWindow
 from estimators.slam.following import LostError, check_scale, follow
-from estimators.slam.marginal import departing, schur, touched
+from estimators.slam.marginal import constrained_points, departing_part, eliminate_rows
 from estimators.slam.options import DynamicOptions
 from estimators.slam.solver import StoppingRule
 from scenarios.tracks import TrackFrame, TrackSequence
@@ -27,7 +33,7 @@ IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
-def marginalised_dynamic(problem: DynamicAdjustment, state: DynamicState, view: int, lost: BoolArray) -> DynamicPrior:
+def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: int, lost: BoolArray) -> DynamicPrior:
     """Marginalise a view with its velocity, and the landmarks marked in ``lost`` (L,), all linearised at ``state``.
 
     The quadratic is about all other views, the parameters, and the landmarks that something departing speaks of.
@@ -37,30 +43,30 @@ def marginalised_dynamic(problem: DynamicAdjustment, state: DynamicState, view: 
     numpy.linalg.LinAlgError
         If what goes is not determined.
     """
-    part = _departing(problem, view, lost)
-    rows = Rows.of(part)
+    part = _departing_part(problem, view, lost)
+    rows = DynamicOrdering.of(part)
     matrix, right, _ = dynamic_equations(part, state, rows).reduced()
     views = np.flatnonzero(np.arange(len(problem.R_body_inertial)) != view)
     points = np.flatnonzero(part.vision.free_points & ~lost)
     kept = rows.of_prior(views, points)
     staying = np.zeros(rows.count, dtype=np.bool_)
     staying[kept[kept >= 0]] = True
-    information, gradient = schur(matrix, -right, ~staying)
+    information, gradient = eliminate_rows(matrix, -right, ~staying)
     place = np.append(np.cumsum(staying) - 1, -1)[kept]  # what is fixed keeps rows of zeros
     padded = np.zeros((len(information) + 1, len(information) + 1))
     padded[:-1, :-1] = information
     return DynamicPrior(
-        views, points, gathered(state, views, points), padded[np.ix_(place, place)], np.append(gradient, 0.0)[place]
+        views, points, gather(state, views, points), padded[np.ix_(place, place)], np.append(gradient, 0.0)[place]
     )
 
 
-def _departing(problem: DynamicAdjustment, view: int, lost: BoolArray) -> DynamicAdjustment:
+def _departing_part(problem: DynamicAdjustment, view: int, lost: BoolArray) -> DynamicAdjustment:
     """Return the part of ``problem`` that goes; of its landmarks only those that it speaks of are free."""
-    vision = departing(problem.vision, view, lost)
+    vision = departing_part(problem.vision, view, lost)
     joined = np.zeros(len(lost), dtype=np.bool_)
     if problem.prior is not None:
         joined[problem.prior.points] = True
-    told = touched(vision) | joined
+    told = constrained_points(vision) | joined
     vision = replace(vision, free_points=vision.free_points & told, kept_points=told & (joined | ~lost))
     return replace(problem, vision=vision, arcs=problem.arcs.of_view(view))
 
@@ -103,7 +109,7 @@ class InnovationTest:
 def measurements_beyond_unknowns(problem: DynamicAdjustment) -> int:
     """Count measurements less unknowns of landmarks; a view adds as many unknowns as its arc tells."""
     vision = problem.vision
-    return 2 * len(vision.sightings.view) + len(vision.distances.view) - 3 * len(vision.free_points)
+    return 2 * len(vision.pixels.view) + len(vision.distances.view) - 3 * len(vision.free_points)
 
 
 class DynamicSmoother:
@@ -137,7 +143,7 @@ class _Smoother:
     def __init__(self, sequence: TrackSequence, options: DynamicOptions) -> None:
         self.options = options
         self.sequence = sequence
-        self.window: Window | None = None
+        self.window: DynamicWindow | None = None
         self.parameter_sigmas_m: FloatArray = np.zeros(2)
         self.innovation = InnovationTest(options.innovation_frames, options.innovation_max)
         self.before: tuple[float, int] = (0.0, 0)
@@ -165,13 +171,13 @@ class _Smoother:
         if self.window is None:
             return self._begin()
         window = self.window
-        window.journal.frames[number] = frame
+        window.slam_map.frames[number] = frame
         window.views.append(number)
         self._check_connected(window, number)
         window.predict(number)
         tracks = window.tracks()
         problem = window.problem(tracks, first_estimates=self.options.first_estimates)
-        rule = StoppingRule(self.options.tolerance * window.journal.median_depth(number - 1), self.options.iterations)
+        rule = StoppingRule(self.options.tolerance * window.slam_map.median_depth(number - 1), self.options.iterations)
         solution = minimise_dynamic(problem, window.state(tracks), rule)
         self.iterations += solution.iterations
         if not np.isfinite(solution.cost):
@@ -188,18 +194,18 @@ class _Smoother:
         sequence = self.sequence
         if sequence.forces is None:
             raise LostError("the sequence tells no forces: dynamic-smoother needs a scenario with a propagated orbit")
-        window = self.window = Window(sequence, sequence.forces)
+        window = self.window = DynamicWindow(sequence, sequence.forces)
         window.begin(sequence)
         self.parameter_sigmas_m = window.field.sigmas(sequence.forces)
-        journal = window.journal
-        journal.guess(0, journal.median_depth(0))
-        ranged = sorted(item.track for item in sequence.frames[0].ranges if item.track in journal.points_m)
-        points = journal.state((), ranged).points_m
+        slam_map = window.slam_map
+        slam_map.guess(0, slam_map.median_depth(0))
+        ranged = sorted(item.track for item in sequence.frames[0].ranges if item.track in slam_map.points_m)
+        points = slam_map.state((), ranged).points_m
         covariance = sequence.position_covariance_m2.copy()
         return FrameEstimate(sequence.position_m.copy(), covariance, np.array(ranged, dtype=np.int64), points, 0.0)
 
-    def _check_connected(self, window: Window, number: int) -> None:
-        shared = window.journal.shared(number - 1, number)
+    def _check_connected(self, window: DynamicWindow, number: int) -> None:
+        shared = window.slam_map.shared(number - 1, number)
         if shared < self.options.connectivity:
             raise LostError(
                 f"tracks are lost: {shared} landmarks are shared with the frame before,"
@@ -213,27 +219,29 @@ class _Smoother:
         self.before = cost, measurements
 
     def _estimate(self, problem: DynamicAdjustment, state: DynamicState, tracks: list[int]) -> FrameEstimate:
-        rows = Rows.of(problem)
+        rows = DynamicOrdering.of(problem)
         wanted = np.concatenate([rows.position[-1], rows.parameters])
         try:
             joint = covariance_of(problem, state, wanted, rows)
         except np.linalg.LinAlgError as error:
             raise LostError("the scale is unobservable: the reduced system has not full rank") from error
         self.parameter_sigmas_m = np.sqrt(np.maximum(np.diag(joint)[3:], 0.0))
-        places, covariance = state.places, joint[:3, :3]
-        position = places.positions_m[-1]
-        check_scale(covariance, places.points_m, position, self.options.uncertainty_max)
-        return FrameEstimate(position, covariance, np.array(tracks, dtype=np.int64), places.points_m, 0.0)
+        vision, covariance = state.vision, joint[:3, :3]
+        position = vision.positions_m[-1]
+        check_scale(covariance, vision.points_m, position, self.options.uncertainty_max)
+        return FrameEstimate(position, covariance, np.array(tracks, dtype=np.int64), vision.points_m, 0.0)
 
-    def _marginalise(self, window: Window, problem: DynamicAdjustment, state: DynamicState, tracks: list[int]) -> None:
+    def _marginalise(
+        self, window: DynamicWindow, problem: DynamicAdjustment, state: DynamicState, tracks: list[int]
+    ) -> None:
         """Drop the oldest view, and the landmarks that it saw and that are lost; keep what they tell."""
         number = np.array(tracks, dtype=np.int64)
-        oldest = np.isin(number, window.journal.frames[window.views[0]].tracks)
+        oldest = np.isin(number, window.slam_map.frames[window.views[0]].tracks)
         if problem.prior is not None:
             oldest[problem.prior.points] = True
-        lost = oldest & ~np.isin(number, window.journal.frames[window.views[-1]].tracks)
+        lost = oldest & ~np.isin(number, window.slam_map.frames[window.views[-1]].tracks)
         try:
-            prior = marginalised_dynamic(problem, state, 0, lost)
+            prior = marginalise_dynamic(problem, state, 0, lost)
         except np.linalg.LinAlgError as error:
             raise LostError("the scale is unobservable: the oldest view is not determined") from error
         window.pass_on(prior, state, tracks, lost)

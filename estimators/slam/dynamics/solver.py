@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState
-from estimators.slam.normal import Layout, NormalEquations, cost, normal_equations
+from estimators.slam.normal import NormalEquations, VariableOrdering, cost, normal_equations
 from estimators.slam.solver import StoppingRule
 
 FloatArray = NDArray[np.float64]
@@ -19,7 +19,7 @@ BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
+class DynamicOrdering:
     """Rows of the unknowns in the dense system, -1 for what is not solved for.
 
     First come those of the vision part's reduced system, then velocities, then parameters.
@@ -38,7 +38,7 @@ class Rows:
         Of all rows.
     """
 
-    layout: Layout
+    ordering: VariableOrdering
     position: IndexArray
     velocity: IndexArray
     parameters: IndexArray
@@ -46,15 +46,15 @@ class Rows:
     count: int
 
     @classmethod
-    def of(cls, problem: DynamicAdjustment) -> Rows:
+    def of(cls, problem: DynamicAdjustment) -> DynamicOrdering:
         """Give every unknown of ``problem`` its row."""
-        layout = Layout.of(problem.vision)
-        after = 3 * layout.kept
+        ordering = VariableOrdering.of(problem.vision)
+        after = 3 * ordering.kept
         velocity = _numbered(np.repeat(problem.free_velocities, 3), after).reshape(-1, 3)
         after += 3 * int(np.count_nonzero(problem.free_velocities))
         parameters = _numbered(problem.free_parameters, after)
         count = after + int(np.count_nonzero(problem.free_parameters))
-        return cls(layout, _threes(layout.view), velocity, parameters, _threes(layout.kept_point), count)
+        return cls(ordering, _threes(ordering.view), velocity, parameters, _threes(ordering.kept_point), count)
 
     def of_prior(self, views: IndexArray, points: IndexArray) -> IndexArray:
         """(6 a + 2 + 3 b,) rows in the order of a prior."""
@@ -77,7 +77,7 @@ class Rows:
 class DynamicEquations:
     """The vision part, and (n, n), (n,) what arcs and prior add to the reduced matrix and to the gradient."""
 
-    rows: Rows
+    rows: DynamicOrdering
     vision: NormalEquations
     added: FloatArray
     gradient: FloatArray
@@ -101,18 +101,18 @@ class DynamicEquations:
 
     def stepped(self, state: DynamicState, step: FloatArray, inverse: FloatArray) -> tuple[DynamicState, float]:
         """Return ``state`` after the step (n,) and that of the eliminated landmarks, and the longest of all, m."""
-        kept = step[: 3 * self.rows.layout.kept].reshape(-1, 3)
-        gone = self.vision.back_substituted(kept, inverse)
+        kept = step[: 3 * self.rows.ordering.kept].reshape(-1, 3)
+        eliminated = self.vision.back_substituted(kept, inverse)
         padded = np.append(step, 0.0)  # row -1: no step
         after = DynamicState(
-            self.vision.stepped(state.places, kept, gone),
+            self.vision.stepped(state.vision, kept, eliminated),
             state.velocities_m + padded[self.rows.velocity],
             state.parameters_m + padded[self.rows.parameters],
         )
-        return after, float(max(np.abs(step).max(initial=0.0), np.abs(gone).max(initial=0.0)))
+        return after, float(max(np.abs(step).max(initial=0.0), np.abs(eliminated).max(initial=0.0)))
 
 
-def dynamic_equations(problem: DynamicAdjustment, state: DynamicState, rows: Rows) -> DynamicEquations:
+def dynamic_equations(problem: DynamicAdjustment, state: DynamicState, rows: DynamicOrdering) -> DynamicEquations:
     """Linearise ``problem`` at ``state``."""
     bin_row = rows.count  # where -1 leads: what is said of the fixed
     matrix, gradient = np.zeros((bin_row + 1, bin_row + 1)), np.zeros(bin_row + 1)
@@ -126,14 +126,14 @@ def dynamic_equations(problem: DynamicAdjustment, state: DynamicState, rows: Row
         at = rows.of_prior(prior.views, prior.points)
         matrix[np.ix_(at, at)] += prior.information
         gradient[at] += prior.information @ prior.offset(state) + prior.gradient
-    vision = normal_equations(problem.vision, state.places, rows.layout)
+    vision = normal_equations(problem.vision, state.vision, rows.ordering)
     return DynamicEquations(rows, vision, matrix[:-1, :-1], gradient[:-1])
 
 
 def dynamic_cost(problem: DynamicAdjustment, state: DynamicState) -> float:
     """Half the sum of squares with the prior's quadratic; inf with a landmark behind its camera."""
     residuals = problem.arc_residuals(state)
-    half = cost(problem.vision, state.places)
+    half = cost(problem.vision, state.vision)
     half += 0.5 * float(np.einsum("ki,kij,kj->", residuals, problem.arcs.information, residuals))
     if problem.prior is not None:
         offset = problem.prior.offset(state)
@@ -162,7 +162,7 @@ class DynamicSolution:
 
 def minimise_dynamic(problem: DynamicAdjustment, state: DynamicState, rule: StoppingRule) -> DynamicSolution:
     """Minimise `dynamic_cost` from ``state``; all unknowns are metres, and damping acts on all alike, eq. (4)."""
-    rows = Rows.of(problem)
+    rows = DynamicOrdering.of(problem)
     value = dynamic_cost(problem, state)
     damping = 1e-6
     for iteration in range(1, rule.iterations + 1):
@@ -177,7 +177,9 @@ def minimise_dynamic(problem: DynamicAdjustment, state: DynamicState, rule: Stop
     return DynamicSolution(state, value, rule.iterations)
 
 
-def covariance_of(problem: DynamicAdjustment, state: DynamicState, wanted: IndexArray, rows: Rows) -> FloatArray:
+def covariance_of(
+    problem: DynamicAdjustment, state: DynamicState, wanted: IndexArray, rows: DynamicOrdering
+) -> FloatArray:
     """(k, k) covariance of the unknowns in the rows ``wanted``, all others taken for unknown; zero for rows of -1.
 
     Raises

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.dynamics.force_model import Field, propagated
+from estimators.slam.dynamics.force_model import ForceModel, propagate
 from estimators.slam.dynamics.problem import Arcs, DynamicAdjustment, DynamicPrior, DynamicState, arc_information
 from estimators.slam.following import LostError, lookup
 from estimators.slam.problem import Adjustment, State
-from estimators.slam.slam_map import Journal
+from estimators.slam.slam_map import SlamMap
 from scenarios.tracks import Forces, TrackSequence
 
 FloatArray = NDArray[np.float64]
@@ -34,20 +34,20 @@ class FirstEstimates:
         told = np.diag(prior.information) > 0.0
         position, velocity = told[:count:3], told[count : 2 * count : 3]
         for slot in prior.views[position].tolist():
-            self.positions_m.setdefault(int(views[slot]), state.places.positions_m[slot])
+            self.positions_m.setdefault(int(views[slot]), state.vision.positions_m[slot])
         for slot in prior.views[velocity].tolist():
             self.velocities_m.setdefault(int(views[slot]), state.velocities_m[slot])
         for slot in prior.points.tolist():
-            self.points_m.setdefault(int(tracks[slot]), state.places.points_m[slot])
+            self.points_m.setdefault(int(tracks[slot]), state.vision.points_m[slot])
 
 
-class Window:
+class DynamicWindow:
     """Views of one sequence by their numbers, their velocities, and the parameters of the field."""
 
     def __init__(self, sequence: TrackSequence, forces: Forces) -> None:
-        self.journal = Journal(sequence.camera)
+        self.slam_map = SlamMap(sequence.camera)
         self.forces = forces
-        self.field = Field.of(forces, float(np.linalg.norm(sequence.position_m)))
+        self.field = ForceModel.of(forces, float(np.linalg.norm(sequence.position_m)))
         self.views: list[int] = []
         self.velocities_m: dict[int, FloatArray] = {}
         self.parameters_m = self.field.known
@@ -62,8 +62,8 @@ class Window:
         """Take the first frame in, and what is known of position, velocity and parameters before."""
         frame = sequence.frames[0]
         self.views = [0]
-        self.journal.frames[0] = frame
-        self.journal.positions_m[0] = sequence.position_m.copy()
+        self.slam_map.frames[0] = frame
+        self.slam_map.positions_m[0] = sequence.position_m.copy()
         self.velocities_m[0] = self.forces.velocity_m_s * self.field.time_s
         blocks = (
             sequence.position_covariance_m2,
@@ -79,15 +79,15 @@ class Window:
         """Place a new view where the motion of the one before leads."""
         arc = self._duration(number)
         start = np.concatenate([self._inertial(number - 1), self.velocities_m[number - 1]])
-        end = propagated(self.field, start[None], self.parameters_m, np.array([arc]))[0]
-        self.journal.positions_m[number] = self.journal.frames[number].R_body_inertial @ end[:3]
+        end = propagate(self.field, start[None], self.parameters_m, np.array([arc]))[0]
+        self.slam_map.positions_m[number] = self.slam_map.frames[number].R_body_inertial @ end[:3]
         self.velocities_m[number] = end[3:]
 
     def tracks(self) -> list[int]:
         """List the landmarks that the window determines, sorted; those without an estimate get one."""
-        journal = self.journal
-        seen = journal.seen_by(self.views)
-        ranged = {item.track for view in self.views for item in journal.frames[view].ranges}
+        slam_map = self.slam_map
+        seen = slam_map.seen_by(self.views)
+        ranged = {item.track for view in self.views for item in slam_map.frames[view].ranges}
         joined = set() if self.prior is None else set(self.prior.points.tolist())
         tracks = sorted(
             track
@@ -95,8 +95,8 @@ class Window:
             if track not in self.absorbed and (len(by) >= 2 or track in ranged or track in joined)
         )
         for track in tracks:
-            if track not in journal.points_m:
-                journal.points_m[track] = journal.triangulate(track, seen[track])
+            if track not in slam_map.points_m:
+                slam_map.points_m[track] = slam_map.triangulate(track, seen[track])
         return tracks
 
     def problem(self, tracks: list[int], *, first_estimates: bool) -> DynamicAdjustment:
@@ -109,18 +109,18 @@ class Window:
             free[:, 0] = self.free_first
         first = self.first if first_estimates else FirstEstimates()
         vision = Adjustment(
-            camera=self.journal.camera,
-            R_cam_body=self.journal.attitudes(self.views),
-            sightings=self.journal.sightings(self.views, tracks),
+            camera=self.slam_map.camera,
+            R_cam_body=self.slam_map.attitudes(self.views),
+            pixels=self.slam_map.pixels(self.views, tracks),
             free_views=free[0],
             free_points=np.ones(len(tracks), dtype=np.bool_),
-            distances=self.journal.distances(self.views, tracks),
+            distances=self.slam_map.distances(self.views, tracks),
             kept_points=kept,
             frozen=State(_known(first.positions_m, self.views), _known(first.points_m, tracks)),
         )
         return DynamicAdjustment(
             vision=vision,
-            R_body_inertial=np.array([self.journal.frames[view].R_body_inertial for view in self.views]),
+            R_body_inertial=np.array([self.slam_map.frames[view].R_body_inertial for view in self.views]),
             field=self.field,
             arcs=self._arcs(),
             free_velocities=free[1],
@@ -133,11 +133,11 @@ class Window:
     def state(self, tracks: list[int]) -> DynamicState:
         """Collect the present estimates."""
         velocities = np.array([self.velocities_m[view] for view in self.views])
-        return DynamicState(self.journal.state(self.views, tracks), velocities, self.parameters_m)
+        return DynamicState(self.slam_map.state(self.views, tracks), velocities, self.parameters_m)
 
     def keep(self, state: DynamicState, tracks: list[int]) -> None:
         """Take the estimates of ``state`` over."""
-        self.journal.keep(state.places, self.views, tracks)
+        self.slam_map.keep(state.vision, self.views, tracks)
         self.velocities_m.update(zip(self.views, state.velocities_m, strict=True))
         self.parameters_m = state.parameters_m
 
@@ -151,7 +151,7 @@ class Window:
         self.prior = replace(prior, views=views[prior.views], points=number[prior.points])
         self.absorbed |= set(number[lost].tolist())
         oldest = self.views.pop(0)
-        del self.journal.frames[oldest], self.velocities_m[oldest]
+        del self.slam_map.frames[oldest], self.velocities_m[oldest]
 
     def _local_prior(self, tracks: list[int]) -> DynamicPrior:
         """Return the prior with its variables numbered as the problem does."""
@@ -166,11 +166,11 @@ class Window:
         return Arcs(ends - 1, ends, durations, arc_information(durations, acceleration, self.field.length_m))
 
     def _duration(self, number: int) -> float:
-        frames = self.journal.frames
+        frames = self.slam_map.frames
         return (frames[number].time_s - frames[number - 1].time_s) / self.field.time_s
 
     def _inertial(self, view: int) -> FloatArray:
-        turned = self.journal.frames[view].R_body_inertial.T @ self.journal.positions_m[view]
+        turned = self.slam_map.frames[view].R_body_inertial.T @ self.slam_map.positions_m[view]
         return np.asarray(turned, dtype=np.float64)
 
 

@@ -29,7 +29,7 @@ _OPENING_PX = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Features:
+class ImageFeatures:
     """Features of one image, the strongest first.
 
     Parameters
@@ -51,7 +51,7 @@ class Features:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Found:
+class _Detections:
     """What a detector returns: positions, descriptors, strength, and scales, px."""
 
     uv_px: FloatArray
@@ -60,7 +60,7 @@ class _Found:
     scale_px: FloatArray
 
 
-def find_features(image: Image, detector: str, count: int) -> Features:
+def find_features(image: Image, detector: str, count: int) -> ImageFeatures:
     """Find the strongest features that lie well within the lit body.
 
     Parameters
@@ -81,11 +81,11 @@ def find_features(image: Image, detector: str, count: int) -> Features:
     clear = _clearance_px(body, found.uv_px) > _CLEAR_SCALES * found.scale_px
     rows = np.flatnonzero(clear)
     rows = rows[np.argsort(-found.strength[rows], kind="stable")][:count]
-    return Features(found.uv_px[rows], found.descriptors[rows], found.strength[rows])
+    return ImageFeatures(found.uv_px[rows], found.descriptors[rows], found.strength[rows])
 
 
-def _none(found: _Found) -> Features:
-    return Features(np.empty((0, 2)), found.descriptors[:0], np.empty(0))
+def _none(found: _Detections) -> ImageFeatures:
+    return ImageFeatures(np.empty((0, 2)), found.descriptors[:0], np.empty(0))
 
 
 def _clearance_px(body: NDArray[np.bool_], uv_px: FloatArray) -> FloatArray:
@@ -98,7 +98,7 @@ def _clearance_px(body: NDArray[np.bool_], uv_px: FloatArray) -> FloatArray:
     return clearance
 
 
-def _surf(image: Image) -> _Found:
+def _surf(image: Image) -> _Detections:
     """Fast-Hessian blobs, interpolated, with the descriptors of `mahotas`.
 
     The detector of `mahotas` does not interpolate: its positions are off by most of a pixel.
@@ -110,7 +110,7 @@ def _surf(image: Image) -> _Found:
         [peaks + offsets[:, ::-1], blobs.scale_px[strong], blobs.strength[strong], np.ones(len(peaks))]
     )
     described = surf.descriptors(image.astype(np.float64), points) if len(points) else np.empty((0, 70))
-    return _Found(
+    return _Detections(
         uv_px=pixel_from_opencv(described[:, 1::-1]),
         descriptors=described[:, 6:].astype(np.float32),
         strength=described[:, 3],
@@ -118,26 +118,26 @@ def _surf(image: Image) -> _Found:
     )
 
 
-def _sift(image: Image) -> _Found:
+def _sift(image: Image) -> _Detections:
     # Without the precise upscaling OpenCV's positions are off by a quarter of a pixel.
     detector = cv2.SIFT.create(contrastThreshold=_LEAST_CONTRAST, enable_precise_upscale=True)
     # The size of a feature is twice its scale.
     return _by_opencv(detector, image, 128, 0.5)
 
 
-def _orb(image: Image) -> _Found:
+def _orb(image: Image) -> _Detections:
     height, width = image.shape
     detector = cv2.ORB.create(nfeatures=height * width // 16, fastThreshold=_FAST_THRESHOLD)
     # A patch of 31 pixels in its octave; the clearance of a corner is half of that.
     return _by_opencv(detector, image, 32, 0.5 / _CLEAR_SCALES)
 
 
-def _by_opencv(detector: cv2.Feature2D, image: Image, width: int, scale_of_size: float) -> _Found:
+def _by_opencv(detector: cv2.Feature2D, image: Image, width: int, scale_of_size: float) -> _Detections:
     grey = np.clip(np.rint(_BRIGHT_LEVEL * image), 0, 255).astype(np.uint8)
     keypoints, described = detector.detectAndCompute(grey, None)
     if described is None or not keypoints:
         described = np.empty((0, width), dtype=np.uint8)
-    return _Found(
+    return _Detections(
         uv_px=pixel_from_opencv(np.array([point.pt for point in keypoints], dtype=np.float64).reshape(-1, 2)),
         descriptors=np.asarray(described),
         strength=np.array([point.response for point in keypoints], dtype=np.float64),
@@ -145,4 +145,4 @@ def _by_opencv(detector: cv2.Feature2D, image: Image, width: int, scale_of_size:
     )
 
 
-_DETECTORS: Mapping[str, Callable[[Image], _Found]] = MappingProxyType({"surf": _surf, "sift": _sift, "orb": _orb})
+_DETECTORS: Mapping[str, Callable[[Image], _Detections]] = MappingProxyType({"surf": _surf, "sift": _sift, "orb": _orb})

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.vision.features import Features
+from estimators.slam.vision.features import ImageFeatures
 from scenarios.tracks import Prediction
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +33,7 @@ _SAMPLES = 300
 _REFITS = 3
 
 
-def matched(before: Features, after: Features, ratio_max: float) -> IndexArray:
+def match_descriptors(before: ImageFeatures, after: ImageFeatures, ratio_max: float) -> IndexArray:
     """Match features that are each other's nearest and clearly nearer than the second nearest (Lowe 2004).
 
     Returns
@@ -54,7 +54,7 @@ def matched(before: Features, after: Features, ratio_max: float) -> IndexArray:
     return np.array(clear, dtype=np.int64).reshape(-1, 2)
 
 
-def agree_with_fundamental(before_px: FloatArray, after_px: FloatArray, limit_px: float) -> BoolArray:
+def fundamental_inliers(before_px: FloatArray, after_px: FloatArray, limit_px: float) -> BoolArray:
     """(K,) which matches (K, 2) and (K, 2) agree with the best fundamental matrix: RANSAC by OpenCV (MAGSAC)."""
     if len(before_px) < _FUNDAMENTAL_LEAST:
         return np.zeros(len(before_px), dtype=np.bool_)
@@ -64,9 +64,7 @@ def agree_with_fundamental(before_px: FloatArray, after_px: FloatArray, limit_px
     return np.asarray(mask).ravel().astype(np.bool_)
 
 
-def agree_with_direction(
-    before: FloatArray, after: FloatArray, limit_rad: float, rng: np.random.Generator
-) -> BoolArray:
+def direction_inliers(before: FloatArray, after: FloatArray, limit_rad: float, rng: np.random.Generator) -> BoolArray:
     """(K,) which matches agree with the best direction of motion, where the attitude is known.
 
     Two rays to one point and the motion between their origins lie in a plane: ``t . (r1 x r2) = 0``. Two matches give
@@ -117,7 +115,9 @@ def off_plane(before: FloatArray, after: FloatArray, direction: FloatArray) -> F
     return np.asarray(np.arcsin(np.clip(np.einsum("ki,ki->k", normals, after), -1.0, 1.0)), dtype=np.float64)
 
 
-def guided_rows(prediction: Prediction, descriptors: Descriptors, features: Features, sigma_px: float) -> IndexArray:
+def guided_rows(
+    prediction: Prediction, descriptors: Descriptors, features: ImageFeatures, sigma_px: float
+) -> IndexArray:
     """(n,) row of the feature that each predicted landmark is matched with; -1 where there is none.
 
     Parameters

@@ -23,7 +23,7 @@ _CONVERGED_PX = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Patches:
+class TrackPatches:
     """Patches about n points, of P = (2 HALF_PX + 1)^2 pixels.
 
     Parameters
@@ -37,16 +37,16 @@ class Patches:
     values: FloatArray
     steps: FloatArray
 
-    def __getitem__(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Patches:
-        return Patches(self.values[rows], self.steps[rows])
+    def __getitem__(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> TrackPatches:
+        return TrackPatches(self.values[rows], self.steps[rows])
 
-    def joined(self, other: Patches) -> Patches:
+    def joined(self, other: TrackPatches) -> TrackPatches:
         """Append others."""
-        return Patches(np.concatenate([self.values, other.values]), np.concatenate([self.steps, other.steps]))
+        return TrackPatches(np.concatenate([self.values, other.values]), np.concatenate([self.steps, other.steps]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Warps:
+class AffineWarps:
     """Maps from patches to an image: ``A x + t``, with A (n, 2, 2) and the place t (n, 2), px."""
 
     linear: FloatArray
@@ -79,7 +79,7 @@ def grid() -> FloatArray:
     return np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
 
 
-def cut(image: Spline, places_px: FloatArray) -> Patches:
+def cut_patches(image: Spline, places_px: FloatArray) -> TrackPatches:
     """Cut patches about (n, 2) places."""
     offsets = grid()
     at = places_px[:, None] + offsets
@@ -93,10 +93,10 @@ def cut(image: Spline, places_px: FloatArray) -> Patches:
     steepest = steepest - np.einsum("nip,np->ni", steepest, values)[..., None] * values[:, None]
     normal = np.einsum("nip,njp->nij", steepest, steepest)
     damping = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(6)
-    return Patches(values, np.linalg.solve(normal + damping, steepest))
+    return TrackPatches(values, np.linalg.solve(normal + damping, steepest))
 
 
-def register(image: Spline, patches: Patches, start: Warps) -> tuple[Warps, FloatArray]:
+def register_patches(image: Spline, patches: TrackPatches, start: AffineWarps) -> tuple[AffineWarps, FloatArray]:
     """Find the warps that bring patches to agree with an image.
 
     Returns
@@ -120,7 +120,7 @@ def register(image: Spline, patches: Patches, start: Warps) -> tuple[Warps, Floa
         if np.abs(shift).max(initial=0.0) < _CONVERGED_PX:
             break
     seen, _ = _normalised(image.at(_mapped(linear, place, offsets)))
-    return Warps(linear, place), np.einsum("np,np->n", seen, patches.values)
+    return AffineWarps(linear, place), np.einsum("np,np->n", seen, patches.values)
 
 
 def _mapped(linear: FloatArray, place: FloatArray, offsets: FloatArray) -> FloatArray:

@@ -8,23 +8,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.vision.carriers import (
-    LEAST_MATCHES,
-    Carrier,
-    FeatureCarrier,
-    Look,
-    PatchCarrier,
-    Step,
-    growth,
-    local_flow,
-)
-from estimators.slam.vision.features import Features
+from estimators.slam.vision.features import ImageFeatures
 from estimators.slam.vision.matching import (
-    agree_with_direction,
-    agree_with_fundamental,
+    direction_inliers,
     fitted_direction,
+    fundamental_inliers,
     guided_rows,
     off_plane,
+)
+from estimators.slam.vision.point_trackers import (
+    LEAST_MATCHES,
+    FeatureTracker,
+    ImagePair,
+    MatchedImage,
+    PatchTracker,
+    PointTracker,
+    area_change,
+    local_flow,
 )
 from scenarios.geometry import Camera
 from scenarios.spec.vision import ImageVisionSpec
@@ -38,7 +38,7 @@ _LEAST_APART_PX = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Agreement:
+class EpipolarInliers:
     """(K,) which of the matches with the frame before RANSAC keeps.
 
     ``direction`` is the unit direction of motion that those agree on, body axes; None if they are too few.
@@ -49,7 +49,7 @@ class Agreement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tracked:
+class TrackedFrame:
     """What the vision layer tells of a frame.
 
     Parameters
@@ -75,37 +75,39 @@ class Tracker:
         self._camera = camera
         self._spec = spec
         self._rng = rng
-        self._carrier: Carrier = FeatureCarrier() if spec.carry == "feature" else PatchCarrier(spec.growth_max)
-        self._features: Features | None = None
+        self._point_tracker: PointTracker = (
+            FeatureTracker() if spec.carry == "feature" else PatchTracker(spec.growth_max)
+        )
+        self._features: ImageFeatures | None = None
         self._R_cam_body = np.eye(3)
         self._tracks = np.empty(0, dtype=np.int64)
         self._next = 0
 
-    def advance(self, look: Look, R_cam_body: FloatArray, prediction: Prediction | None = None) -> Tracked:
+    def advance(self, look: MatchedImage, R_cam_body: FloatArray, prediction: Prediction | None = None) -> TrackedFrame:
         """Take the next image in, with the known attitude of its camera.
 
         Where it is predicted where tracks will be, and features carry them, those are sought there.
         """
         started = time.perf_counter()
         kept = np.zeros(len(look.pairs), dtype=np.bool_)
-        settled = np.zeros(len(look.features), dtype=np.bool_)
+        preferred = np.zeros(len(look.features), dtype=np.bool_)
         if self._features is not None:
-            agreed = self._agree(self._features, look, R_cam_body)
+            agreed = self._epipolar_inliers(self._features, look, R_cam_body)
             kept = agreed.kept
-            step, direction = Step(self._features, look, look.pairs[kept]), agreed.direction
-            if prediction is not None and isinstance(self._carrier, FeatureCarrier):
+            step, direction = ImagePair(self._features, look, look.pairs[kept]), agreed.direction
+            if prediction is not None and isinstance(self._point_tracker, FeatureTracker):
                 step, direction = replace(step, pairs=self._guided(self._features, look, prediction)), None
             self._carry(step, direction, R_cam_body)
-            settled[look.pairs[kept, 1]] = self._settled(self._features, look, kept)
+            preferred[look.pairs[kept, 1]] = self._keeps_size(self._features, look, kept)
         self._features, self._R_cam_body = look.features, R_cam_body
-        self._begin(look, settled)
-        return Tracked(self._tracks, self._carrier.places_px, kept, time.perf_counter() - started)
+        self._begin(look, preferred)
+        return TrackedFrame(self._tracks, self._point_tracker.places_px, kept, time.perf_counter() - started)
 
-    def _guided(self, before: Features, look: Look, prediction: Prediction) -> IndexArray:
+    def _guided(self, before: ImageFeatures, look: MatchedImage, prediction: Prediction) -> IndexArray:
         """(k, 2) rows of features of tracks and of those matched with them."""
-        assert isinstance(self._carrier, FeatureCarrier)  # noqa: S101
+        assert isinstance(self._point_tracker, FeatureTracker)  # noqa: S101
         _, ours, theirs = np.intersect1d(self._tracks, prediction.tracks, assume_unique=True, return_indices=True)
-        rows = self._carrier.rows[ours]
+        rows = self._point_tracker.rows[ours]
         both = (2 * theirs[:, None] + np.arange(2)).ravel()
         known = Prediction(
             prediction.tracks[theirs], prediction.uv_px[theirs], prediction.covariance_px2[np.ix_(both, both)]
@@ -113,27 +115,27 @@ class Tracker:
         found = guided_rows(known, before.descriptors[rows], look.features, self._spec.sigma_px)
         return np.column_stack([rows, found])[found >= 0]
 
-    def _agree(self, before: Features, look: Look, R_cam_body: FloatArray) -> Agreement:
+    def _epipolar_inliers(self, before: ImageFeatures, look: MatchedImage, R_cam_body: FloatArray) -> EpipolarInliers:
         first, second = before.uv_px[look.pairs[:, 0]], look.features.uv_px[look.pairs[:, 1]]
         rays = self._rays(first, second, R_cam_body)
         if self._spec.epipolar == "fundamental":
-            kept = agree_with_fundamental(first, second, self._spec.epipolar_max_px)
+            kept = fundamental_inliers(first, second, self._spec.epipolar_max_px)
         else:
-            kept = agree_with_direction(*rays, self._limit_rad, self._rng)
-        return Agreement(kept, fitted_direction(rays[0][kept], rays[1][kept]) if kept.sum() >= 2 else None)
+            kept = direction_inliers(*rays, self._limit_rad, self._rng)
+        return EpipolarInliers(kept, fitted_direction(rays[0][kept], rays[1][kept]) if kept.sum() >= 2 else None)
 
-    def _carry(self, step: Step, direction: FloatArray | None, R_cam_body: FloatArray) -> None:
+    def _carry(self, step: ImagePair, direction: FloatArray | None, R_cam_body: FloatArray) -> None:
         """Let the tracks live on that are found again, near their epipolar lines."""
-        before_px = self._carrier.places_px
-        found = self._carrier.carry(step)
+        before_px = self._point_tracker.places_px
+        found = self._point_tracker.advance(step)
         self._tracks = self._tracks[found]
         if direction is not None:
-            rays = self._rays(before_px[found], self._carrier.places_px, R_cam_body)
+            rays = self._rays(before_px[found], self._point_tracker.places_px, R_cam_body)
             near = np.abs(off_plane(*rays, direction)) < self._limit_rad
-            self._carrier.drop(near)
+            self._point_tracker.keep(near)
             self._tracks = self._tracks[near]
 
-    def _settled(self, before: Features, look: Look, kept: BoolArray) -> BoolArray:
+    def _keeps_size(self, before: ImageFeatures, look: MatchedImage, kept: BoolArray) -> BoolArray:
         """Tell of the matches that are kept whether the image about them keeps its size.
 
         Towards the limb it does not: what is seen there is foreshortened and bends out of its plane.
@@ -142,24 +144,24 @@ class Tracker:
             return np.ones(int(kept.sum()), dtype=np.bool_)
         first, second = before.uv_px[look.pairs[kept, 0]], look.features.uv_px[look.pairs[kept, 1]]
         _, change = local_flow(first, second, first)
-        return np.asarray(growth(change) <= self._spec.growth_max, dtype=np.bool_)
+        return np.asarray(area_change(change) <= self._spec.growth_max, dtype=np.bool_)
 
-    def _begin(self, look: Look, settled: BoolArray) -> None:
+    def _begin(self, look: MatchedImage, preferred: BoolArray) -> None:
         """Fill up with the strongest features that keep their distance from the tracks.
 
         Those that are settled come first: what was found twice is found again more often.
         """
         apart_px = max(self._spec.spacing_px, _LEAST_APART_PX)
-        places = list(self._carrier.places_px)
+        places = list(self._point_tracker.places_px)
         rows: list[int] = []
-        for row in np.argsort(~settled, kind="stable").tolist():
+        for row in np.argsort(~preferred, kind="stable").tolist():
             if len(places) >= self._spec.tracks:
                 break
             place = look.features.uv_px[row]
             if not places or float(np.linalg.norm(np.array(places) - place, axis=1).min()) >= apart_px:
                 places.append(place)
                 rows.append(row)
-        self._carrier.add(look, np.array(rows, dtype=np.int64))
+        self._point_tracker.start(look, np.array(rows, dtype=np.int64))
         self._tracks = np.concatenate([self._tracks, np.arange(self._next, self._next + len(rows), dtype=np.int64)])
         self._next += len(rows)
 

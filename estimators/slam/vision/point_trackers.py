@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from estimators.slam.vision.features import Features
-from estimators.slam.vision.registration import Patches, Spline, Warps, cut, register
+from estimators.slam.vision.features import ImageFeatures
+from estimators.slam.vision.registration import AffineWarps, Spline, TrackPatches, cut_patches, register_patches
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -59,21 +59,21 @@ def local_flow(before_px: FloatArray, after_px: FloatArray, at_px: FloatArray) -
     return found[:, 2], np.swapaxes(found[:, :2], 1, 2)
 
 
-def growth(change: FloatArray) -> FloatArray:
+def area_change(change: FloatArray) -> FloatArray:
     """(n,) factor by which an area grows or shrinks, at least 1, under maps of derivative (n, 2, 2)."""
     area = np.maximum(np.abs(np.linalg.det(change)), 1e-12)
     return np.asarray(np.maximum(area, 1.0 / area), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class MatchedImage:
     """An image (H, W), its features, and how they match those of the image before.
 
     ``pairs`` are (K, 2) rows of the features before and of these, from `matched`; none in the first image.
     """
 
     image: Image
-    features: Features
+    features: ImageFeatures
     pairs: IndexArray
 
     @cached_property
@@ -83,15 +83,15 @@ class Look:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class ImagePair:
     """From one image to the next: the features before, the look after, and the rows of matches that RANSAC keeps."""
 
-    before: Features
-    after: Look
+    before: ImageFeatures
+    after: MatchedImage
     pairs: IndexArray
 
 
-class Carrier(Protocol):
+class PointTracker(Protocol):
     """Carries n tracks along; their order is that in which they were added."""
 
     @property
@@ -99,20 +99,20 @@ class Carrier(Protocol):
         """(n, 2) where the tracks are in the present image."""
         ...
 
-    def carry(self, step: Step) -> BoolArray:
+    def advance(self, step: ImagePair) -> BoolArray:
         """Go to the next image; tell of each track (n,) whether it was found there. The others are dropped."""
         ...
 
-    def drop(self, keep: BoolArray) -> None:
+    def keep(self, keep: BoolArray) -> None:
         """Keep some of the tracks (n,) alone."""
         ...
 
-    def add(self, look: Look, rows: IndexArray) -> None:
+    def start(self, look: MatchedImage, rows: IndexArray) -> None:
         """Begin tracks at features of the present image."""
         ...
 
 
-class FeatureCarrier:
+class FeatureTracker:
     """A track is where its feature is found again; ``rows`` are those of its features in the present image."""
 
     def __init__(self) -> None:
@@ -124,7 +124,7 @@ class FeatureCarrier:
         """(n, 2) px."""
         return self._places_px
 
-    def carry(self, step: Step) -> BoolArray:
+    def advance(self, step: ImagePair) -> BoolArray:
         """Go to the next image."""
         follow = np.full(len(step.before), -1, dtype=np.int64)
         follow[step.pairs[:, 0]] = step.pairs[:, 1]
@@ -134,17 +134,17 @@ class FeatureCarrier:
         self._places_px = step.after.features.uv_px[self.rows]
         return found
 
-    def drop(self, keep: BoolArray) -> None:
+    def keep(self, keep: BoolArray) -> None:
         """Keep some of the tracks alone."""
         self.rows, self._places_px = self.rows[keep], self._places_px[keep]
 
-    def add(self, look: Look, rows: IndexArray) -> None:
+    def start(self, look: MatchedImage, rows: IndexArray) -> None:
         """Begin tracks at features."""
         self.rows = np.concatenate([self.rows, rows])
         self._places_px = np.concatenate([self._places_px, look.features.uv_px[rows]])
 
 
-class PatchCarrier:
+class PatchTracker:
     """A track is where the patch of its first sighting agrees with the image.
 
     The flow of the matches about it says where the patch is to be sought and how it is distorted.
@@ -152,44 +152,44 @@ class PatchCarrier:
 
     def __init__(self, growth_max: float) -> None:
         self._growth_max = growth_max
-        self._patches: Patches | None = None
-        self._warps = Warps(np.empty((0, 2, 2)), np.empty((0, 2)))
+        self._patches: TrackPatches | None = None
+        self._warps = AffineWarps(np.empty((0, 2, 2)), np.empty((0, 2)))
 
     @property
     def places_px(self) -> FloatArray:
         """(n, 2) px."""
         return self._warps.place_px
 
-    def carry(self, step: Step) -> BoolArray:
+    def advance(self, step: ImagePair) -> BoolArray:
         """Go to the next image."""
         none = np.zeros(len(self.places_px), dtype=np.bool_)
         if self._patches is None or len(step.pairs) < LEAST_MATCHES or not len(none):
-            self.drop(none)
+            self.keep(none)
             return none
         first, second = step.before.uv_px[step.pairs[:, 0]], step.after.features.uv_px[step.pairs[:, 1]]
         expected_px, change = local_flow(first, second, self._warps.place_px)
-        start = Warps(change @ self._warps.linear, expected_px)
-        self._warps, correlation = register(step.after.spline, self._patches, start)
+        start = AffineWarps(change @ self._warps.linear, expected_px)
+        self._warps, correlation = register_patches(step.after.spline, self._patches, start)
         corrected_px = np.linalg.norm(self._warps.place_px - expected_px, axis=1)
         found: BoolArray = (correlation > _LEAST_CORRELATION) & (corrected_px < _MOST_CORRECTION_PX)
-        found &= growth(change) < self._growth_max**2
-        self.drop(found)
+        found &= area_change(change) < self._growth_max**2
+        self.keep(found)
         return found
 
-    def drop(self, keep: BoolArray) -> None:
+    def keep(self, keep: BoolArray) -> None:
         """Keep some of the tracks alone."""
         if self._patches is not None:
             self._patches = self._patches[keep]
-        self._warps = Warps(self._warps.linear[keep], self._warps.place_px[keep])
+        self._warps = AffineWarps(self._warps.linear[keep], self._warps.place_px[keep])
 
-    def add(self, look: Look, rows: IndexArray) -> None:
+    def start(self, look: MatchedImage, rows: IndexArray) -> None:
         """Begin tracks at features."""
         if not len(rows):
             return
         places = look.features.uv_px[rows]
-        fresh = cut(look.spline, places)
+        fresh = cut_patches(look.spline, places)
         self._patches = fresh if self._patches is None else self._patches.joined(fresh)
-        self._warps = Warps(
+        self._warps = AffineWarps(
             np.concatenate([self._warps.linear, np.tile(np.eye(2), (len(rows), 1, 1))]),
             np.concatenate([self._warps.place_px, places]),
         )
