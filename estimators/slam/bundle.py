@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.options import parse_options
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from estimators.slam.following import LostError, follow
+from estimators.slam.contract import FrameEstimate
+from estimators.slam.following import ConfiguredEstimator, Follower, LostError
 from estimators.slam.keyframes import (
     DepthGauge,
     gauge_distances,
@@ -27,7 +25,7 @@ from estimators.slam.outliers import MAX_ROUNDS, OutlierGate
 from estimators.slam.prediction import predict_from_window
 from estimators.slam.problem import AdjustedWindow, Adjustment, State
 from estimators.slam.slam_map import SlamMap
-from estimators.slam.solver import StoppingRule, minimise, reduced_rank_deficiency
+from estimators.slam.solver import StoppingRule, reduced_rank_deficiency
 from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
@@ -36,7 +34,7 @@ _MAX_PLACED = 2
 """Frames in a row that are placed without an adjustment of the window, before it counts as lost."""
 
 
-class BundleSlam:
+class BundleSlam(ConfiguredEstimator[BundleOptions]):
     """Sequential bundle adjustment over a window of views; positions alone are free, since the attitude is known.
 
     The oldest view of the window stays where it was estimated last. A range that is measured on the way takes the
@@ -49,18 +47,11 @@ class BundleSlam:
 
     name: ClassVar[str] = "ba-slam"
     version: ClassVar[int] = 5
+    options_model = BundleOptions
 
-    def __init__(self, options: BundleOptions) -> None:
-        self.options = options
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
-        return cls(parse_options(BundleOptions, options, cls.name))
-
-    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
-        """Estimate the camera position at every frame from the frames up to it."""
-        return follow(sequence, _Window(sequence, self.options))
+    def follower(self, sequence: TrackSequence) -> Follower:
+        """Return the estimator at work on one sequence."""
+        return _Window(sequence, self.options)
 
 
 class _Window:
@@ -212,11 +203,8 @@ class _Window:
 
     def _adjust(self, problem: Adjustment, views: list[int], tracks: list[int], rule: StoppingRule) -> State:
         """Structure-only or full adjustment."""
-        solution = minimise(problem, self.slam_map.state(views, tracks), rule)
+        solution = self.slam_map.adjust(problem, views, tracks, rule)
         self.iterations += solution.iterations
-        if not np.isfinite(solution.cost):
-            raise LostError("a landmark is behind a camera that sees it")
-        self.slam_map.keep(solution.state, views, tracks)
         return solution.state
 
     def _check_rank(self, problem: Adjustment, state: State) -> None:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.options import parse_options
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from estimators.slam.ekf_health import Health
+from estimators.slam.contract import FrameEstimate
 from estimators.slam.ekf_pose import PoseState
 from estimators.slam.ekf_state import FilterState
 from estimators.slam.ekf_update import (
@@ -21,19 +20,20 @@ from estimators.slam.ekf_update import (
     iterated_update,
     kalman_update,
 )
-from estimators.slam.following import LostError, check_scale, follow
+from estimators.slam.following import ConfiguredEstimator, Follower, InnovationTest, LostError, check_scale
 from estimators.slam.gating import gate_pixels
 from estimators.slam.options import ConsistentFilterOptions, FilterOptions, Gate, IteratedFilterOptions
 from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
-
+IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 Update = Callable[[FilterState, FrameMeasurements], tuple[FilterState, float]]
 
 _KNOWN = 0.1
 _FEWEST = 3
+_MAX_REFUSED_SHARE = 0.5
 
 
 def gated(state: FilterState, measured: FrameMeasurements, update: Update, options: FilterOptions) -> BoolArray:
@@ -69,45 +69,83 @@ def _gate(state: FilterState, measured: FrameMeasurements, gate: Gate, false_ala
     return fit
 
 
-class EkfSlam:
+class FilterHealth:
+    """Divergence tests of a filter: its innovation, the share of pixels that the gate refuses, and negative distances.
+
+    A gate hides a divergence from the innovation of the pixels that pass it. So a filter that refuses more than half of
+    the pixels, over as many frames as innovations are averaged over, counts as diverging too.
+    """
+
+    def __init__(self, options: FilterOptions) -> None:
+        self.options = options
+        self.innovation = InnovationTest(options.innovation_frames, options.innovation_max, "filter")
+        self.gated: deque[tuple[int, int]] = deque(maxlen=options.innovation_frames)
+        self.in_a_row: dict[int, int] = {}
+        self.refused = 0
+
+    def diagnostics(self) -> dict[str, float]:
+        """Return the mean squared normalised innovation, its degrees of freedom, and how many pixels were refused."""
+        return {**self.innovation.diagnostics(), "refused_pixels": float(self.refused)}
+
+    def count_refusals(self, tracks: IndexArray, fit: BoolArray) -> None:
+        """Count which tracks (n,) of a frame passed the gate, ``fit`` (n,).
+
+        Raises
+        ------
+        LostError
+            If most pixels were refused over as many frames as innovations are averaged over.
+        """
+        self.in_a_row = {
+            track: self.in_a_row.get(track, 0) + 1 for track, good in zip(tracks.tolist(), fit, strict=True) if not good
+        }
+        self.refused += int(np.count_nonzero(~fit))
+        self.gated.append((int(np.count_nonzero(~fit)), len(fit)))
+        refused, seen = (sum(item[i] for item in self.gated) for i in (0, 1))
+        if len(self.gated) == self.gated.maxlen and refused > _MAX_REFUSED_SHARE * seen:
+            raise LostError(f"the filter diverges: {refused} of {seen} pixels of the last frames do not fit")
+
+    def refused_too_often(self) -> IndexArray:
+        """List the tracks that were refused too many times in a row."""
+        return np.array([t for t, n in self.in_a_row.items() if n >= self.options.refusals_max], dtype=np.int64)
+
+    def test(self, squared: float, count: int, inverse_distances: FloatArray) -> None:
+        """Test a frame's squared normalised innovation of ``count`` measurements, and the inverse distances (n,).
+
+        Raises
+        ------
+        LostError
+            If the mean innovation is too large, or an inverse distance is not positive.
+        """
+        self.innovation.add(squared, count)
+        if np.any(inverse_distances <= 0.0):
+            raise LostError("the filter diverges: an inverse distance is not positive")
+
+
+class EkfSlam(ConfiguredEstimator[FilterOptions]):
     """An extended Kalman filter of the camera (its position, or all of it) and of the landmarks in view, anchored."""
 
     name: ClassVar[str] = "ekf-slam"
     version: ClassVar[int] = 3
+    options_model = FilterOptions
 
-    def __init__(self, options: FilterOptions) -> None:
-        self.options = options
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
-        return cls(parse_options(FilterOptions, options, cls.name))
-
-    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
-        """Estimate the camera position at every frame from the frames up to it."""
-        return follow(sequence, _Filter(sequence, self.options, _single_update))
+    def follower(self, sequence: TrackSequence) -> Follower:
+        """Return the estimator at work on one sequence."""
+        return _Filter(sequence, self.options, _single_update)
 
 
-class IteratedEkfSlam:
+class IteratedEkfSlam(ConfiguredEstimator[IteratedFilterOptions]):
     """The same filter, each update iterated to the minimum of prediction and measurements together."""
 
     name: ClassVar[str] = "iterated-ekf-slam"
     version: ClassVar[int] = 2
+    options_model = IteratedFilterOptions
 
-    def __init__(self, options: IteratedFilterOptions) -> None:
-        self.options = options
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
-        return cls(parse_options(IteratedFilterOptions, options, cls.name))
-
-    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
-        """Estimate the camera position at every frame from the frames up to it."""
-        return follow(sequence, _Filter(sequence, self.options, _iterated_update(self.options.iterations)))
+    def follower(self, sequence: TrackSequence) -> Follower:
+        """Return the estimator at work on one sequence."""
+        return _Filter(sequence, self.options, _iterated_update(self.options.iterations))
 
 
-class ConsistentEkfSlam:
+class ConsistentEkfSlam(ConfiguredEstimator[ConsistentFilterOptions]):
     """The iterated filter with first-estimates Jacobians: it does not learn of the scale from bearings.
 
     Bearings do not change when all grows, and nor does what a filter believes, as long as all derivatives by a landmark
@@ -120,19 +158,12 @@ class ConsistentEkfSlam:
 
     name: ClassVar[str] = "consistent-ekf-slam"
     version: ClassVar[int] = 2
+    options_model = ConsistentFilterOptions
 
-    def __init__(self, options: ConsistentFilterOptions) -> None:
-        self.options = options
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
-        return cls(parse_options(ConsistentFilterOptions, options, cls.name))
-
-    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
-        """Estimate the camera position at every frame from the frames up to it."""
+    def follower(self, sequence: TrackSequence) -> Follower:
+        """Return the estimator at work on one sequence."""
         update = _iterated_update(self.options.iterations)
-        return follow(sequence, _Filter(sequence, self.options, update, self.options.settled_sigma))
+        return _Filter(sequence, self.options, update, self.options.settled_sigma)
 
 
 def _single_update(state: FilterState, measured: FrameMeasurements) -> tuple[FilterState, float]:
@@ -158,7 +189,7 @@ class _Filter:
         self.settled_sigma = settled_sigma
         self.first = (sequence.position_m, sequence.position_covariance_m2)
         self.state: FilterState
-        self.health = Health(options)
+        self.health = FilterHealth(options)
         self.started = False
 
     def diagnostics(self) -> dict[str, float]:
@@ -217,14 +248,14 @@ class _Filter:
         except np.linalg.LinAlgError as error:
             raise LostError("the filter diverges: the innovation has no positive definite covariance") from error
         self.health.test(squared, len(measured.variance), self.state.landmarks[:, 2])
-        self.state = self.state.without(np.isin(self.state.tracks, self.health.discredited()))
+        self.state = self.state.without(np.isin(self.state.tracks, self.health.refused_too_often()))
 
     def _gated(self, measured: FrameMeasurements) -> FrameMeasurements:
         """Leave out what the gate refuses; a landmark that it refuses again and again is to be taken in anew."""
         if self.options.gate == "none":
             return measured
         fit = gated(self.state, measured, self.update, self.options)
-        self.health.judge(self.state.tracks[measured.rows], fit)
+        self.health.count_refusals(self.state.tracks[measured.rows], fit)
         return measured.subset(fit)
 
     def _take_new(self, frame: TrackFrame) -> None:

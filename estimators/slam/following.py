@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Generic, Protocol, Self, TypeVar, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.options import parse_options
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
+from scenarios.spec.base import SpecModel
 from scenarios.tracks import Predict, Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
+
+OptionsT = TypeVar("OptionsT", bound=SpecModel)
 
 
 class LostError(Exception):
@@ -69,6 +75,69 @@ class FrameCheck:
         self.held = tracks
 
 
+class ConfiguredEstimator(ABC, Generic[OptionsT]):
+    """Base of the sequence estimators with options; a subclass names the model of its options and makes a follower."""
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+    options_model: ClassVar[type[SpecModel]]
+
+    def __init__(self, options: OptionsT) -> None:
+        self.options = options
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, object]) -> Self:
+        """Build from a campaign's options; raise BoresightError on a wrong one."""
+        return cls(cast("OptionsT", parse_options(cls.options_model, options, cls.name)))
+
+    @abstractmethod
+    def follower(self, sequence: TrackSequence) -> Follower:
+        """Return the estimator at work on one sequence."""
+
+    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
+        """Estimate the camera position at every frame from the frames up to it."""
+        return follow(sequence, self.follower(sequence))
+
+
+class InnovationTest:
+    """Divergence test on the mean squared normalised innovation of the last frames, of which 1 is expected.
+
+    Parameters
+    ----------
+    frames, limit
+        Over how many frames the mean is taken, and the mean that counts as divergence.
+    method, cause
+        Words of the failure's reason: what diverges, and why it may.
+    """
+
+    def __init__(self, frames: int, limit: float, method: str, cause: str = "") -> None:
+        self.limit, self.method, self.cause = limit, method, cause
+        self.recent: deque[tuple[float, int]] = deque(maxlen=frames)
+        self.total = 0.0
+        self.measurements = 0
+
+    def diagnostics(self) -> dict[str, float]:
+        """Return the mean over all frames so far, and its degrees of freedom."""
+        if not self.measurements:
+            return {}
+        return {"innovation": self.total / self.measurements, "innovation_degrees": float(self.measurements)}
+
+    def add(self, squared: float, measurements: int) -> None:
+        """Add a frame's squared innovation and its degrees of freedom; raise LostError on divergence."""
+        self.total += squared
+        self.measurements += measurements
+        self.recent.append((squared, measurements))
+        count = sum(item[1] for item in self.recent)
+        if len(self.recent) < (self.recent.maxlen or 0) or count <= 0:
+            return
+        mean = sum(item[0] for item in self.recent) / count
+        if mean > self.limit:
+            raise LostError(
+                f"the {self.method} diverges: the squared normalised innovation of {len(self.recent)} frames is"
+                f" {mean:.3g}{self.cause}"
+            )
+
+
 def follow(sequence: TrackSequence, follower: Follower) -> SequenceEstimate:
     """Feed the frames to ``follower`` until the end or until it is lost."""
     done: list[FrameEstimate] = []
@@ -95,6 +164,12 @@ def frames_of(sequence: TrackSequence, predict: Predict) -> Iterable[TrackFrame]
 def next_pixels(follower: Follower, frame: TrackFrame) -> Prediction | None:
     """Ask a follower where its landmarks will be in a frame; None from one that cannot tell, and before the start."""
     return follower.predict(frame) if isinstance(follower, PixelPredictor) else None
+
+
+def check_connected(shared: int, needed: int) -> None:
+    """Raise LostError where a frame shares fewer than ``needed`` landmarks with the frame before."""
+    if shared < needed:
+        raise LostError(f"tracks are lost: {shared} landmarks are shared with the frame before, {needed} are needed")
 
 
 def check_scale(covariance_m2: FloatArray, points_m: FloatArray, position_m: FloatArray, limit: float) -> None:

@@ -9,9 +9,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.options import parse_options
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from estimators.slam.following import LostError, check_scale, follow
+from estimators.slam.contract import FrameEstimate
+from estimators.slam.following import ConfiguredEstimator, Follower, LostError, check_connected, check_scale
 from estimators.slam.options import GtsamFixedLagOptions, GtsamOptions
 from estimators.slam.problem import Adjustment, State
 from estimators.slam.slam_map import SlamMap
@@ -132,44 +131,40 @@ def _columns(ranged: Any) -> tuple[Any, ...]:
     return ranged.view, ranged.point, ranged.range_m, ranged.sigma_m
 
 
-class GtsamIsam2:
+class GtsamIsam2(ConfiguredEstimator[GtsamOptions]):
     """iSAM2 of Kaess et al. (2012) as in gtsam: all frames stay in a Bayes tree, of which each frame redoes a part."""
 
     name: ClassVar[str] = "gtsam-isam2"
     version: ClassVar[int] = 1
-
-    def __init__(self, options: GtsamOptions) -> None:
-        self.options = options
+    options_model = GtsamOptions
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Self:
         """Build from a campaign's options; raise BoresightError on a wrong one, or without gtsam."""
         load_gtsam()
-        return cls(parse_options(GtsamOptions, options, cls.name))
+        return super().from_options(options)
 
-    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
-        """Estimate the camera position at every frame from the frames up to it."""
-        return follow(sequence, IncrementalFollower(sequence, self.options, lag=None))
+    def follower(self, sequence: TrackSequence) -> Follower:
+        """Return the estimator at work on one sequence."""
+        return IncrementalFollower(sequence, self.options, lag=None)
 
 
-class GtsamFixedLag:
+class GtsamFixedLag(ConfiguredEstimator[GtsamFixedLagOptions]):
     """The incremental fixed-lag smoother of gtsam: iSAM2 that marginalises what is older than the lag."""
 
     name: ClassVar[str] = "gtsam-fixed-lag"
     version: ClassVar[int] = 1
-
-    def __init__(self, options: GtsamFixedLagOptions) -> None:
-        self.options = options
+    options_model = GtsamFixedLagOptions
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> Self:
         """Build from a campaign's options; raise BoresightError on a wrong one, or without gtsam."""
         load_gtsam()
-        return cls(parse_options(GtsamFixedLagOptions, options, cls.name))
+        return super().from_options(options)
 
-    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
-        """Estimate the camera position at every frame from the frames up to it."""
-        return follow(sequence, IncrementalFollower(sequence, self.options, lag=self.options.lag))
+    def follower(self, sequence: TrackSequence) -> Follower:
+        """Return the estimator at work on one sequence."""
+        return IncrementalFollower(sequence, self.options, lag=self.options.lag)
 
 
 class IncrementalFollower:
@@ -195,7 +190,7 @@ class IncrementalFollower:
             self.slam_map.positions_m[0] = self.sequence.position_m.copy()
             self.slam_map.guess(0, self.slam_map.median_depth(0))
         else:
-            self._check_connected(number)
+            check_connected(self.slam_map.shared(number - 1, number), self.options.connectivity)
             depth_m = self.slam_map.median_depth(number - 1)
             self.slam_map.place(number, StoppingRule(self.options.tolerance * depth_m, self.options.iterations))
         graph, values = self.factors.gtsam.NonlinearFactorGraph(), self.factors.gtsam.Values()
@@ -215,14 +210,6 @@ class IncrementalFollower:
         if self.lag is None:
             return gtsam.ISAM2(parameters)
         return gtsam.IncrementalFixedLagSmoother(float(self.lag), parameters)
-
-    def _check_connected(self, number: int) -> None:
-        shared = self.slam_map.shared(number - 1, number)
-        if shared < self.options.connectivity:
-            raise LostError(
-                f"tracks are lost: {shared} landmarks are shared with the frame before,"
-                f" {self.options.connectivity} are needed"
-            )
 
     def _add_view(self, graph: Any, values: Any, number: int) -> None:
         frame, factors = self.slam_map.frames[number], self.factors

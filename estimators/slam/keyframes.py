@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from estimators.slam.following import LostError
+from estimators.slam.following import LostError, check_connected
 from estimators.slam.options import BundleOptions
 from estimators.slam.problem import Distances
 from estimators.slam.slam_map import SlamMap
@@ -165,12 +165,8 @@ def _connected_part(tracks: SharedLandmarks, views: list[int], lead: int, option
         views = views[1:]
     if views:
         return views
-    if tracks.shared(lead - 1, lead) >= options.connectivity:
-        return [lead - 1]
-    raise LostError(
-        f"tracks are lost: {tracks.shared(lead - 1, lead)} landmarks are shared with the frame before,"
-        f" {options.connectivity} are needed"
-    )
+    check_connected(tracks.shared(lead - 1, lead), options.connectivity)
+    return [lead - 1]
 
 
 def _angle(slam_map: SlamMap, first: int, second: int) -> float:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.slam.following import lookup
 from estimators.slam.problem import Adjustment, Motions, QuadraticPrior
 from estimators.slam.slam_map import SlamMap
 from scenarios.tracks import TrackFrame, TrackSequence
@@ -81,23 +80,13 @@ class GlobalMap:
             free_points=np.ones(len(tracks), dtype=np.bool_),
             distances=slam_map.distances(views, tracks),
             motions=slam_map.motions(views) if self.motion else Motions(),
-            prior=self._first_prior() if free[0] else None,
+            prior=QuadraticPrior.of_first_position(self.first_m, self.first_covariance_m2) if free[0] else None,
             kept_points=np.isin(tracks, sorted(kept)),
         )
         return problem, tracks
-
-    def _first_prior(self) -> QuadraticPrior:
-        none = np.zeros(0, dtype=np.int64)
-        information = np.asarray(np.linalg.inv(self.first_covariance_m2), dtype=np.float64)
-        return QuadraticPrior(np.zeros(1, dtype=np.int64), none, self.first_m[None], information, np.zeros(3))
 
     def _renamed(self, frame: TrackFrame) -> TrackFrame:
         """Call the tracks of a frame by their landmarks."""
         tracks = np.array([self.of(track) for track in frame.tracks.tolist()], dtype=np.int64)
         ranges = tuple(replace(item, track=self.of(item.track)) for item in frame.ranges)
         return replace(frame, tracks=tracks, ranges=ranges)
-
-
-def slots(tracks: Sequence[int], wanted: Sequence[int]) -> IndexArray:
-    """(n,) where each of ``wanted`` stands in the sorted ``tracks``; all of them do."""
-    return lookup(tracks, np.array(wanted, dtype=np.int64))

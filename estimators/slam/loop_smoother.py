@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from estimators.options import parse_options
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from estimators.slam.following import LostError, follow
-from estimators.slam.loop_history import GlobalMap, slots
+from estimators.slam.contract import FrameEstimate
+from estimators.slam.following import ConfiguredEstimator, Follower, LostError, lookup
+from estimators.slam.loop_history import GlobalMap
 from estimators.slam.marginal import Retained, landmark_covariance, marginalise_outside
 from estimators.slam.options import LoopOptions
 from estimators.slam.outliers import without_tracks
 from estimators.slam.problem import Adjustment, State
 from estimators.slam.smoother import WindowSmoother
-from estimators.slam.solver import StoppingRule, minimise
+from estimators.slam.solver import StoppingRule
 from scenarios.tracks import TrackFrame, TrackSequence
 
 IndexArray = NDArray[np.int64]
@@ -91,7 +90,7 @@ def _given(pair: int, difference: FloatArray, covariance: FloatArray) -> tuple[F
     return difference - gain @ difference[rows], covariance - gain @ covariance[rows]
 
 
-class LoopSmoother:
+class LoopSmoother(ConfiguredEstimator[LoopOptions]):
     """Follows by a fixed lag, and adjusts all frames when enough landmarks have been seen again.
 
     Landmarks that the vision layer takes for ones that were lost are tested together against what the drift so far
@@ -101,18 +100,11 @@ class LoopSmoother:
 
     name: ClassVar[str] = "loop-smoother"
     version: ClassVar[int] = 1
+    options_model = LoopOptions
 
-    def __init__(self, options: LoopOptions) -> None:
-        self.options = options
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
-        return cls(parse_options(LoopOptions, options, cls.name))
-
-    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
-        """Estimate the camera position at every frame from the frames up to it."""
-        return follow(sequence, _LoopClosingWindow(sequence, self.options))
+    def follower(self, sequence: TrackSequence) -> Follower:
+        """Return the estimator at work on one sequence."""
+        return _LoopClosingWindow(sequence, self.options)
 
 
 class _LoopClosingWindow(WindowSmoother):
@@ -184,7 +176,7 @@ class _LoopClosingWindow(WindowSmoother):
     def _merge(self, pairs: list[tuple[int, int]]) -> int:
         """Test the pairs against each other and unite those that agree; return their number."""
         problem, state, tracks = self._adjusted({landmark for pair in pairs for landmark in pair})
-        first, second = (slots(tracks, side) for side in zip(*pairs, strict=True))
+        first, second = (lookup(tracks, np.array(side, dtype=np.int64)) for side in zip(*pairs, strict=True))
         differences = state.points_m[first] - state.points_m[second]
         joint = landmark_covariance(problem, state, np.concatenate([first, second]))
         half = len(joint) // 2
@@ -206,11 +198,7 @@ class _LoopClosingWindow(WindowSmoother):
         problem, tracks = known.problem(kept)
         views = sorted(known.slam_map.frames)
         rule = StoppingRule(self.loops.closure_tolerance_m, self.options.iterations)
-        solution = minimise(problem, known.slam_map.state(views, tracks), rule)
-        if not np.isfinite(solution.cost):
-            raise LostError("a landmark is behind a camera that sees it")
-        known.slam_map.keep(solution.state, views, tracks)
-        return problem, solution.state, tracks
+        return problem, known.slam_map.adjust(problem, views, tracks, rule).state, tracks
 
     def _replace_prior(self, problem: Adjustment, state: State, tracks: list[int]) -> None:
         """Let what all frames outside the window tell take the place of the window's prior.

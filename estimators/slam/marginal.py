@@ -10,7 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from estimators.slam.compiled import descent
 from estimators.slam.normal import VariableOrdering, normal_equations
-from estimators.slam.problem import Adjustment, Distances, Motions, PixelMeasurements, QuadraticPrior, State
+from estimators.slam.problem import Adjustment, QuadraticPrior, State
 from estimators.slam.solver import reduced_system
 
 BoolArray = NDArray[np.bool_]
@@ -75,13 +75,9 @@ def _outside_part(problem: Adjustment, staying: Retained) -> Adjustment:
     motion = ~(staying.views[moved.start] & staying.views[moved.end])
     part = replace(
         problem,
-        pixels=PixelMeasurements(seen.view[goes], seen.point[goes], seen.uv_px[goes], seen.sigma_px[goes]),
-        distances=Distances(
-            measured.view[ranged], measured.point[ranged], measured.range_m[ranged], measured.sigma_m[ranged]
-        ),
-        motions=Motions(
-            moved.start[motion], moved.end[motion], moved.displacement_m[motion], moved.information[motion]
-        ),
+        pixels=seen.subset(goes),
+        distances=measured.subset(ranged),
+        motions=moved.subset(motion),
     )
     told = constrained_points(part)
     return replace(part, free_points=told, kept_points=told & staying.points)
@@ -98,13 +94,9 @@ def departing_part(problem: Adjustment, view: int, lost: BoolArray) -> Adjustmen
     motion = (moved.start == view) | (moved.end == view)
     return replace(
         problem,
-        pixels=PixelMeasurements(seen.view[goes], seen.point[goes], seen.uv_px[goes], seen.sigma_px[goes]),
-        distances=Distances(
-            measured.view[ranged], measured.point[ranged], measured.range_m[ranged], measured.sigma_m[ranged]
-        ),
-        motions=Motions(
-            moved.start[motion], moved.end[motion], moved.displacement_m[motion], moved.information[motion]
-        ),
+        pixels=seen.subset(goes),
+        distances=measured.subset(ranged),
+        motions=moved.subset(motion),
         kept_points=problem.free_points & ~lost,
     )
 

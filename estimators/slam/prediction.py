@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from estimators.slam.normal import VariableOrdering, bearing_jacobians, distance_jacobians, normal_equations
-from estimators.slam.problem import AdjustedWindow, Adjustment, Distances, PixelMeasurements, State
+from estimators.slam.problem import AdjustedWindow, Adjustment, State
 from estimators.slam.slam_map import SlamMap
 from estimators.slam.solver import reduced_system
 from scenarios.tracks import Prediction, TrackFrame
@@ -248,8 +248,8 @@ def _about(problem: Adjustment, wanted: BoolArray) -> Adjustment:
     k, d = wanted[seen.point], wanted[measured.point]
     return replace(
         problem,
-        pixels=PixelMeasurements(seen.view[k], seen.point[k], seen.uv_px[k], seen.sigma_px[k]),
-        distances=Distances(measured.view[d], measured.point[d], measured.range_m[d], measured.sigma_m[d]),
+        pixels=seen.subset(k),
+        distances=measured.subset(d),
     )
 
 

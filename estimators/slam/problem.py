@@ -35,6 +35,10 @@ class PixelMeasurements:
     uv_px: FloatArray
     sigma_px: FloatArray
 
+    def subset(self, rows: BoolArray) -> PixelMeasurements:
+        """Return those marked in ``rows`` (k,)."""
+        return PixelMeasurements(self.view[rows], self.point[rows], self.uv_px[rows], self.sigma_px[rows])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Distances:
@@ -45,6 +49,10 @@ class Distances:
     range_m: FloatArray = field(default_factory=lambda: np.zeros(0))
     sigma_m: FloatArray = field(default_factory=lambda: np.zeros(0))
 
+    def subset(self, rows: BoolArray) -> Distances:
+        """Return those marked in ``rows`` (k,)."""
+        return Distances(self.view[rows], self.point[rows], self.range_m[rows], self.sigma_m[rows])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motions:
@@ -54,6 +62,10 @@ class Motions:
     end: IndexArray = field(default_factory=_none)
     displacement_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     information: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+
+    def subset(self, rows: BoolArray) -> Motions:
+        """Return those marked in ``rows`` (k,)."""
+        return Motions(self.start[rows], self.end[rows], self.displacement_m[rows], self.information[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +87,12 @@ class QuadraticPrior:
     origin_m: FloatArray
     information: FloatArray
     gradient: FloatArray
+
+    @classmethod
+    def of_first_position(cls, position_m: FloatArray, covariance_m2: FloatArray) -> QuadraticPrior:
+        """Return the prior of view 0 by a position (3,) and the covariance (3, 3) of its error."""
+        information = np.asarray(np.linalg.inv(covariance_m2), dtype=np.float64)
+        return cls(np.zeros(1, dtype=np.int64), _none(), position_m[None], information, np.zeros(3))
 
     def offset(self, state: State) -> FloatArray:
         """(3 (a + b),) how far ``state`` is from where the quadratic was made, m."""

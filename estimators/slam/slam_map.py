@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.slam.contract import FrameEstimate
 from estimators.slam.following import LostError, lookup, median_distance
 from estimators.slam.problem import Adjustment, Distances, Motions, PixelMeasurements, State
-from estimators.slam.solver import StoppingRule, minimise
+from estimators.slam.solver import AdjustmentSolution, StoppingRule, minimise
 from scenarios.geometry import Camera
 from scenarios.tracks import TrackFrame
 
@@ -99,6 +100,29 @@ class SlamMap:
         self.positions_m.update(zip(views, state.positions_m, strict=True))
         self.points_m.update(zip(tracks, state.points_m, strict=True))
         self.guessed.difference_update(tracks)
+
+    def adjust(
+        self, problem: Adjustment, views: Sequence[int], tracks: Sequence[int], rule: StoppingRule
+    ) -> AdjustmentSolution:
+        """Minimise an adjustment of ``views`` and ``tracks`` from the present estimates, and keep its estimates.
+
+        Raises
+        ------
+        LostError
+            If a landmark is behind its camera.
+        """
+        solution = minimise(problem, self.state(views, tracks), rule)
+        if not np.isfinite(solution.cost):
+            raise LostError("a landmark is behind a camera that sees it")
+        self.keep(solution.state, views, tracks)
+        return solution
+
+    def first_estimate(self, covariance_m2: FloatArray) -> FrameEstimate:
+        """Place the landmarks of view 0 provisionally at the measured distance; return those with a range."""
+        self.guess(0, self.median_depth(0))
+        ranged = sorted(item.track for item in self.frames[0].ranges if item.track in self.points_m)
+        tracks, points = np.array(ranged, dtype=np.int64), self.state((), ranged).points_m
+        return FrameEstimate(self.positions_m[0].copy(), covariance_m2.copy(), tracks, points, 0.0)
 
     def guess(self, view: int, depth_m: float) -> None:
         """Place all landmarks that a view sees provisionally at one distance from it."""
@@ -205,3 +229,9 @@ class SlamMap:
         if kept is None or kept.frame is not self.frames[view]:
             kept = self._indices[view] = _FrameIndex.of(self.frames[view], self.camera)
         return kept
+
+
+def values_or_nan(values: Mapping[int, FloatArray], wanted: Sequence[int]) -> FloatArray:
+    """(n, 3) values of the views or tracks ``wanted``; NaN where there is none."""
+    nowhere = np.full(3, np.nan)
+    return np.array([values.get(key, nowhere) for key in wanted]).reshape(-1, 3)

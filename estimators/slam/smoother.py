@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.options import parse_options
-from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from estimators.slam.following import LostError, check_scale, follow, lookup
+from estimators.slam.contract import FrameEstimate
+from estimators.slam.following import ConfiguredEstimator, Follower, LostError, check_connected, check_scale, lookup
 from estimators.slam.marginal import marginalise_view
 from estimators.slam.options import BatchOptions, SmootherOptions
 from estimators.slam.outliers import MAX_ROUNDS, OutlierGate, without_tracks
 from estimators.slam.prediction import predict_from_window
 from estimators.slam.problem import AdjustedWindow, Adjustment, Motions, QuadraticPrior, State
-from estimators.slam.slam_map import SlamMap
-from estimators.slam.solver import StoppingRule, minimise, view_covariance
+from estimators.slam.slam_map import SlamMap, values_or_nan
+from estimators.slam.solver import StoppingRule, view_covariance
 from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
@@ -29,45 +28,31 @@ BoolArray = NDArray[np.bool_]
 _WEAK_RATIO = 10.0
 
 
-class FixedLagSmoother:
+class FixedLagSmoother(ConfiguredEstimator[SmootherOptions]):
     """Adjusts the last frames; older ones and lost landmarks are marginalised: nothing measured is forgotten."""
 
     name: ClassVar[str] = "fixed-lag"
     version: ClassVar[int] = 5
+    options_model = SmootherOptions
 
-    def __init__(self, options: SmootherOptions) -> None:
-        self.options = options
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
-        return cls(parse_options(SmootherOptions, options, cls.name))
-
-    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
-        """Estimate the camera position at every frame from the frames up to it."""
-        return follow(sequence, WindowSmoother(sequence, self.options))
+    def follower(self, sequence: TrackSequence) -> Follower:
+        """Return the estimator at work on one sequence."""
+        return WindowSmoother(sequence, self.options)
 
 
-class BatchAdjustment:
+class BatchAdjustment(ConfiguredEstimator[BatchOptions]):
     """Adjusts all frames so far, anew at each frame: the yardstick of the others, at its cost."""
 
     name: ClassVar[str] = "batch"
     version: ClassVar[int] = 1
+    options_model = BatchOptions
 
-    def __init__(self, options: BatchOptions) -> None:
-        self.options = options
-
-    @classmethod
-    def from_options(cls, options: Mapping[str, object]) -> Self:
-        """Build from a campaign's options; raise BoresightError on a wrong one."""
-        return cls(parse_options(BatchOptions, options, cls.name))
-
-    def follow(self, sequence: TrackSequence) -> SequenceEstimate:
-        """Estimate the camera position at every frame from the frames up to it."""
+    def follower(self, sequence: TrackSequence) -> Follower:
+        """Return the estimator at work on one sequence."""
         endless = SmootherOptions.model_construct(
             **self.options.model_dump(), lag=len(sequence.frames) + 1, first_estimates=False
         )
-        return follow(sequence, WindowSmoother(sequence, endless))
+        return WindowSmoother(sequence, endless)
 
 
 class WindowSmoother:
@@ -107,7 +92,7 @@ class WindowSmoother:
             self.gate.add_frame(number, frame)
         self.views.append(number)
         if number == 0:
-            return self._begin(frame)
+            return self._begin()
         depth = self.slam_map.median_depth(number - 1)
         rule = StoppingRule(self.options.tolerance * depth, self.options.iterations)
         self._check_connected(number)
@@ -138,11 +123,8 @@ class WindowSmoother:
         for rounds in range(MAX_ROUNDS):
             tracks = self._map()
             problem = self._problem(tracks)
-            solution = minimise(problem, self.slam_map.state(self.views, tracks), rule)
+            solution = self.slam_map.adjust(problem, self.views, tracks, rule)
             self.iterations += solution.iterations
-            if not np.isfinite(solution.cost):
-                raise LostError("a landmark is behind a camera that sees it")
-            self.slam_map.keep(solution.state, self.views, tracks)
             adjusted = AdjustedWindow(problem, solution.state, tuple(self.views), np.array(tracks, dtype=np.int64))
             if self.gate is None or rounds + 1 == MAX_ROUNDS or not self.gate.reject_outliers(adjusted):
                 break
@@ -152,31 +134,20 @@ class WindowSmoother:
         """Tell where the landmarks in view will be in the next frame."""
         return predict_from_window(self.slam_map, self.views[-1], frame, self.adjusted) if self.views else None
 
-    def _begin(self, frame: TrackFrame) -> FrameEstimate:
-        """Place the first view, and all landmarks provisionally at the distance that was measured."""
-        slam_map = self.slam_map
-        slam_map.positions_m[0] = self.first_m.copy()
-        slam_map.guess(0, slam_map.median_depth(0))
+    def _begin(self) -> FrameEstimate:
+        """Place the first view, and its landmarks provisionally at the measured distance."""
+        self.slam_map.positions_m[0] = self.first_m.copy()
+        estimate = self.slam_map.first_estimate(self.first_covariance_m2)
         if self._first_is_free():
-            information = np.asarray(np.linalg.inv(self.first_covariance_m2), dtype=np.float64)
-            none = np.zeros(0, dtype=np.int64)
-            self.prior = QuadraticPrior(np.zeros(1, dtype=np.int64), none, self.first_m[None], information, np.zeros(3))
-        ranged = sorted(item.track for item in frame.ranges if item.track in slam_map.points_m)
-        points = slam_map.state((), ranged).points_m
-        return FrameEstimate(
-            self.first_m.copy(), self.first_covariance_m2.copy(), np.array(ranged, dtype=np.int64), points, 0.0
-        )
+            self.prior = QuadraticPrior.of_first_position(self.first_m, self.first_covariance_m2)
+        return estimate
 
     def _first_is_free(self) -> bool:
         return bool(np.any(self.first_covariance_m2))
 
     def _check_connected(self, number: int) -> None:
         shared = (self.slam_map if self.gate is None else self.gate).shared(number - 1, number)
-        if shared < self.options.connectivity:
-            raise LostError(
-                f"tracks are lost: {shared} landmarks are shared with the frame before,"
-                f" {self.options.connectivity} are needed"
-            )
+        check_connected(shared, self.options.connectivity)
 
     def _map(self) -> list[int]:
         """List the landmarks that the window determines, sorted; those without an estimate get one."""
@@ -215,10 +186,7 @@ class WindowSmoother:
         """Tell where derivatives by the variables of the prior are taken."""
         if not self.options.first_estimates:
             return None
-        nowhere = np.full(3, np.nan)
-        positions = [self.first_positions_m.get(view, nowhere) for view in self.views]
-        points = [self.first_points_m.get(track, nowhere) for track in tracks]
-        return State(np.array(positions), np.array(points))
+        return State(values_or_nan(self.first_positions_m, self.views), values_or_nan(self.first_points_m, tracks))
 
     def _estimate(self, problem: Adjustment, state: State, tracks: list[int]) -> FrameEstimate:
         try:

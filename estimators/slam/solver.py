@@ -53,7 +53,7 @@ def pixel_squares(
 
 
 @dataclass(frozen=True, slots=True)
-class Solution:
+class AdjustmentSolution:
     """The state at the minimum, what it costs, and whether the solver got there."""
 
     state: State
@@ -70,13 +70,13 @@ class StoppingRule:
     iterations: int = 50
 
 
-def minimise(problem: Adjustment, state: State, rule: StoppingRule) -> Solution:
+def minimise(problem: Adjustment, state: State, rule: StoppingRule) -> AdjustmentSolution:
     """Minimise ``cost`` from ``state``; damping starts at 1e-6 of the mean diagonal."""
     start = floats(state.positions_m), floats(state.points_m)
     positions, points, value, iterations, converged = descent.minimise(
         flat(problem), *start, rule.step_m, rule.iterations
     )
-    return Solution(State(positions, points), value, iterations, converged)
+    return AdjustmentSolution(State(positions, points), value, iterations, converged)
 
 
 def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:

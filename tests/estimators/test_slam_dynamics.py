@@ -14,9 +14,14 @@ from slam_sequences import ORBIT_M, Recipe
 
 from estimators.slam.dynamics.force_model import ForceModel, propagate, propagate_with_derivatives
 from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState, arc_information
-from estimators.slam.dynamics.smoother import DynamicSmoother, marginalise_dynamic
-from estimators.slam.dynamics.solver import DynamicOrdering, covariance_of, dynamic_equations, minimise_dynamic
-from estimators.slam.dynamics.window import DynamicWindow
+from estimators.slam.dynamics.smoother import DynamicSmoother, DynamicWindow
+from estimators.slam.dynamics.solver import (
+    DynamicOrdering,
+    covariance_of,
+    dynamic_equations,
+    marginalise_dynamic,
+    minimise_dynamic,
+)
 from estimators.slam.normal import bearing_residuals, distance_residuals
 from estimators.slam.problem import State
 from estimators.slam.solver import StoppingRule

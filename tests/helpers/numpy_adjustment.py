@@ -17,7 +17,7 @@ from estimators.slam.normal import (
     distance_jacobians,
     normal_equations,
 )
-from estimators.slam.solver import RANK_TOLERANCE, Solution
+from estimators.slam.solver import RANK_TOLERANCE, AdjustmentSolution
 
 
 def minimise(problem, state, rule):
@@ -25,18 +25,18 @@ def minimise(problem, state, rule):
     ordering = VariableOrdering.of(problem)
     value = cost(problem, state)
     if not np.isfinite(value):
-        return Solution(state, value, 0, converged=False)
+        return AdjustmentSolution(state, value, 0, converged=False)
     damping = -1.0
     for iteration in range(1, rule.iterations + 1):
         system = normal_equations(problem, state, ordering)
         damping = _first_damping(system) if damping < 0.0 else damping
         trial, step, damping = _descend(problem, system, state, value, damping)
         if trial is None:
-            return Solution(state, value, iteration, converged=step <= 1e3 * rule.step_m)
+            return AdjustmentSolution(state, value, iteration, converged=step <= 1e3 * rule.step_m)
         state, value = trial, cost(problem, trial)
         if step <= rule.step_m:
-            return Solution(state, value, iteration, converged=True)
-    return Solution(state, value, rule.iterations, converged=False)
+            return AdjustmentSolution(state, value, iteration, converged=True)
+    return AdjustmentSolution(state, value, rule.iterations, converged=False)
 
 
 def reduced_rank_deficiency(problem, state):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicState
+from estimators.slam.dynamics.problem import DynamicAdjustment, DynamicPrior, DynamicState, gather
+from estimators.slam.marginal import constrained_points, departing_part, eliminate_rows
 from estimators.slam.normal import NormalEquations, VariableOrdering, cost, normal_equations
 from estimators.slam.solver import StoppingRule
 
@@ -217,3 +218,41 @@ def _descend(
             return trial, step, 0.1 * damping
         damping *= 10.0
     return None, step, damping
+
+
+def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: int, lost: BoolArray) -> DynamicPrior:
+    """Marginalise a view with its velocity, and the landmarks marked in ``lost`` (L,), all linearised at ``state``.
+
+    The quadratic is about all other views, the parameters, and the landmarks that something departing speaks of.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If what goes is not determined.
+    """
+    part = _departing_part(problem, view, lost)
+    rows = DynamicOrdering.of(part)
+    matrix, right, _ = dynamic_equations(part, state, rows).reduced()
+    views = np.flatnonzero(np.arange(len(problem.R_body_inertial)) != view)
+    points = np.flatnonzero(part.vision.free_points & ~lost)
+    kept = rows.of_prior(views, points)
+    staying = np.zeros(rows.count, dtype=np.bool_)
+    staying[kept[kept >= 0]] = True
+    information, gradient = eliminate_rows(matrix, -right, ~staying)
+    place = np.append(np.cumsum(staying) - 1, -1)[kept]  # what is fixed keeps rows of zeros
+    padded = np.zeros((len(information) + 1, len(information) + 1))
+    padded[:-1, :-1] = information
+    return DynamicPrior(
+        views, points, gather(state, views, points), padded[np.ix_(place, place)], np.append(gradient, 0.0)[place]
+    )
+
+
+def _departing_part(problem: DynamicAdjustment, view: int, lost: BoolArray) -> DynamicAdjustment:
+    """Return the part of ``problem`` that goes; of its landmarks only those that it speaks of are free."""
+    vision = departing_part(problem.vision, view, lost)
+    joined = np.zeros(len(lost), dtype=np.bool_)
+    if problem.prior is not None:
+        joined[problem.prior.points] = True
+    told = constrained_points(vision) | joined
+    vision = replace(vision, free_points=vision.free_points & told, kept_points=told & (joined | ~lost))
+    return replace(problem, vision=vision, arcs=problem.arcs.of_view(view))
