@@ -31,18 +31,18 @@ from scenarios.tracks import Prediction, TrackFrame, TrackSequence
 FloatArray = NDArray[np.float64]
 
 _MAX_PLACED = 2
-"""Frames in a row that are placed without an adjustment of the window, before it counts as lost."""
+"""Consecutive frames that may be placed without an adjustment of the window."""
 
 
 class BundleSlam(ConfiguredEstimator[BundleOptions]):
-    """Sequential bundle adjustment over a window of views; positions alone are free, since the attitude is known.
+    """Sequential bundle adjustment over a sliding window of views; the attitude is known, so only positions are free.
 
-    The oldest view of the window stays where it was estimated last. A range that is measured on the way takes the
-    place of the gauge in the adjustment of its view, and the gauge goes on with the distance that it then has. There
-    is no covariance: the window does not know the error of what it is fixed to.
+    The oldest view of the window is fixed at its last estimate. A range measured at the leading view replaces the depth
+    gauge in its adjustment, and the gauge continues with the distance estimated there. There is no covariance, since
+    the error of the fixed view and of the gauge is not modelled.
 
-    With ``connected: last-two`` it does not ask whether anything determines its scale, as the paper does not: an
-    undetermined one stays where the predicted motion put it. With ``connected: whole-window`` such a sequence fails.
+    With ``connected: last-two`` the rank is not checked, as in the paper: an undetermined scale stays as the predicted
+    motion gave it. With ``connected: whole-window`` such a sequence fails.
     """
 
     name: ClassVar[str] = "ba-slam"
@@ -55,7 +55,7 @@ class BundleSlam(ConfiguredEstimator[BundleOptions]):
 
 
 class _Window:
-    """The window at work on one sequence."""
+    """Sliding window of BA-SLAM on one sequence."""
 
     def __init__(self, sequence: TrackSequence, options: BundleOptions) -> None:
         self.options = options
@@ -93,7 +93,7 @@ class _Window:
         return replace(estimate, velocity_m_s=self.propagator.correct(estimate.position_m))
 
     def predict(self, frame: TrackFrame) -> Prediction | None:
-        """Tell where the landmarks in view will be in the next frame, by the covariance of the window's adjustment."""
+        """Predict the pixels of the landmarks of the last frame in the next one, with the window's covariance."""
         last = len(self.slam_map.frames) - 1
         return predict_from_window(self.slam_map, last, frame, self.adjusted) if last >= 0 else None
 
@@ -123,12 +123,12 @@ class _Window:
         return FrameEstimate(self.slam_map.positions_m[number], None, np.array(tracks, dtype=np.int64), points, 0.0)
 
     def _lost_by_refusals(self, number: int) -> bool:
-        """Tell whether a window that cannot be adjusted could be, had no pixel of its newest frame been refused."""
+        """Return whether refused pixels of the newest frame may be the reason that the window cannot be adjusted."""
         gate = self.gate
         return gate is not None and bool(gate.refused.get(number)) and self.placed_alone < _MAX_PLACED
 
     def _place_only(self, number: int, position_m: FloatArray) -> FrameEstimate:
-        """Leave a view where its predicted motion and the map put it: the next frames may hold the scale again."""
+        """Keep the result of the motion-only adjustment; the next frames may determine the scale again."""
         self.placed_alone += 1
         self.adjusted = None
         self.slam_map.positions_m[number] = position_m
@@ -137,7 +137,7 @@ class _Window:
         return FrameEstimate(position_m, None, np.array(tracks, dtype=np.int64), points, 0.0)
 
     def _adjusted(self, views: list[int], rule: StoppingRule) -> AdjustedWindow:
-        """Adjust the window, again as long as what is left of a pixel is too much."""
+        """Adjust the window, repeatedly while the gate rejects outliers."""
         for rounds in range(MAX_ROUNDS):
             seen = self.slam_map.seen_by(views)
             self._update_gauge(views, seen)
@@ -152,7 +152,7 @@ class _Window:
         return adjusted
 
     def _begin(self, frame: TrackFrame) -> FrameEstimate:
-        """Place the first view, and all landmarks provisionally at the distance of the gauge."""
+        """Place the first view, and its landmarks provisionally at the distance of the gauge."""
         slam_map = self.slam_map
         slam_map.positions_m[0] = self.first_m.copy()
         self.gauge = measure_gauge(slam_map, 0)
@@ -164,7 +164,7 @@ class _Window:
         return FrameEstimate(self.first_m.copy(), None, tracks, slam_map.points_m[self.gauge.track][None], 0.0)
 
     def _window(self, lead: int) -> list[int]:
-        """Choose the views of the window for a new leading one, which comes last."""
+        """Choose the trailing views for a new leading one; the leading view is the last of the list."""
         before = self.trailing
         tracks = (
             self.slam_map if self.gate is None else self.gate
@@ -177,13 +177,13 @@ class _Window:
         return [*choose, lead]
 
     def _update_gauge(self, views: list[int], seen: dict[int, list[int]]) -> None:
-        """Let the gauge go over to another landmark if it must."""
+        """Hand the depth gauge over to another landmark if necessary."""
         gauge = hand_over_gauge(self.slam_map, self._gauge(), views, seen, self.options)
         self.handovers += int(gauge != self.gauge)
         self.gauge = gauge
 
     def _map(self, seen: dict[int, list[int]]) -> list[int]:
-        """List the landmarks seen by two views or more, sorted; those without an estimate get one."""
+        """List the tracks seen in two views or more, sorted; new ones are triangulated."""
         tracks = sorted(track for track, by in seen.items() if len(by) >= 2)
         self.slam_map.triangulate_new(tracks, seen)
         if len(tracks) < self.options.connectivity:
@@ -191,7 +191,7 @@ class _Window:
         return tracks
 
     def _problem(self, views: list[int], tracks: list[int]) -> Adjustment:
-        """Return the full adjustment, with the gauge."""
+        """Return the full adjustment, with the depth gauge."""
         return Adjustment(
             camera=self.slam_map.camera,
             R_cam_body=self.slam_map.attitudes(views),

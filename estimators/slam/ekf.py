@@ -1,4 +1,4 @@
-"""EKF-SLAM of Delpech et al. (2015), section 3.3, an iterated and a consistent variant."""
+"""EKF-SLAM of Delpech et al. (2015), section 3.3, with an iterated and a consistent variant."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ _MAX_REFUSED_SHARE = 0.5
 
 
 def gated(state: FilterState, measured: FrameMeasurements, update: Update, options: FilterOptions) -> BoolArray:
-    """(k,) pixels that are believed.
+    """(k,) which pixels pass the gate.
 
-    Where the prediction is poor, what it says of a landmark whose distance is a guess is vague and not linear. As in
-    one-point RANSAC (Civera et al. 2010), the landmarks that are known move the camera first, and the others are judged
-    from there.
+    The prediction of a landmark of unknown distance is uncertain and nonlinear if the camera's position is. As in
+    one-point RANSAC (Civera et al. 2010), landmarks of known distance update the camera first, and the others are gated
+    after this update.
 
     Raises
     ------
@@ -122,7 +122,7 @@ class FilterHealth:
 
 
 class EkfSlam(ConfiguredEstimator[FilterOptions]):
-    """An extended Kalman filter of the camera (its position, or all of it) and of the landmarks in view, anchored."""
+    """Extended Kalman filter of the camera (position or pose) and of the landmarks in view, in inverse depth."""
 
     name: ClassVar[str] = "ekf-slam"
     version: ClassVar[int] = 3
@@ -134,7 +134,7 @@ class EkfSlam(ConfiguredEstimator[FilterOptions]):
 
 
 class IteratedEkfSlam(ConfiguredEstimator[IteratedFilterOptions]):
-    """The same filter, each update iterated to the minimum of prediction and measurements together."""
+    """EKF-SLAM with iterated updates: each ends at the minimum of the cost of prediction and measurements."""
 
     name: ClassVar[str] = "iterated-ekf-slam"
     version: ClassVar[int] = 2
@@ -146,14 +146,14 @@ class IteratedEkfSlam(ConfiguredEstimator[IteratedFilterOptions]):
 
 
 class ConsistentEkfSlam(ConfiguredEstimator[ConsistentFilterOptions]):
-    """The iterated filter with first-estimates Jacobians: it does not learn of the scale from bearings.
+    """Iterated filter with first-estimates Jacobians, so that bearings give no information about the scale.
 
-    Bearings do not change when all grows, and nor does what a filter believes, as long as all derivatives by a landmark
-    are taken at the same inverse distance and anchor. With each frame's own estimates the directions that it learns
-    nothing of differ, and it takes itself for surer than it is (Huang, Mourikis and Roumeliotis 2010, of translation
-    and rotation; here attitude is measured, and a translation leaves anchored landmarks as they are). The first
-    estimate is taken where an inverse distance has settled: before, it is a guess, and derivatives there are wrong by
-    as much.
+    Bearings do not depend on the scale. The filter's unobservable direction is the scale too if all derivatives by a
+    landmark are taken at the same inverse distance and anchor. With derivatives at each frame's estimates the
+    unobservable directions differ from frame to frame, and the filter becomes overconfident (Huang, Mourikis and
+    Roumeliotis 2010, about translation and rotation; here attitude is measured, and a translation leaves anchored
+    landmarks as they are). The derivatives are fixed once an inverse distance is well known: the initial guess would
+    make them wrong.
     """
 
     name: ClassVar[str] = "consistent-ekf-slam"
@@ -178,7 +178,7 @@ def _iterated_update(steps: int) -> Update:
 
 
 class _Filter:
-    """The filter at work on one sequence: prediction, update and management of section 3.3."""
+    """Filter on one sequence: prediction, update and landmark management of section 3.3."""
 
     def __init__(
         self, sequence: TrackSequence, options: FilterOptions, update: Update, settled_sigma: float = 0.0
@@ -211,7 +211,7 @@ class _Filter:
         return FrameEstimate(position, covariance, self.state.tracks, points, 0.0, velocity)
 
     def predict(self, frame: TrackFrame) -> Prediction | None:
-        """Tell where the landmarks of the state will be in the next frame."""
+        """Predict the pixels of the state's landmarks in the next frame, with their covariance."""
         if not (self.started and len(self.state.tracks)):
             return None
         state = self.state.predicted(frame)
@@ -230,7 +230,7 @@ class _Filter:
         return PoseState.at_first(*self.first, frame, np.radians(self.options.turn_noise_deg))
 
     def _drop_lost(self, frame: TrackFrame) -> None:
-        """Drop landmarks that are not seen any more."""
+        """Drop landmarks that are out of view."""
         lost = ~np.isin(self.state.tracks, frame.tracks)
         kept = int(np.count_nonzero(~lost))
         if kept < self.options.connectivity:
@@ -238,7 +238,7 @@ class _Filter:
         self.state = self.state.without(lost)
 
     def _take_measured(self, frame: TrackFrame) -> None:
-        """Update by what is believed of the frame, and test the innovation."""
+        """Update with the pixels that pass the gate, and test the innovation."""
         measured = FrameMeasurements.of(self.camera, self.state, frame)
         try:
             measured = self._gated(measured)
@@ -251,7 +251,7 @@ class _Filter:
         self.state = self.state.without(np.isin(self.state.tracks, self.health.refused_too_often()))
 
     def _gated(self, measured: FrameMeasurements) -> FrameMeasurements:
-        """Leave out what the gate refuses; a landmark that it refuses again and again is to be taken in anew."""
+        """Drop the pixels that the gate refuses, and count the refusals of each landmark."""
         if self.options.gate == "none":
             return measured
         fit = gated(self.state, measured, self.update, self.options)
@@ -259,7 +259,7 @@ class _Filter:
         return measured.subset(fit)
 
     def _take_new(self, frame: TrackFrame) -> None:
-        """Take in tracks that the state does not hold: at their measured range, or at a guess."""
+        """Add new tracks to the state: at their measured range, or at a guessed distance."""
         fresh = ~np.isin(frame.tracks, self.state.tracks)
         if not fresh.any():
             return
@@ -276,7 +276,7 @@ class _Filter:
         self.state = self.state.augmented(tracks, elements, noise)
 
     def _inverse_guess(self, frame: TrackFrame) -> float:
-        """Guess the inverse distance of a new landmark: the mean of those in view, or of the first ranges."""
+        """Return the guessed inverse distance of a new landmark: the mean of those in view, or of the first ranges."""
         if len(self.state.tracks):
             lines = self.state.points(self.camera) - self.state.position_m
             return float(np.mean(1.0 / np.linalg.norm(lines, axis=1)))

@@ -1,4 +1,4 @@
-"""Updates of EKF-SLAM: the extended Kalman filter's, and the iterated one's, which is Gauss-Newton."""
+"""Measurement model of EKF-SLAM and its updates: extended Kalman filter, and iterated (Gauss-Newton)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Innovation:
-    """Measured less predicted (m,), its derivative by the state (m, n), and the variances (m,) of the measurements."""
+    """Measured minus predicted (m,), derivative of the prediction by the state (m, n), measurement variances (m,)."""
 
     residual: FloatArray
     jacobian: FloatArray
@@ -34,14 +34,14 @@ class Innovation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameMeasurements:
-    """What a frame tells of the landmarks of a state.
+    """Measurements of a frame of the landmarks in a state.
 
     Parameters
     ----------
     rows, uv_px, sigma_px
-        (k,) landmarks by their place in the state, (k, 2) where they are seen, and the standard deviation.
+        (k,) landmarks by their index in the state, (k, 2) pixels, and the standard deviation of a coordinate.
     range_rows, range_m, range_sigma_m
-        (r,) landmarks whose distances are measured, those distances, and their standard deviations.
+        (r,) landmarks with a measured distance, the distances, and their standard deviations.
     """
 
     camera: Camera
@@ -54,7 +54,7 @@ class FrameMeasurements:
 
     @classmethod
     def of(cls, camera: Camera, state: FilterState, frame: TrackFrame) -> FrameMeasurements:
-        """Match the tracks of a frame with the landmarks of the state."""
+        """Select the tracks of a frame that are landmarks of the state."""
         rows, seen = _matched(state.tracks, frame.tracks)
         ranged, which = _matched(state.tracks, np.array([item.track for item in frame.ranges], dtype=np.int64))
         ranges = [frame.ranges[i] for i in which.tolist()]
@@ -69,7 +69,7 @@ class FrameMeasurements:
         )
 
     def subset(self, kept: BoolArray) -> FrameMeasurements:
-        """Leave out the pixels, and the distances, of the landmarks that (k,) does not mark."""
+        """Return the pixels and distances of the landmarks marked in ``kept`` (k,)."""
         near = np.isin(self.range_rows, self.rows[kept])
         return replace(
             self,
@@ -86,17 +86,17 @@ class FrameMeasurements:
         return np.concatenate([np.full(self.uv_px.size, self.sigma_px**2), self.range_sigma_m**2])
 
     def residual(self, state: FilterState) -> FloatArray:
-        """(2 k + r,) measured less predicted; NaN where a landmark is behind the camera."""
+        """(2 k + r,) measured minus predicted; NaN where a landmark is behind the camera."""
         lines = state.points(self.camera) - state.position_m
         pixels = self.uv_px - self.camera.project(lines[self.rows] @ state.attitude.T)
         lengths = np.linalg.norm(lines[self.range_rows], axis=1)
         return np.concatenate([pixels.ravel(), self.range_m - lengths])
 
     def innovation(self, state: FilterState) -> Innovation:
-        """Compare with the state; derivatives are taken where it says.
+        """Return the innovation; derivatives are taken at the state's points of linearisation.
 
-        That of a bearing does not change where camera, anchors and distances grow together about any point, as long as
-        it is taken at one and the same inverse distance and anchor of each landmark: nothing is learnt of the scale.
+        With one fixed inverse distance and anchor for each landmark, the derivatives of bearings have the scale in
+        their null space: camera, anchors and distances scaled together about any point.
         """
         lines = state.lines(self.camera)
         seen, ranged = lines[self.rows], lines[self.range_rows]
@@ -108,10 +108,10 @@ class FrameMeasurements:
         return Innovation(self.residual(state), np.concatenate([pixels, ranges]), self.variance)
 
     def second_order(self, state: FilterState) -> FloatArray:
-        """(2 k, 2 k) what an innovation's covariance lacks where both a distance and the camera are uncertain.
+        """(2 k, 2 k) second-order term of the innovation covariance if both a distance and the camera are uncertain.
 
-        A pixel goes with the inverse distance times the camera's way, and the error of a product is what its
-        derivatives say and the product of both errors, which is independent from landmark to landmark.
+        A pixel depends on the product of inverse distance and camera displacement. Besides the linear terms, the error
+        of a product has the product of both errors, which is independent from landmark to landmark.
         """
         points = state.points(self.camera)[self.rows] - state.position_m
         by_camera = self.camera.jacobian(points @ state.attitude.T) @ state.attitude
@@ -126,9 +126,10 @@ class FrameMeasurements:
 def _state_jacobian(
     by_camera: FloatArray, by_line: FloatArray, by_landmark: FloatArray, rows: IndexArray
 ) -> FloatArray:
-    """(k r, C + L n) derivative by the whole state of measurements of the landmarks (k,) that ``rows`` tells.
+    """(k r, C + L n) derivative by the whole state of measurements of the landmarks ``rows`` (k,).
 
-    They have the derivatives (k, r, C) by the camera and (k, r, 3) by the line, and points (n, 3, L) by the landmarks.
+    Given are the derivatives (k, r, C) by the camera and (k, r, 3) by the line of sight, and those (n, 3, L) of the
+    points by the landmark elements.
     """
     count, height, first = by_camera.shape
     size = by_landmark.shape[2]
@@ -140,14 +141,14 @@ def _state_jacobian(
 
 
 def _matched(held: IndexArray, seen: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """Rows of ``held`` and of ``seen`` that are the same track."""
+    """Return the rows of ``held`` and of ``seen`` with the same track."""
     _, rows, columns = np.intersect1d(held, seen, assume_unique=True, return_indices=True)
     return rows.astype(np.int64), columns.astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True)
 class IterationRule:
-    """At most so many steps; it ends where the cost falls by less than ``tolerance`` (chi-square has 1 a degree)."""
+    """Stopping rule: at most ``steps`` steps, or a decrease of the cost (a chi-square) below ``tolerance``."""
 
     steps: int
     tolerance: float = 1e-4
@@ -155,7 +156,7 @@ class IterationRule:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Iterate:
-    """A state on the way, how far it is from the prediction by the inverse of its covariance, and what it costs."""
+    """An iterate: the state x, ``pull = P^-1 (x - x0)``, and its cost."""
 
     state: FilterState
     pull: FloatArray
@@ -163,10 +164,10 @@ class _Iterate:
 
 
 def kalman_update(state: AnyState, innovation: Innovation) -> tuple[AnyState, float]:
-    """Update by all measurements at once; return the state and the squared normalised innovation.
+    """Update with all measurements at once; return the state and the squared normalised innovation.
 
-    With S = L L', the covariance loses W' W, W = L^-1 H P: symmetric by construction, and 6 times cheaper than Joseph's
-    form at 20 landmarks.
+    With S = L L' and W = L^-1 H P, the covariance is reduced by W' W: symmetric by construction, and 6 times faster
+    than Joseph's form at 20 landmarks.
 
     Raises
     ------
@@ -181,11 +182,11 @@ def kalman_update(state: AnyState, innovation: Innovation) -> tuple[AnyState, fl
 
 
 def iterated_update(state: FilterState, measured: FrameMeasurements, rule: IterationRule) -> tuple[FilterState, float]:
-    """Update at the minimum of prediction and measurements together; return the state and the least cost.
+    """Update to the minimum of the cost of prediction and measurements; return the state and the minimal cost.
 
-    Gauss-Newton from the prediction x0: ``x = x0 + K (z - h(x_i) - H_i (x0 - x_i))`` (Bell and Cathey 1993), halved
-    until the cost does not grow. The cost of leaving x0 is had without inverting its covariance P, which is singular
-    while landmarks share an anchor: every x is x0 + P a, and costs a' (x - x0).
+    Gauss-Newton from the prediction x0: ``x = x0 + K (z - h(x_i) - H_i (x0 - x_i))`` (Bell and Cathey 1993), with steps
+    halved until the cost does not increase. The covariance P of x0 is singular while landmarks share an anchor, so it
+    is not inverted: every iterate is x = x0 + P a, and the prediction's cost is a' (x - x0).
 
     Raises
     ------
@@ -242,7 +243,7 @@ def _evaluate(
 def _line_search(
     place: _Iterate, end: tuple[FloatArray, FloatArray], start: FloatArray, measured: FrameMeasurements
 ) -> _Iterate | None:
-    """Go towards ``end``, half as far each time until the cost does not grow; None if it does however near."""
+    """Step towards ``end``, halved until the cost does not increase; None if no step is small enough."""
     x, pull = end
     share = 1.0
     while share > _SHORTEST:

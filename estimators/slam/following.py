@@ -1,4 +1,4 @@
-"""What all estimators of sequences share: frame after frame, checked input, and an end with a reason."""
+"""Code shared by all sequence estimators: the loop over the frames, checks of input and result, divergence tests."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ OptionsT = TypeVar("OptionsT", bound=SpecModel)
 
 
 class LostError(Exception):
-    """The sequence cannot be followed beyond this frame; the message says why."""
+    """The estimator fails at this frame; the message is the reason of the failed estimate."""
 
 
 class Follower(Protocol):
     """An estimator at work on one sequence."""
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
-        """Take the next frame in; its ``seconds`` are filled in by the caller. Raises LostError."""
+        """Process the next frame; the caller fills in ``seconds``. Raises LostError."""
         ...
 
     def diagnostics(self) -> dict[str, float]:
@@ -42,23 +42,23 @@ class Follower(Protocol):
 
 @runtime_checkable
 class PixelPredictor(Protocol):
-    """A follower that can tell where its landmarks will be."""
+    """A follower that predicts the pixels of its landmarks in the next frame, for guided matching."""
 
     def predict(self, frame: TrackFrame) -> Prediction | None:
-        """Tell where the landmarks of the frame before will be in the next one, whose tracks are not known yet."""
+        """Predict the pixels of the landmarks in ``frame``, whose tracks are not known yet."""
         ...
 
 
 @dataclass(slots=True)
 class FrameCheck:
-    """Refuses frames that no estimator can use."""
+    """Check of each frame against those before it; refuses frames that no estimator can use."""
 
     time_s: float = -np.inf
     gone: set[int] = field(default_factory=set)
     held: set[int] = field(default_factory=set)
 
     def check(self, frame: TrackFrame) -> None:
-        """Raise LostError where the frame is empty, not finite, out of order, or holds a track twice or again."""
+        """Raise LostError if the frame is empty, not finite or out of order, or holds a track twice or a lost one."""
         tracks = set(frame.tracks.tolist())
         if not np.isfinite(frame.time_s) or frame.time_s <= self.time_s:
             raise LostError(f"time {frame.time_s} s does not come after {self.time_s} s: frames must be in order")
@@ -139,7 +139,7 @@ class InnovationTest:
 
 
 def follow(sequence: TrackSequence, follower: Follower) -> SequenceEstimate:
-    """Feed the frames to ``follower`` until the end or until it is lost."""
+    """Process all frames with ``follower``, up to the first LostError."""
     done: list[FrameEstimate] = []
     check = FrameCheck()
     reason = "" if sequence.frames else "the sequence has no frame"
@@ -157,12 +157,12 @@ def follow(sequence: TrackSequence, follower: Follower) -> SequenceEstimate:
 
 
 def frames_of(sequence: TrackSequence, predict: Predict) -> Iterable[TrackFrame]:
-    """Return the frames as they are, or as the sequence's eye makes them."""
+    """Return the stored frames, or those that the sequence's vision layer makes with the predictions of ``predict``."""
     return sequence.frames if sequence.eye is None else sequence.eye.frames(predict)
 
 
 def next_pixels(follower: Follower, frame: TrackFrame) -> Prediction | None:
-    """Ask a follower where its landmarks will be in a frame; None from one that cannot tell, and before the start."""
+    """Predict the pixels of a follower's landmarks in a frame; None if it cannot, and before the first frame."""
     return follower.predict(frame) if isinstance(follower, PixelPredictor) else None
 
 
@@ -173,7 +173,7 @@ def check_connected(shared: int, needed: int) -> None:
 
 
 def check_scale(covariance_m2: FloatArray, points_m: FloatArray, position_m: FloatArray, limit: float) -> None:
-    """Raise LostError where the position is uncertain by more than ``limit`` of the distance to the landmarks."""
+    """Raise LostError if the position's largest sigma exceeds ``limit`` times the median distance to the landmarks."""
     sigma = float(np.sqrt(max(np.linalg.eigvalsh(covariance_m2)[-1], 0.0)))
     distance = median_distance(points_m, position_m)
     if sigma > limit * distance:
@@ -190,7 +190,7 @@ def median_distance(points_m: FloatArray, position_m: FloatArray) -> float:
 
 
 def lookup(keys: Sequence[int] | IndexArray, wanted: IndexArray) -> IndexArray:
-    """(n,) where each of ``wanted`` stands in the sorted ``keys``; -1 where it does not."""
+    """(n,) index of each of ``wanted`` in the sorted ``keys``; -1 if it is not there."""
     table = np.asarray(keys, dtype=np.int64)
     if len(table) == 0:
         return np.full(len(wanted), -1, dtype=np.int64)

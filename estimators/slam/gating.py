@@ -1,8 +1,8 @@
-"""Which associations a filter believes: gates on its innovation, whose covariance it knows.
+"""Innovation gates: reject pixels that do not fit a prediction of known covariance.
 
-One by one a gate misses what is common to all: where the predicted position is wrong, all pixels move together, and
-the gate of each must be as wide as that. One-point RANSAC (Civera et al. 2010) takes that out: once one landmark is
-taken for right, the others are expected much more closely.
+An individual gate ignores the error that all pixels share: an error of the predicted position moves all pixels
+together, and each gate must be as wide as that. One-point RANSAC (Civera et al. 2010) removes the shared error: with
+one landmark taken as correct, the others are predicted much more closely.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ _LEAST_KNOWN = 3
 
 
 def gate_frame(camera: Camera, frame: TrackFrame, seen: PredictedLines, false_alarm: float, limit: float) -> BoolArray:
-    """(n,) pixels that fit.
+    """(n,) which pixels of a new frame pass the gate.
 
-    Landmarks of the map agree among themselves first, by one-point RANSAC. Those whose distance is a guess are judged
-    one by one from where that puts the camera: what the prediction alone says of them is vague and not linear. Where
-    nearly nothing is mapped, all agree together.
+    The mapped landmarks are gated first, by one-point RANSAC, and update the camera position. Landmarks at a guessed
+    distance are then gated one by one from there: their prediction before the update is uncertain and nonlinear. With
+    fewer than 3 mapped landmarks, all are gated together.
     """
     sound = np.asarray((seen.lines_m @ frame.R_cam_body.T)[:, 2] > 0.0, dtype=np.bool_)
     first = sound & seen.known
@@ -57,14 +57,14 @@ def gate_frame(camera: Camera, frame: TrackFrame, seen: PredictedLines, false_al
 def _single_squares(
     camera: Camera, frame: TrackFrame, seen: PredictedLines, shift: FloatArray, left: FloatArray
 ) -> FloatArray:
-    """(n,) squared distances of single pixels, what is common having moved by ``shift`` with ``left`` as covariance."""
+    """(n,) squared distances of single pixels after an update of the shared variables (shift, remaining covariance)."""
     residual, by_line = _linearised_pixels(camera, frame, seen, seen.lines_m + seen.by_shared @ shift)
     rows = by_line @ seen.by_shared
     return mahalanobis_squares(residual, _own_blocks(rows, left) + _individual_covariance(frame, seen, by_line, left))
 
 
 def _own_blocks(rows: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(n, k, k) blocks of ``rows covariance rows'`` for rows (n, k, m), the first product being one for all."""
+    """(n, k, k) diagonal blocks of ``rows covariance rows'`` for rows (n, k, m)."""
     n, k, m = rows.shape
     half = (rows.reshape(n * k, m) @ covariance).reshape(n, k, m)
     return np.asarray(half @ np.swapaxes(rows, 1, 2), dtype=np.float64)
@@ -73,7 +73,10 @@ def _own_blocks(rows: FloatArray, covariance: FloatArray) -> FloatArray:
 def _linearised_pixels(
     camera: Camera, frame: TrackFrame, seen: PredictedLines, lines_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Measured less expected pixels (n, 2), and derivatives (n, 2, 3) of these by the lines; anything where behind."""
+    """Measured minus predicted pixels (n, 2), and derivatives (n, 2, 3) of the prediction by the lines of sight.
+
+    The values of landmarks behind the camera have no meaning.
+    """
     in_camera = lines_m @ frame.R_cam_body.T
     in_camera = np.where(in_camera[:, 2:] > 0.0, in_camera, [0.0, 0.0, 1.0])
     return frame.uv_px[seen.rows] - camera.project(in_camera), camera.jacobian(in_camera) @ frame.R_cam_body
@@ -82,10 +85,10 @@ def _linearised_pixels(
 def _individual_covariance(
     frame: TrackFrame, seen: PredictedLines, by_line: FloatArray, covariance: FloatArray
 ) -> FloatArray:
-    """(n, 2, 2) what a pixel shares with no other.
+    """(n, 2, 2) covariance of the independent error of each pixel.
 
-    Where the distance is a guess there is a term of second order: a pixel goes with the way of the camera over the
-    distance, and both are uncertain.
+    A guessed distance adds a second-order term: the pixel depends on the camera's displacement divided by the distance,
+    and both are uncertain.
     """
     own_m2, guessed = seen.own_m2.copy(), ~seen.known
     own_m2[guessed] += DEPTH_SIGMA**2 * _own_blocks(seen.by_shared[guessed], covariance)
@@ -94,7 +97,7 @@ def _individual_covariance(
 
 
 def _block_diagonal(blocks: FloatArray) -> FloatArray:
-    """(2 n, 2 n) of (n, 2, 2)."""
+    """(2 n, 2 n) block-diagonal matrix of blocks (n, 2, 2)."""
     k = np.arange(len(blocks))
     wide = np.zeros((len(k), 2, len(k), 2))
     wide[k, :, k] = blocks
@@ -102,14 +105,16 @@ def _block_diagonal(blocks: FloatArray) -> FloatArray:
 
 
 def gate_pixels(residual_px: FloatArray, covariance_px2: FloatArray, gate: Gate, false_alarm: float) -> BoolArray:
-    """(n,) pixels that fit the prediction.
+    """(n,) which pixels pass the gate.
 
     Parameters
     ----------
     residual_px, covariance_px2
         (n, 2) innovation and its joint covariance (2 n, 2 n).
+    gate
+        ``none``, ``individual`` (chi-square of each pixel) or ``one-point`` (RANSAC).
     false_alarm
-        Probability to refuse a right one.
+        Probability that a correct pixel is refused.
     """
     n = len(residual_px)
     if gate == "none" or n == 0:
@@ -127,7 +132,7 @@ def gate_pixels(residual_px: FloatArray, covariance_px2: FloatArray, gate: Gate,
 
 
 def _consensus(residual_px: FloatArray, joint: FloatArray, alone: BoolArray, limit: float) -> BoolArray:
-    """(n,) the largest set that fits one of its own taken for right; of equal ones that with the least squares."""
+    """(n,) largest set that fits with one of its members taken as correct; of equal ones the best fit."""
     own = joint[np.arange(len(joint)), np.arange(len(joint))]
     candidates = np.flatnonzero(alone)
     some = candidates[np.linspace(0, len(candidates) - 1, min(len(candidates), _MOST_HYPOTHESES)).astype(np.int64)]
@@ -145,7 +150,7 @@ def _consensus(residual_px: FloatArray, joint: FloatArray, alone: BoolArray, lim
 
 
 def _snooped(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolArray, limit: float) -> BoolArray:
-    """(n,) the core without those that the rest of it contradicts, the worst first (Baarda's data snooping)."""
+    """(n,) the core without the pixels that the rest of it contradicts, the worst first (Baarda's data snooping)."""
     left = core.copy()
     while np.count_nonzero(left) > 2:
         squares = _contradiction_squares(residual_px, covariance_px2, left)
@@ -156,10 +161,10 @@ def _snooped(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolArra
 
 
 def _contradiction_squares(residual_px: FloatArray, covariance_px2: FloatArray, among: BoolArray) -> FloatArray:
-    """(k,) squared distance of each of those marked from what all the others of them predict.
+    """(k,) squared Mahalanobis distance of each marked pixel from its prediction by all other marked ones.
 
-    With L the inverse of their covariance, what the others leave of pixel j is ``L_jj^-1 (L r)_j``, of covariance
-    ``L_jj^-1``.
+    With L the inverse of their joint covariance, the residual of pixel j against the others is ``L_jj^-1 (L r)_j``, of
+    covariance ``L_jj^-1``.
     """
     inside = np.repeat(among, 2)
     inverse = np.asarray(np.linalg.inv(covariance_px2[np.ix_(inside, inside)]), dtype=np.float64)
@@ -169,7 +174,7 @@ def _contradiction_squares(residual_px: FloatArray, covariance_px2: FloatArray, 
 
 
 def _readmitted(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolArray, limit: float) -> BoolArray:
-    """(n,) the core, and those that fit what all of it together predicts."""
+    """(n,) the core, and the pixels that fit their prediction by the whole core."""
     inside = np.repeat(core, 2)
     gain = np.linalg.solve(covariance_px2[np.ix_(inside, inside)], covariance_px2[inside]).T
     left = residual_px - (gain @ residual_px[core].ravel()).reshape(-1, 2)
@@ -183,8 +188,8 @@ def _readmitted(residual_px: FloatArray, covariance_px2: FloatArray, core: BoolA
 
 
 def mahalanobis_squares(residual_px: FloatArray, covariance_px2: FloatArray) -> FloatArray:
-    """(n,) squared Mahalanobis distances of (n, 2) by (n, 2, 2), in closed form."""
+    """(n,) squared Mahalanobis distances of residuals (n, 2) with covariances (n, 2, 2), in closed form."""
     a, b, c = covariance_px2[:, 0, 0], covariance_px2[:, 0, 1], covariance_px2[:, 1, 1]
     x, y = residual_px[:, 0], residual_px[:, 1]
-    determinant = np.maximum(a * c - b**2, 1e-18)  # of a pixel taken for right, nothing is left
+    determinant = np.maximum(a * c - b**2, 1e-18)  # 0 for the pixel taken as correct
     return np.asarray((c * x**2 - 2.0 * b * x * y + a * y**2) / determinant, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The smoothers of gtsam on our contract: their factors, iSAM2 over all frames, and its fixed-lag form."""
+"""Smoothers of gtsam as sequence estimators: iSAM2 over all frames, and its fixed-lag form."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from scenarios.tracks import TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 
-# A bearing of 0.67 px is known to 3.5e-4 rad: a hundred of them give way by a part in 1e7.
+# A bearing has a sigma of about 3.5e-4 rad (0.67 px): even a hundred of them change this attitude by 1 part in 1e7.
 ATTITUDE_SIGMA_RAD = 1e-8
 _FIXED_SIGMA_M = 1e-6
 _FREE_SIGMA_RAD = 1e3
@@ -44,7 +44,7 @@ def load_gtsam() -> Any:
 
 
 class Factors:
-    """Makes the factors of one camera; views and landmarks go by their numbers."""
+    """Factors of one camera; views and landmarks are given by their numbers."""
 
     def __init__(self, camera: Camera) -> None:
         self.gtsam = load_gtsam()
@@ -65,30 +65,30 @@ class Factors:
         return self.gtsam.Pose3(self.gtsam.Rot3(R_cam_body.T), position_m)
 
     def attitude(self, view: int, R_cam_body: FloatArray) -> Any:
-        """Tie a view to its known attitude."""
+        """Return the prior factor of a view's known attitude."""
         known = self.gtsam.Rot3(R_cam_body.T)
         return self.gtsam.PoseRotationPrior3D(self.view(view), known, self._noise(3, ATTITUDE_SIGMA_RAD))
 
     def place(self, view: int, position_m: FloatArray, covariance_m2: FloatArray) -> Any:
-        """Tie a view to a measured position; a covariance of zero fixes it."""
+        """Return the prior factor of a view's position; a covariance of zero fixes it."""
         known = covariance_m2 if np.any(covariance_m2) else np.eye(3) * _FIXED_SIGMA_M**2
         noise = self.gtsam.noiseModel.Gaussian.Covariance(known)
         return self.gtsam.PoseTranslationPrior3D(self.view(view), position_m, noise)
 
     def sighting(self, view: int, point: int, uv_px: FloatArray, sigma_px: float) -> Any:
-        """Tell where a view saw a landmark."""
+        """Return the factor of a landmark's pixel."""
         keys = self.view(view), self.point(point)
         noise = self._noise(2, sigma_px)
         return self.gtsam.GenericProjectionFactorCal3_S2(uv_px, noise, *keys, self._calibration, False, False)
 
     def distance(self, view: int, point: int, range_m: float, sigma_m: float) -> Any:
-        """Tell how far a landmark is from a view."""
+        """Return the factor of a measured distance from a view to a landmark."""
         return self.gtsam.RangeFactor3D(self.view(view), self.point(point), range_m, self._noise(1, sigma_m))
 
     def motion(
         self, views: tuple[int, int], R_cam_body: FloatArray, moved_m: FloatArray, covariance_m2: FloatArray
     ) -> Any:
-        """Tell the displacement from a view to the next, body axes; ``R_cam_body`` (2, 3, 3) are their attitudes."""
+        """Return the factor of a displacement from view to view, body axes; ``R_cam_body`` (2, 3, 3)."""
         between = self.gtsam.Pose3(self.gtsam.Rot3(R_cam_body[0] @ R_cam_body[1].T), R_cam_body[0] @ moved_m)
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = np.eye(3) * _FREE_SIGMA_RAD**2
@@ -103,7 +103,7 @@ class Factors:
 
 
 def graph_of(problem: Adjustment, state: State) -> tuple[Any, Any]:
-    """Write an adjustment without a prior down as a graph of gtsam, and ``state`` as its values."""
+    """Return the factor graph of an adjustment without a prior, and ``state`` as its values."""
     factors = Factors(problem.camera)
     graph, values = factors.gtsam.NonlinearFactorGraph(), factors.gtsam.Values()
     for i, (R, position) in enumerate(zip(problem.R_cam_body, state.positions_m, strict=True)):
@@ -132,7 +132,7 @@ def _columns(ranged: Any) -> tuple[Any, ...]:
 
 
 class GtsamIsam2(ConfiguredEstimator[GtsamOptions]):
-    """iSAM2 of Kaess et al. (2012) as in gtsam: all frames stay in a Bayes tree, of which each frame redoes a part."""
+    """iSAM2 of Kaess et al. (2012) in gtsam: a Bayes tree of all frames, updated incrementally."""
 
     name: ClassVar[str] = "gtsam-isam2"
     version: ClassVar[int] = 1
@@ -150,7 +150,7 @@ class GtsamIsam2(ConfiguredEstimator[GtsamOptions]):
 
 
 class GtsamFixedLag(ConfiguredEstimator[GtsamFixedLagOptions]):
-    """The incremental fixed-lag smoother of gtsam: iSAM2 that marginalises what is older than the lag."""
+    """Incremental fixed-lag smoother of gtsam: iSAM2 that marginalises frames older than the lag."""
 
     name: ClassVar[str] = "gtsam-fixed-lag"
     version: ClassVar[int] = 1
@@ -168,7 +168,7 @@ class GtsamFixedLag(ConfiguredEstimator[GtsamFixedLagOptions]):
 
 
 class IncrementalFollower:
-    """A smoother of gtsam at work on one sequence; ``lag`` in frames, nothing for all."""
+    """Smoother of gtsam on one sequence; ``lag`` in frames, None for all frames."""
 
     def __init__(self, sequence: TrackSequence, options: GtsamOptions, lag: int | None) -> None:
         self.options, self.lag = options, lag
@@ -183,7 +183,7 @@ class IncrementalFollower:
         return {"landmarks": float(len(self.mapped))}
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
-        """Take the next frame in. Raises LostError."""
+        """Process the next frame. Raises LostError."""
         number = len(self.slam_map.positions_m)
         self.slam_map.frames[number] = frame
         if number == 0:
@@ -199,7 +199,7 @@ class IncrementalFollower:
         try:
             self._update(graph, values, number)
             return self._estimate(number)
-        except RuntimeError as error:  # what C++ throws
+        except RuntimeError as error:  # exceptions of gtsam's C++ code
             raise LostError(f"gtsam: {str(error).strip().splitlines()[0]}") from error
 
     def _engine(self) -> Any:
@@ -222,7 +222,7 @@ class IncrementalFollower:
             graph.add(factors.motion((number - 1, number), attitudes, frame.motion_m, frame.motion_covariance_m2))
 
     def _add_landmarks(self, graph: Any, values: Any, number: int) -> None:
-        """Tell of all landmarks that were seen twice or whose distance is known; a new one with its first sight."""
+        """Add the pixels of all landmarks that were seen twice or have a range; a new one also with its first pixel."""
         slam_map, frame = self.slam_map, self.slam_map.frames[number]
         ranges = {item.track: item for item in frame.ranges}
         before = set(slam_map.frames[number - 1].tracks.tolist()) if number else set()
@@ -244,7 +244,7 @@ class IncrementalFollower:
                 graph.add(self.factors.distance(number, track, ranges[track].range_m, ranges[track].sigma_m))
 
     def _update(self, graph: Any, values: Any, number: int) -> None:
-        """Take the new factors in, then refine as often as asked for."""
+        """Update the tree with the new factors, then repeat the update ``rounds - 1`` times."""
         if self.lag is None:
             self.engine.update(graph, values)
         else:
@@ -256,7 +256,7 @@ class IncrementalFollower:
     def _estimate(self, number: int) -> FrameEstimate:
         factors, slam_map, engine = self.factors, self.slam_map, self.engine
         pose = engine.calculateEstimatePose3(factors.view(number))
-        local = engine.marginalCovariance(factors.view(number))[3:, 3:]  # in the camera's axes
+        local = engine.marginalCovariance(factors.view(number))[3:, 3:]  # camera axes
         turn = pose.rotation().matrix()
         covariance = turn @ local @ turn.T
         tracks = sorted(track for track in slam_map.frames[number].tracks.tolist() if track in self.mapped)

@@ -1,4 +1,4 @@
-"""Which views the window of BA-SLAM holds: the two strategies of section 3.2."""
+"""Keyframe management of BA-SLAM (section 3.2): the views of the sliding window, and its depth gauge, equation (5)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def measure_gauge(slam_map: SlamMap, view: int) -> DepthGauge:
 
 
 def gauge_distances(slam_map: SlamMap, gauge: DepthGauge, views: Sequence[int], tracks: Sequence[int]) -> Distances:
-    """Return what holds the scale of a window: the ranges that its leading view measured, or else the gauge."""
+    """Return the distances that fix the scale of a window: the leading view's measured ranges, or else the gauge."""
     lead = slam_map.distances(views[-1:], tracks)
     if len(lead.view):
         return replace(lead, view=lead.view + len(views) - 1)
@@ -53,7 +53,7 @@ def gauge_distances(slam_map: SlamMap, gauge: DepthGauge, views: Sequence[int], 
 
 
 def reestimate_gauge(slam_map: SlamMap, gauge: DepthGauge, sigma_m: float) -> DepthGauge:
-    """Return a gauge with its present estimate, as after an adjustment to a range that was measured later."""
+    """Return a gauge with its present estimated distance, as after an adjustment with a range measured later."""
     distance = float(np.linalg.norm(slam_map.points_m[gauge.track] - slam_map.positions_m[gauge.view]))
     return DepthGauge(gauge.view, gauge.track, distance, sigma_m)
 
@@ -65,18 +65,18 @@ def hand_over_gauge(
     seen: Mapping[int, Sequence[int]],
     options: BundleOptions,
 ) -> DepthGauge:
-    """Return the gauge for a window of ``views``, the oldest first; ``seen`` tells which of them saw each track.
+    """Return the depth gauge of a window of ``views``, the oldest first; ``seen`` lists the views of each track.
 
-    The old one serves while its view is the oldest and "as long as the connectivity with the last acquired view can be
+    The old gauge stays while its view is the oldest and "as long as the connectivity with the last acquired view can be
     maintained": while the leading view sees its landmark; with ``connected: whole-window`` while any other view does.
-    Otherwise a landmark of the oldest view takes over, at the distance that was measured to it from there, or else at
-    the estimated one: of those that the leading view sees that which most views see, for one with a short track loses
-    the scale.
+    Otherwise it is handed over to a landmark of the oldest view, at the distance measured there, or else at the
+    estimated one: of the landmarks in the leading view the one with the most views, since a gauge on a short track
+    loses the scale.
 
     Raises
     ------
     LostError
-        If no landmark that the oldest view sees has a known distance and is seen twice.
+        If no landmark of the oldest view has a known distance and is seen twice.
     """
     oldest, lead = views[0], views[-1]
     by = seen.get(gauge.track, ())
@@ -100,7 +100,7 @@ def hand_over_gauge(
 
 
 class SharedLandmarks(Protocol):
-    """Counts landmarks that two frames share: those of a journal, or of frames as they came."""
+    """Count of landmarks that two frames share: that of a `SlamMap`, or of an `OutlierGate` with refused pixels."""
 
     def shared(self, first: int, second: int) -> int:
         """Count the landmarks that two views share."""
@@ -110,22 +110,22 @@ class SharedLandmarks(Protocol):
 def trailing_views(
     slam_map: SlamMap, tracks: SharedLandmarks, trailing: Sequence[int], lead: int, options: BundleOptions
 ) -> list[int]:
-    """Second strategy: the trailing views stay as long as they are connected with the leading one.
+    """Second strategy: the trailing views stay while they are connected with the leading one.
 
     The paper shifts the window "when the distance between the two last frames cannot ensure a proper landmark
     connectivity": the oldest view is dropped, and the leading view of the step before becomes the last of the trailing
-    ones. "The window size gets reduced before growing again": of the shifted window the oldest views go that share too
-    few landmarks with the leading one, for the gauge of the oldest view serves only "as long as the connectivity with
-    the last acquired view can be maintained". With ``connected: whole-window``, which is not the paper's, the window
-    is shifted as soon as the leading view loses the oldest one.
+    ones. "The window size gets reduced before growing again": the oldest views of the shifted window that share too few
+    landmarks with the leading one are dropped, since the gauge of the oldest view is valid only "as long as the
+    connectivity with the last acquired view can be maintained". With ``connected: whole-window``, which is not the
+    paper's, the window is shifted as soon as the leading view is no longer connected with the oldest one.
 
-    While the window grows, which the paper does not detail, views enter it at equal ratios of shared landmarks, so that
-    the window spans just the connectivity when it is full.
+    While the window grows, which the paper does not detail, views are added at equal ratios of shared landmarks, so
+    that the full window spans just the connectivity.
 
     Raises
     ------
     LostError
-        If the leading view shares too few landmarks with every view that it could build on.
+        If the leading view shares too few landmarks with every trailing view and with the frame before.
     """
     views = list(trailing)
     if len(views) < options.views - 1:
@@ -144,7 +144,7 @@ def offset_views(tracks: SharedLandmarks, lead: int, options: BundleOptions) -> 
 
 
 def _grown(tracks: SharedLandmarks, views: list[int], lead: int, options: BundleOptions) -> list[int]:
-    """Let the view before the leading one in when the leading one has moved far enough from the last."""
+    """Add the view before the leading one when the leading one shares few enough landmarks with the last."""
     held = tracks.shared(views[-1], views[-1])
     share = (options.connectivity / held) ** (1.0 / (options.views - 1))
     near = tracks.shared(views[-1], lead) >= share * held
@@ -160,7 +160,7 @@ def _connected(
 
 
 def _connected_part(tracks: SharedLandmarks, views: list[int], lead: int, options: BundleOptions) -> list[int]:
-    """Drop the oldest views until the leading one is connected with the first that remains."""
+    """Drop the oldest views until the leading one is connected with the first remaining one."""
     while views and tracks.shared(views[0], lead) < options.connectivity:
         views = views[1:]
     if views:

@@ -1,4 +1,4 @@
-"""All frames of a sequence so far, in which tracks of one landmark go by one number."""
+"""Map of all frames of a sequence so far, in which the tracks of one landmark are merged."""
 
 from __future__ import annotations
 
@@ -17,10 +17,18 @@ IndexArray = NDArray[np.int64]
 
 
 class GlobalMap:
-    """The journal of all frames, whose tracks are landmarks.
+    """Map of all frames, whose tracks are renumbered to landmarks: a landmark has the number of its oldest track.
 
-    ``members`` are the tracks of each landmark that has more than one, ``seen`` the frames of each landmark, and
-    ``named`` the tracks of each frame by landmark.
+    Attributes
+    ----------
+    landmark
+        Landmark of each track that was merged into another one.
+    members
+        Tracks of each landmark with more than one.
+    seen
+        Frames of each landmark.
+    track_in_frame
+        For each frame, the track of each landmark.
     """
 
     def __init__(self, sequence: TrackSequence, *, motion: bool) -> None:
@@ -34,7 +42,7 @@ class GlobalMap:
         self.track_in_frame: dict[int, dict[int, int]] = {}
 
     def add(self, number: int, frame: TrackFrame) -> None:
-        """Take a frame in, or anew where its pixels have changed."""
+        """Add a frame, or replace it if its pixels have changed."""
         for landmark in self.track_in_frame.pop(number, {}):
             self.seen[landmark].discard(number)
         self.slam_map.frames[number] = self._renamed(frame)
@@ -43,15 +51,15 @@ class GlobalMap:
             self.seen.setdefault(landmark, set()).add(number)
 
     def of(self, track: int) -> int:
-        """Return the landmark of a track: the oldest track of it that is known."""
+        """Return the landmark of a track."""
         return self.landmark.get(track, track)
 
     def may_merge(self, first: int, second: int) -> bool:
-        """Tell whether two landmarks are different by their numbers, and were never seen in one image."""
+        """Return whether two landmarks have different numbers and never appear in one frame."""
         return first != second and not self.seen.get(first, set()) & self.seen.get(second, set())
 
     def merge(self, new: int, old: int) -> None:
-        """Take two landmarks for one, which goes by the number of ``old``."""
+        """Merge two landmarks into one with the number of ``old``."""
         members = self.members.pop(new, {new})
         self.members[old] = self.members.pop(old, {old}) | members
         self.landmark.update(dict.fromkeys(members, old))
@@ -62,7 +70,7 @@ class GlobalMap:
             self.slam_map.frames[number] = self._renamed(self.slam_map.frames[number])
 
     def problem(self, kept: Collection[int] = ()) -> tuple[Adjustment, list[int]]:
-        """Make the adjustment of all frames, and list its landmarks; those in ``kept`` stay in the reduced system."""
+        """Return the adjustment of all frames and its landmarks; those in ``kept`` stay in the reduced system."""
         slam_map = self.slam_map
         views = sorted(slam_map.frames)
         ranged = {item.track for frame in slam_map.frames.values() for item in frame.ranges}
@@ -86,7 +94,7 @@ class GlobalMap:
         return problem, tracks
 
     def _renamed(self, frame: TrackFrame) -> TrackFrame:
-        """Call the tracks of a frame by their landmarks."""
+        """Renumber the tracks of a frame to their landmarks."""
         tracks = np.array([self.of(track) for track in frame.tracks.tolist()], dtype=np.int64)
         ranges = tuple(replace(item, track=self.of(item.track)) for item in frame.ranges)
         return replace(frame, tracks=tracks, ranges=ranges)

@@ -1,4 +1,4 @@
-"""A fixed-lag smoother that closes loops: at times it adjusts all frames, with landmarks seen again taken for one."""
+"""Fixed-lag smoother with loop closure: merges recognised landmarks and adjusts all frames at loop closures."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ _SAME_PLACE_M = 1e-3
 
 
 def compatible_pairs(differences_m: FloatArray, covariance_m2: FloatArray, probability: float) -> list[int]:
-    """List the largest set of pairs that may all be right at once.
+    """List the largest jointly compatible set of pairs.
 
-    A right pair is one landmark estimated twice: the difference is noise, most of it common to all pairs, since it is
-    what the path has drifted. Each pair that could be right by itself starts a set; the one that the set foretells best
-    joins it, and tells the rest of the drift, until none is left that its chi-square of 3 degrees of freedom, given
-    those in the set, lets in. That is greedy where Neira and Tardos search a tree.
+    A correct pair is one landmark estimated twice: the difference is an error, most of it common to all pairs, the
+    drift of the path. Each pair that passes its own chi-square test (3 degrees of freedom) starts a set. The pair with
+    the smallest chi-square given the set is added and conditions the others, until none passes. This is a greedy
+    version of joint compatibility branch and bound (Neira and Tardos 2001), which searches a tree.
 
     Parameters
     ----------
     differences_m
-        (k, 3) second estimate less first.
+        (k, 3) difference of the two estimates of each pair.
     covariance_m2
-        (3 k, 3 k) of all differences together.
+        (3 k, 3 k) joint covariance of the differences.
     probability
-        With which a right pair passes.
+        Probability that a correct pair passes the test.
     """
     gate = 2.0 * float(gammaincinv(1.5, probability))  # the quantile of chi-square of 3 degrees of freedom
     best: tuple[int, float] = (0, 0.0)
     found: list[int] = []
     for seed in range(len(differences_m)):
-        if seed in found:  # it would start the same set
+        if seed in found:  # it would grow into the same set
             continue
         members, total = _grown(seed, differences_m.ravel(), covariance_m2, gate)
         if (len(members), -total) > best:
@@ -59,7 +59,7 @@ def compatible_pairs(differences_m: FloatArray, covariance_m2: FloatArray, proba
 
 
 def _grown(seed: int, difference: FloatArray, covariance: FloatArray, gate: float) -> tuple[list[int], float]:
-    """Grow a set from one pair; return it with its joint chi-square, or nothing where the pair is wrong by itself."""
+    """Grow a set from one pair; return it with its joint chi-square, empty if the pair fails its own test."""
     members: list[int] = []
     total, candidate = 0.0, seed
     squares = _squares(difference, covariance)
@@ -74,7 +74,7 @@ def _grown(seed: int, difference: FloatArray, covariance: FloatArray, gate: floa
 
 
 def _squares(difference: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(k,) squared differences over their covariances."""
+    """(k,) squared Mahalanobis distances of the pairs, one by one."""
     count = len(difference) // 3
     rows = np.arange(count)
     blocks = covariance.reshape(count, 3, count, 3)[rows, :, rows] + _SAME_PLACE_M**2 * np.eye(3)
@@ -83,7 +83,7 @@ def _squares(difference: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def _given(pair: int, difference: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return what is left of differences and covariance once a pair is known to be one landmark."""
+    """Condition the differences and their covariance on one pair being a single landmark."""
     rows = slice(3 * pair, 3 * pair + 3)
     block = covariance[rows, rows] + _SAME_PLACE_M**2 * np.eye(3)
     gain = np.linalg.solve(block, covariance[rows]).T
@@ -91,11 +91,11 @@ def _given(pair: int, difference: FloatArray, covariance: FloatArray) -> tuple[F
 
 
 class LoopSmoother(ConfiguredEstimator[LoopOptions]):
-    """Follows by a fixed lag, and adjusts all frames when enough landmarks have been seen again.
+    """Fixed-lag smoother that adjusts all frames when enough lost landmarks have been recognised again.
 
-    Landmarks that the vision layer takes for ones that were lost are tested together against what the drift so far
-    allows. Those that agree are united, all frames are adjusted, and what this says about the window takes the place
-    of its prior: every measurement counts once, and the covariance knows of the loop.
+    Pairs of tracks that the vision layer recognises as one landmark are tested together against the covariance of the
+    drift. Compatible pairs are merged, all frames are adjusted, and the measurements outside the window are
+    marginalised to its new prior: every measurement is used once, and the covariance contains the loop closure.
     """
 
     name: ClassVar[str] = "loop-smoother"
@@ -108,7 +108,15 @@ class LoopSmoother(ConfiguredEstimator[LoopOptions]):
 
 
 class _LoopClosingWindow(WindowSmoother):
-    """The window at work on one sequence, and the history behind it."""
+    """Window on one sequence, with the map of all frames.
+
+    Attributes
+    ----------
+    raw
+        Frames of the window as measured, weighted.
+    pending
+        Recognised pairs (new track, old track) that have not been tested yet.
+    """
 
     def __init__(self, sequence: TrackSequence, options: LoopOptions) -> None:
         super().__init__(sequence, options)
@@ -141,17 +149,17 @@ class _LoopClosingWindow(WindowSmoother):
         return self._close(pairs) or estimate
 
     def _marginalise(self, problem: Adjustment, state: State, tracks: Sequence[int]) -> None:
-        """Let the oldest view go into the history, too."""
+        """Marginalise the oldest view, after adding it to the map of all frames."""
         self.global_map.add(self.views[0], self._believed(self.views[0]))
         del self.raw[self.views[0]]
         super()._marginalise(problem, state, tracks)
 
     def _is_determined(self, *tracks: int) -> bool:
-        """Tell whether the landmarks of all of ``tracks`` were seen twice or more."""
+        """Return whether the landmarks of all of ``tracks`` were seen twice or more."""
         return all(len(self.global_map.seen.get(self.global_map.of(track), ())) >= 2 for track in tracks)
 
     def _close(self, pairs: list[tuple[int, int]]) -> FrameEstimate | None:
-        """Unite what agrees, adjust all frames, and begin the window anew from there; nothing where none agree."""
+        """Merge compatible pairs, adjust all frames, and replace the window's prior; None if none are compatible."""
         try:
             united = self._merge(pairs)
             if not united:
@@ -164,7 +172,7 @@ class _LoopClosingWindow(WindowSmoother):
         return self._smoothed()
 
     def _update_global_map(self) -> None:
-        """Give the history the frames of the window and the present estimates; united landmarks keep theirs."""
+        """Copy the window's frames and estimates to the map of all frames; merged landmarks keep their estimates."""
         known = self.global_map
         for view in self.views:
             known.add(view, self._believed(view))
@@ -174,7 +182,7 @@ class _LoopClosingWindow(WindowSmoother):
                 known.slam_map.points_m[track] = point
 
     def _merge(self, pairs: list[tuple[int, int]]) -> int:
-        """Test the pairs against each other and unite those that agree; return their number."""
+        """Test the pairs for joint compatibility and merge the compatible ones; return their number."""
         problem, state, tracks = self._adjusted({landmark for pair in pairs for landmark in pair})
         first, second = (lookup(tracks, np.array(side, dtype=np.int64)) for side in zip(*pairs, strict=True))
         differences = state.points_m[first] - state.points_m[second]
@@ -193,7 +201,7 @@ class _LoopClosingWindow(WindowSmoother):
         return len(good)
 
     def _adjusted(self, kept: Collection[int] = ()) -> tuple[Adjustment, State, list[int]]:
-        """Adjust all frames; what it comes to stays in the history."""
+        """Adjust all frames, and store the estimates in the map of all frames."""
         known = self.global_map
         problem, tracks = known.problem(kept)
         views = sorted(known.slam_map.frames)
@@ -201,10 +209,10 @@ class _LoopClosingWindow(WindowSmoother):
         return problem, known.slam_map.adjust(problem, views, tracks, rule).state, tracks
 
     def _replace_prior(self, problem: Adjustment, state: State, tracks: list[int]) -> None:
-        """Let what all frames outside the window tell take the place of the window's prior.
+        """Replace the window's prior by the marginalised measurements of all frames outside the window.
 
-        The window knows a landmark by one track. What it saw of it under another track, or has
-        left to its prior, goes over into the new one.
+        The window has one track for each landmark. Pixels of its other tracks, and those in the old prior, are part of
+        the new prior.
         """
         known, views = self.global_map, np.array(sorted(self.global_map.slam_map.frames))
         alive = {known.of(track): track for track in self.raw[self.views[-1]].tracks.tolist()}
@@ -232,7 +240,7 @@ class _LoopClosingWindow(WindowSmoother):
     def _seen_under_number(
         self, numbers: IndexArray, views: IndexArray, points: IndexArray, tracks: list[int]
     ) -> BoolArray:
-        """(k,): whether a view of the window has a landmark under the number by which the window knows it."""
+        """(k,): whether a view of the window has a landmark under its track ``numbers`` (k,) of the window."""
         held = {view: set(self.slam_map.frames[view].tracks.tolist()) for view in self.views}
         named = self.global_map.track_in_frame
         rows = zip(numbers.tolist(), views.tolist(), points.tolist(), strict=True)
@@ -242,7 +250,7 @@ class _LoopClosingWindow(WindowSmoother):
         )
 
     def _window_number(self, landmark: int, alive: Mapping[int, int]) -> int:
-        """Return the number by which the window knows a landmark: that of the track in view, if there is one."""
+        """Return the window's track of a landmark: the one in view, if there is one, else the newest."""
         if landmark in alive:
             return alive[landmark]
         return max(self.global_map.members.get(landmark, {landmark}))
@@ -254,6 +262,6 @@ class _LoopClosingWindow(WindowSmoother):
         return self._estimate(self.adjusted.problem, self.adjusted.state, self.adjusted.tracks.tolist())
 
     def _believed(self, view: int) -> TrackFrame:
-        """Return a frame of the window as it came, without the pixels that are refused."""
+        """Return a frame of the window as measured, without the refused pixels."""
         refused = set() if self.gate is None else self.gate.refused.get(view, set())
         return without_tracks(self.raw[view], refused)

@@ -1,4 +1,4 @@
-"""Marginalisation: what measurements that leave a window say about the variables that stay, as a quadratic."""
+"""Marginalisation: replace measurements that leave a window by a quadratic prior of the remaining variables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ IndexArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Retained:
-    """What a window goes on with: views (V,), landmarks (L,), and of its sightings (k,) and distances (m,) which."""
+    """What remains in a window, as masks: views (V,), landmarks (L,), pixels (k,) and distances (m,)."""
 
     views: BoolArray
     points: BoolArray
@@ -30,15 +30,15 @@ class Retained:
 
 
 def marginalise_outside(problem: Adjustment, state: State, staying: Retained) -> QuadraticPrior:
-    """Marginalise all views, landmarks and measurements that do not stay, at once.
+    """Marginalise all views, landmarks and measurements outside a window at once.
 
-    All is linearised at ``state``. Motions stay between views that stay. The quadratic is in the views and landmarks
-    that stay, by their numbers in ``problem``, as far as something that goes speaks of them.
+    All are linearised at ``state``. Motions between two remaining views remain. The prior covers the remaining views
+    and landmarks that a removed measurement constrains, by their numbers in ``problem``.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If what goes is not determined.
+        If the removed variables are not determined.
     """
     part = _outside_part(problem, staying)
     ordering = VariableOrdering.of(part)
@@ -54,7 +54,7 @@ def marginalise_outside(problem: Adjustment, state: State, staying: Retained) ->
 
 
 def landmark_covariance(problem: Adjustment, state: State, points: IndexArray) -> FloatArray:
-    """(3 n, 3 n) covariance of landmarks that the reduced system of ``problem`` keeps.
+    """(3 n, 3 n) joint covariance of landmarks in the reduced system of ``problem``, m^2.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def landmark_covariance(problem: Adjustment, state: State, points: IndexArray) -
 
 
 def _outside_part(problem: Adjustment, staying: Retained) -> Adjustment:
-    """Return the part of ``problem`` that goes; of its landmarks only those that it speaks of are free."""
+    """Return the removed part of ``problem``; its free landmarks are those that it constrains."""
     seen, measured, moved = problem.pixels, problem.distances, problem.motions
     goes, ranged = ~staying.pixels, ~staying.distances
     motion = ~(staying.views[moved.start] & staying.views[moved.end])
@@ -84,9 +84,10 @@ def _outside_part(problem: Adjustment, staying: Retained) -> Adjustment:
 
 
 def departing_part(problem: Adjustment, view: int, lost: BoolArray) -> Adjustment:
-    """Return the part of ``problem`` that goes when a view and the landmarks marked in ``lost`` (L,) are marginalised.
+    """Return the part of ``problem`` that is removed with a view and the landmarks marked in ``lost`` (L,).
 
-    These are all measurements that join one of them with anything, and the prior. The landmarks that stay are kept.
+    It has all measurements of that view and of those landmarks, and the prior. The remaining landmarks are kept in its
+    reduced system.
     """
     seen, measured, moved = problem.pixels, problem.distances, problem.motions
     goes = (seen.view == view) | lost[seen.point]
@@ -102,19 +103,19 @@ def departing_part(problem: Adjustment, view: int, lost: BoolArray) -> Adjustmen
 
 
 def marginalise_view(problem: Adjustment, state: State, view: int, lost: BoolArray) -> QuadraticPrior:
-    """Marginalise a view and the landmarks marked in ``lost`` (L,), all linearised at ``state``.
+    """Marginalise a view and the landmarks marked in ``lost`` (L,), linearised at ``state``.
 
-    The quadratic is about the variables that stay and that the departing measurements, or the old prior, speak of.
+    The new prior covers the remaining variables that the removed measurements or the old prior constrain.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If what goes is not determined.
+        If the removed variables are not determined.
     """
     part = departing_part(problem, view, lost)
     part = replace(part, free_points=part.free_points & constrained_points(part))
     matrix, right, view_slots, point_slots = reduced_system(part, state)
-    slots = point_slots[lost & (point_slots >= 0)]  # joined to others by the old prior
+    slots = point_slots[lost & (point_slots >= 0)]  # the old prior couples these, so they are not eliminated yet
     if view_slots[view] >= 0:
         slots = np.append(slots, view_slots[view])
     out = np.zeros(len(matrix), dtype=np.bool_)
@@ -128,7 +129,7 @@ def marginalise_view(problem: Adjustment, state: State, view: int, lost: BoolArr
 def eliminate_rows(
     information: NDArray[np.float64], gradient: NDArray[np.float64], out: BoolArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Eliminate the rows marked in ``out``.
+    """Eliminate the rows marked in ``out`` by the Schur complement; return the remaining information and gradient.
 
     Raises
     ------
@@ -145,7 +146,7 @@ def eliminate_rows(
 
 
 def constrained_points(part: Adjustment) -> BoolArray:
-    """(L,) landmarks that a measurement of ``part`` or its prior speaks of."""
+    """(L,) landmarks that a measurement of ``part`` or its prior constrains."""
     told = np.zeros(len(part.free_points), dtype=np.bool_)
     told[part.pixels.point] = True
     told[part.distances.point] = True
@@ -159,7 +160,7 @@ def _values(state: State, views: NDArray[np.int64], points: NDArray[np.int64]) -
 
 
 def without_empty_variables(prior: QuadraticPrior) -> QuadraticPrior:
-    """Leave the variables out that nothing is said about."""
+    """Drop the variables whose rows of the information matrix are zero."""
     told = np.any(prior.information.reshape(len(prior.origin_m), -1) != 0.0, axis=1)
     rows = np.repeat(told, 3)
     count = len(prior.views)

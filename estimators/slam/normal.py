@@ -1,7 +1,10 @@
-"""Normal equations of an adjustment, reduced to the views by the Schur complement.
+"""Residuals, cost and normal equations of an adjustment in numpy, reduced to the views by the Schur complement.
 
 Variables are 3-vectors. *Kept* are the free views and the landmarks of the prior, which couples them; *eliminated* are
-all other free landmarks: no measurement joins two of them, so their part of the matrix is made of 3 x 3 blocks.
+all other free landmarks: no measurement joins two of them, so that their part of the matrix is block-diagonal (3 x 3).
+
+Pixels and distances depend only on landmark minus camera position, since the attitude is known: the derivative by the
+position is the negative of that by the landmark. A residual is predicted minus measured.
 """
 
 from __future__ import annotations
@@ -47,14 +50,14 @@ def distance_jacobians(problem: Adjustment, state: State) -> FloatArray:
 
 
 def motion_residuals(problem: Adjustment, state: State) -> FloatArray:
-    """(k, 3), m, not whitened: the information matrices do that."""
+    """(k, 3), m, not whitened: they are weighted by the information matrices."""
     moved = problem.motions
     steps = state.positions_m[moved.end] - state.positions_m[moved.start]
     return np.asarray(steps - moved.displacement_m, dtype=np.float64)
 
 
 def cost(problem: Adjustment, state: State) -> float:
-    """Half the sum of squares, equation (2), with the prior's quadratic; inf with a landmark behind its camera."""
+    """Return half the sum of squares, equation (2), plus the prior; inf with a landmark behind its camera."""
     bearings = bearing_residuals(problem, state)
     distances = distance_residuals(problem, state)
     motions = motion_residuals(problem, state)
@@ -68,7 +71,7 @@ def cost(problem: Adjustment, state: State) -> float:
 
 
 def _in_camera(problem: Adjustment, state: State) -> FloatArray:
-    """(k, 3) the landmarks of all sightings in the axes of their cameras."""
+    """(k, 3) landmark minus camera position of all pixel measurements, camera axes."""
     seen = problem.pixels
     lines = state.points_m[seen.point] - state.positions_m[seen.view]
     return np.asarray(np.einsum("kij,kj->ki", problem.R_cam_body[seen.view], lines), dtype=np.float64)
@@ -76,7 +79,7 @@ def _in_camera(problem: Adjustment, state: State) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VariableOrdering:
-    """Slots of the variables, -1 where there is none, and which sightings meet at an eliminated landmark.
+    """Order of the variables: their slots, -1 for none, and which measurements share an eliminated landmark.
 
     Parameters
     ----------
@@ -85,9 +88,9 @@ class VariableOrdering:
     gone_point
         (L,): slots among the eliminated landmarks.
     link_kept, link_gone
-        (m,), (m,): the kept and the eliminated slot that each entry of the coupling joins.
+        (m,), (m,): the kept and the eliminated slot of each 3 x 3 block of the coupling matrix.
     left, right
-        (q,), (q,): pairs of entries of the coupling with the same eliminated landmark; each fills the reduced matrix.
+        (q,), (q,): pairs of coupling blocks with the same eliminated landmark; each adds a block to the reduced matrix.
     """
 
     view: IndexArray
@@ -102,7 +105,7 @@ class VariableOrdering:
 
     @classmethod
     def of(cls, problem: Adjustment) -> VariableOrdering:
-        """Return the layout of ``problem``."""
+        """Return the ordering of the variables of ``problem``."""
         joined = np.zeros(len(problem.free_points), dtype=np.bool_)
         if problem.kept_points is not None:
             joined |= problem.kept_points
@@ -132,7 +135,7 @@ class VariableOrdering:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalEquations:
-    """The matrix and the gradient by blocks: kept (3n, 3n), eliminated (e, 3, 3), entries of the coupling (m, 3, 3)."""
+    """Normal matrix and gradient by blocks: kept (3n, 3n), eliminated (e, 3, 3), coupling blocks (m, 3, 3)."""
 
     ordering: VariableOrdering
     kept: FloatArray
@@ -142,14 +145,14 @@ class NormalEquations:
     eliminated_gradient: FloatArray
 
     def reduced(self, damping: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the reduced matrix and right side (Schur complement), and the inverted blocks of the eliminated ones.
+        """Return the reduced matrix and right-hand side (Schur complement), and the inverse eliminated blocks.
 
         ``damping`` is the lambda of equation (4), added to the whole diagonal before the reduction.
 
         Raises
         ------
         numpy.linalg.LinAlgError
-            If a landmark has no distance and ``damping`` is 0.
+            If the distance of a landmark is undetermined and ``damping`` is 0.
         """
         ordering = self.ordering
         inverse = np.asarray(np.linalg.inv(self.eliminated + damping * np.eye(3)), dtype=np.float64)
@@ -201,7 +204,7 @@ def normal_equations(problem: Adjustment, state: State, ordering: VariableOrderi
 
 
 def _pairs(problem: Adjustment) -> tuple[IndexArray, IndexArray]:
-    """(m,) view and (m,) landmark of every measurement that joins one of each: sightings, then distances."""
+    """(m,) view and (m,) landmark of every pixel, then of every distance."""
     view = np.concatenate([problem.pixels.view, problem.distances.view])
     return view, np.concatenate([problem.pixels.point, problem.distances.point])
 
@@ -219,7 +222,7 @@ def _pair_terms(problem: Adjustment, state: State) -> tuple[FloatArray, FloatArr
 
 
 def _kept_cells(problem: Adjustment, ordering: VariableOrdering, blocks: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Cells (row * n + column) of the kept matrix that measurements fill, and the 3 x 3 blocks that they add there."""
+    """Block indices (row * n + column) of the kept matrix that measurements add to, and their 3 x 3 blocks."""
     view, point = _pairs(problem)
     i, j = ordering.view[view], ordering.kept_point[point]
     both = (i >= 0) & (j >= 0)
@@ -232,14 +235,14 @@ def _kept_cells(problem: Adjustment, ordering: VariableOrdering, blocks: FloatAr
 def _kept_gradient(
     ordering: VariableOrdering, view: IndexArray, point: IndexArray, gradients: FloatArray
 ) -> FloatArray:
-    """(n, 3) gradient of sightings and distances by the kept variables."""
+    """(n, 3) gradient of the cost of pixels and distances by the kept variables."""
     i, j = ordering.view[view], ordering.kept_point[point]
     slots = np.concatenate([i[i >= 0], j[j >= 0]])
     return _scatter(slots, np.concatenate([-gradients[i >= 0], gradients[j >= 0]]), ordering.kept)
 
 
 def _add_motion(problem: Adjustment, state: State, ordering: VariableOrdering, kept: FloatArray) -> FloatArray:
-    """Add predicted motions to the kept matrix in place; return their gradient, (n, 3)."""
+    """Add the predicted motions to the kept matrix in place; return their gradient, (n, 3)."""
     gradient = np.zeros((ordering.kept, 3))
     motions = problem.motions
     pulls = np.einsum("kij,kj->ki", motions.information, motion_residuals(problem, state))
@@ -258,7 +261,7 @@ def _add_motion(problem: Adjustment, state: State, ordering: VariableOrdering, k
 def _add_prior(
     problem: Adjustment, state: State, ordering: VariableOrdering, kept: FloatArray, gradient: FloatArray
 ) -> None:
-    """Add the prior's quadratic to the kept matrix and gradient in place."""
+    """Add the prior to the kept matrix and gradient in place."""
     prior = problem.prior
     if prior is None:
         return
@@ -270,7 +273,7 @@ def _add_prior(
 
 
 def _slots(mask: NDArray[np.bool_]) -> IndexArray:
-    """Count the marked entries: their numbers where marked, -1 elsewhere."""
+    """Assign numbers to the marked entries from 0; -1 elsewhere."""
     return np.where(mask, np.cumsum(mask) - 1, -1).astype(np.int64)
 
 
@@ -287,15 +290,15 @@ def _meetings(groups: IndexArray) -> tuple[IndexArray, IndexArray]:
 
 
 def _scatter(slots: IndexArray, values: FloatArray, count: int) -> FloatArray:
-    """Sum ``values`` (m, ...) by slot into (count, ...), in the order in which they stand."""
+    """Sum ``values`` (m, ...) by slot into (count, ...); the order of addition, and so the rounding, is fixed."""
     shape = values.shape[1:]
     width = int(np.prod(shape, dtype=np.int64))
     cells = (slots[:, None] * width + np.arange(width)).ravel()
     summed = np.bincount(cells, weights=values.ravel(), minlength=count * width)
-    return np.asarray(summed.reshape(count, *shape), dtype=np.float64)  # without any entry it counts in integers
+    return np.asarray(summed.reshape(count, *shape), dtype=np.float64)  # bincount of nothing returns integers
 
 
 def _dense(blocks: FloatArray) -> FloatArray:
-    """Lay (n * n, 3, 3) blocks out as one (3n, 3n) matrix."""
+    """Arrange (n * n, 3, 3) blocks as one (3n, 3n) matrix."""
     n = int(np.sqrt(len(blocks)))
     return np.ascontiguousarray(blocks.reshape(n, n, 3, 3).transpose(0, 2, 1, 3).reshape(3 * n, 3 * n))

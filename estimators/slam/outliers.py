@@ -1,7 +1,7 @@
-"""Wrong associations in a window of views: which pixels are refused, and which may come back.
+"""Outlier rejection in a window of views: wrong associations of pixels with landmarks.
 
-A pixel is judged twice. When its frame comes, by what the landmarks and the predicted motion lead to expect, before it
-can pull at anything. And after each adjustment, as long as its view is in the window, by what is left of it.
+Each pixel is tested twice: in a new frame, against its prediction by the map and the predicted motion, before any
+adjustment uses it; and after each adjustment, while its view is in the window, by its residual.
 """
 
 from __future__ import annotations
@@ -31,35 +31,35 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 MAX_ROUNDS = 5
-"""Adjustments of a frame at most, each without what the one before found wrong."""
+"""Adjustments of a frame at most, each without the outliers that the previous one found."""
 
 _MAX_GATED_VARIABLES = 1500
-"""Of an adjustment's reduced system whose covariance is worked out; beyond, pixels are judged after it alone."""
+"""Size of the reduced system up to which its covariance is computed; beyond, pixels are tested by residuals only."""
 
 _FRAMES_BACK = 5
 _REFUSALS_IN_A_ROW = 2
 _DEPTH_RATIO = 3.0
 _READMIT_SHARE = 0.5
-"""Share of the limit below which a refused pixel comes back."""
+"""Part of the chi-square limit below which a refused pixel is readmitted."""
 
 _LEAST_MAPPED = 8
-"""Landmarks of the map, below which a wrong one draws the camera along."""
+"""Mapped landmarks below which a single wrong one may displace the camera."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameMatches:
-    """What a new frame sees of what is known.
+    """Tracks of a new frame matched with the map.
 
     Parameters
     ----------
     view
-        The frame; its camera has been placed by its motion and the landmarks of the map.
+        The frame; its camera position is that of the motion-only adjustment.
     points
-        (n,) for each of its tracks the landmark of the adjustment before, or -1.
+        (n,) for each of its tracks the landmark of the last adjustment, or -1.
     once
-        Rows that were seen once before, and (view, track) there.
+        Rows of tracks that were seen before but are not mapped, and (view, track) of the last such pixel.
     depth_m
-        Their distance at a guess.
+        Their guessed distance.
     """
 
     view: int
@@ -69,7 +69,10 @@ class FrameMatches:
 
 
 def all_within_gate(slam_map: SlamMap, matches: FrameMatches, before: tuple[Adjustment, State], limit: float) -> bool:
-    """Tell whether the squared distance of every pixel is within ``limit``; False where the map is too small."""
+    """Return whether every pixel is within the chi-square ``limit``; False if the map is too small.
+
+    A fast test: the landmarks' covariances are used only where a pixel fails without them.
+    """
     rows = np.flatnonzero(matches.points >= 0)
     if len(rows) < _LEAST_MAPPED:
         return False
@@ -94,9 +97,16 @@ def all_within_gate(slam_map: SlamMap, matches: FrameMatches, before: tuple[Adju
 
 
 class OutlierGate:
-    """Keeps the frames of a journal free of pixels that do not fit.
+    """Outlier gate of a window: removes refused pixels from the frames of a map, and readmits those that fit again.
 
-    ``complete`` are the frames as they came; those of the journal lack what is refused.
+    Attributes
+    ----------
+    raw_frames
+        The frames as measured; those of the map lack the refused pixels.
+    refused
+        Refused tracks of each view in the window.
+    in_a_row
+        Consecutive views that refused a track.
     """
 
     def __init__(self, slam_map: SlamMap, false_alarm: float) -> None:
@@ -110,27 +120,27 @@ class OutlierGate:
         self.refused_count = 0
 
     def add_frame(self, view: int, frame: TrackFrame) -> None:
-        """Take in a frame as it is."""
+        """Add a frame with all its pixels."""
         self.raw_frames[view] = self.slam_map.frames[view] = frame
 
     def shared(self, first: int, second: int) -> int:
-        """Count the landmarks that two frames share as they came."""
+        """Count the landmarks that two frames share, refused pixels included."""
         return len(np.intersect1d(self.raw_frames[first].tracks, self.raw_frames[second].tracks, assume_unique=True))
 
     def drop_view(self, view: int) -> None:
-        """Forget a view that left the window, and what was refused of it."""
+        """Drop a view that left the window, and its refused pixels."""
         self.raw_frames.pop(view, None)
         self.refused.pop(view, None)
 
     def drop_tracks(self, view: int, tracks: set[int]) -> None:
-        """Forget what a view saw of some tracks."""
+        """Drop some tracks from a view."""
         self.raw_frames[view] = without_tracks(self.raw_frames[view], tracks)
         self.refused[view] = self.refused.get(view, set()) - tracks
 
     def place(self, view: int, before: AdjustedWindow | None, rule: StoppingRule, depth_m: float) -> None:
-        """Place a new view, and judge its frame: at once by where that puts it, or else by all that is known.
+        """Place a new view by a motion-only adjustment and gate its pixels, with the joint covariance if necessary.
 
-        ``depth_m`` is how far landmarks are about.
+        ``depth_m`` is the median distance of the landmarks.
         """
         self.slam_map.place(view, rule)
         matches = self._match_frame(view, before, depth_m)
@@ -142,10 +152,9 @@ class OutlierGate:
             self.slam_map.place(view, rule)
 
     def _gate_frame(self, matches: FrameMatches, before: AdjustedWindow | None) -> None:
-        """Judge a new frame by the adjustment before it and the predicted motion.
+        """Gate a new frame by its prediction from the last adjustment and the predicted motion.
 
-        Where most of it disagrees, or the adjustment has no covariance, nothing is known well enough to judge by, and
-        all is believed.
+        If most pixels fail, or the adjustment has no covariance, the prediction is not reliable and all pixels pass.
         """
         view, frame = matches.view, self.raw_frames[matches.view]
         if before is not None and 3 * _kept(before.problem) > _MAX_GATED_VARIABLES:
@@ -160,15 +169,15 @@ class OutlierGate:
             self._reinitialise(view, frame.tracks[seen.rows[~fit]].tolist(), _prior_tracks(before))
 
     def reject_outliers(self, adjusted: AdjustedWindow) -> bool:
-        """Refuse pixels that an adjustment leaves too far off; True if it has to be done again.
+        """Refuse pixels with large residuals after an adjustment; True if it has to be repeated.
 
-        Of each landmark only the worst goes at a time, and only if it is among the worst of all: one wrong pixel pulls
-        the others along. Refused ones that fit again come back with the next frame.
+        At a time only the worst pixel of each landmark is refused, and only if it is among the worst of all: one wrong
+        pixel increases the residuals of the others. Readmitted pixels are used from the next frame on.
         """
         seen = adjusted.problem.pixels
         squares = sighting_squares(adjusted.problem, adjusted.state)
         for view, point in zip(adjusted.problem.distances.view, adjusted.problem.distances.point, strict=True):
-            squares[(seen.view == view) & (seen.point == point)] = 0.0  # without it the range would be lost
+            squares[(seen.view == view) & (seen.point == point)] = 0.0  # a ranged landmark must keep its pixel
         self._readmit(adjusted)
         if self._reject_implausible_depths(adjusted):
             return True
@@ -185,7 +194,7 @@ class OutlierGate:
         return True
 
     def _reject_implausible_depths(self, adjusted: AdjustedWindow) -> bool:
-        """Refuse the newest pixel of landmarks at a distance out of reason: two pixels always meet somewhere."""
+        """Refuse the newest pixel of landmarks at an implausible distance: two wrong pixels may have zero residuals."""
         seen, state = adjusted.problem.pixels, adjusted.state
         distances = np.sqrt(((state.points_m - state.positions_m[-1]) ** 2).sum(axis=1))
         middle = float(np.sort(distances)[len(distances) // 2])
@@ -199,9 +208,9 @@ class OutlierGate:
         return bool(odd)
 
     def _reinitialise(self, view: int, refused: Sequence[int], settled: set[int]) -> None:
-        """Begin those anew that are refused time and again: it may be their older pixels that were wrong.
+        """Reinitialise landmarks that are refused repeatedly, since their older pixels may be the wrong ones.
 
-        Not those that the prior knows or that have a range.
+        Landmarks of the prior and those with a range are left as they are.
         """
         self.in_a_row = {track: [*self.in_a_row.get(track, []), view] for track in refused}
         due = [(track, run) for track, run in self.in_a_row.items() if len(run) >= _REFUSALS_IN_A_ROW]
@@ -218,7 +227,7 @@ class OutlierGate:
             del self.in_a_row[track]
 
     def _match_frame(self, view: int, before: AdjustedWindow | None, depth_m: float) -> FrameMatches:
-        """Gather the landmarks of the map that a frame sees, and those seen once before."""
+        """Match the tracks of a frame with the mapped landmarks, and with those seen before but not mapped."""
         tracks = self.raw_frames[view].tracks
         points = np.full(len(tracks), -1) if before is None else lookup(before.tracks, tracks)
         unknown = np.flatnonzero(points < 0).tolist()
@@ -228,7 +237,7 @@ class OutlierGate:
         return FrameMatches(view, points, (np.array(once, dtype=np.int64), sights), depth_m)
 
     def _predict_lines(self, matches: FrameMatches, before: AdjustedWindow | None) -> PredictedLines:
-        """Tell where a frame is expected to see them, with the covariance."""
+        """Predict the lines of sight of a frame with their covariance."""
         view, motion = matches.view, self.raw_frames[matches.view].motion_covariance_m2
         if before is None:
             return predict_guessed(
@@ -242,7 +251,7 @@ class OutlierGate:
         return predict_mapped(common, (before.problem, before.state, before.views), places, view, at).joined(guessed)
 
     def _last_seen(self, view: int, tracks: Sequence[int]) -> dict[int, int]:
-        """Tell for each of ``tracks`` that one of the views before saw, as far as believed, the last such view."""
+        """Return the last of the previous views with an accepted pixel of each of ``tracks``, where there is one."""
         views = [other for other in range(view - _FRAMES_BACK, view) if other in self.raw_frames] if tracks else []
         return {track: seen[-1] for track in tracks if (seen := self.slam_map.seeing(track, views))}
 
@@ -257,7 +266,7 @@ class OutlierGate:
         self.slam_map.frames[view] = without_tracks(self.raw_frames[view], refused)
 
     def _readmit(self, adjusted: AdjustedWindow) -> None:
-        """Give pixels back that fit a landmark which does without them."""
+        """Readmit refused pixels that fit their landmark, which was adjusted without them."""
         rows = {track: row for row, track in enumerate(adjusted.tracks.tolist())} if any(self.refused.values()) else {}
         for slot, view in enumerate(adjusted.views):
             refused = self.refused.get(view, set())
@@ -274,7 +283,7 @@ class OutlierGate:
 
 
 def without_tracks(frame: TrackFrame, tracks: set[int]) -> TrackFrame:
-    """Return a frame that does not see some tracks, nor their ranges."""
+    """Return a frame without some tracks and their ranges."""
     kept = ~np.isin(frame.tracks, np.array(sorted(tracks), dtype=np.int64))
     ranges = tuple(item for item in frame.ranges if item.track not in tracks)
     return replace(frame, tracks=frame.tracks[kept], uv_px=frame.uv_px[kept], ranges=ranges)
@@ -285,13 +294,13 @@ def _in_prior(problem: Adjustment, point: int) -> bool:
 
 
 def _kept(problem: Adjustment) -> int:
-    """Count the variables that the reduced system of an adjustment holds."""
+    """Count the views and landmarks in the reduced system of an adjustment."""
     prior = 0 if problem.prior is None else len(problem.prior.points)
     return int(np.count_nonzero(problem.free_views)) + prior
 
 
 def _prior_tracks(adjusted: AdjustedWindow | None) -> set[int]:
-    """Tracks of the landmarks that the prior of an adjustment knows."""
+    """Tracks of the landmarks in the prior of an adjustment."""
     if adjusted is None or adjusted.problem.prior is None:
         return set()
     return set(adjusted.tracks[adjusted.problem.prior.points].tolist())

@@ -1,4 +1,7 @@
-"""Where a new frame is expected to see landmarks: those of an adjustment, and those seen once, of guessed distance."""
+"""Predict the pixels of landmarks in the next frame with their covariance, for guided matching and for gating.
+
+Landmarks are those of the last adjustment, and those seen once, at a guessed distance.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +23,15 @@ IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 DEPTH_SIGMA = 0.3
-"""Relative standard deviation of a guessed distance."""
+"""Standard deviation of a guessed distance, relative, for gating."""
 
-_UNKNOWN_DEPTH = 0.15  # of the distance: standard deviation of what was seen once
+_UNKNOWN_DEPTH = 0.15  # standard deviation of the distance of a landmark seen once, relative, for guided matching
 
 
 def joint_covariance(problem: Adjustment, state: State, view: int, points: NDArray[np.int64]) -> FloatArray:
-    """(3 + 3 n, 3 + 3 n) covariance of a free view's position and of n landmarks, all else taken for unknown, m^2.
+    """(3 + 3 n, 3 + 3 n) joint covariance of a free view's position and of n landmarks, m^2.
+
+    It is marginal over all other variables.
 
     Raises
     ------
@@ -44,9 +49,10 @@ def joint_covariance(problem: Adjustment, state: State, view: int, points: NDArr
 def predict_from_window(
     slam_map: SlamMap, view: int, frame: TrackFrame, solved: AdjustedWindow | None
 ) -> Prediction | None:
-    """Predict from the last adjustment, whose last view is ``view``, and the landmarks that it was of.
+    """Predict from the last adjustment, whose last view is ``view``, and its landmarks.
 
-    Before the first one the position is known, and no landmark. None where the covariance does not exist.
+    Before the first adjustment the position is certain, and all landmarks are at a guessed distance. None if the
+    covariance does not exist.
     """
     if solved is None:
         return predict_pixels(slam_map, view, frame, (), np.zeros((3, 3)))
@@ -62,23 +68,23 @@ def predict_from_window(
 def predict_pixels(
     slam_map: SlamMap, view: int, frame: TrackFrame, tracks: Sequence[int], covariance: FloatArray
 ) -> Prediction:
-    """Predict the pixels of all landmarks that a view sees in the frame after it.
+    """Predict the pixels of all landmarks of a view in the frame after it.
 
     Parameters
     ----------
     view
         The last view.
     tracks
-        The landmarks that ``covariance`` knows; the others lie somewhere on their rays.
+        The landmarks in ``covariance``; the others are at the median depth on their lines of sight.
     covariance
-        (3 + 3 t, 3 + 3 t): of the position of the view, then of those landmarks.
+        (3 + 3 t, 3 + 3 t) of the view's position, then of those landmarks, m^2.
     """
     seen = np.sort(slam_map.frames[view].tracks)
     depth = slam_map.median_depth(view)
     place = {track: slot for slot, track in enumerate(tracks)}
     here = slam_map.positions_m[view]
     camera = here + frame.motion_m
-    # Rows of the derivatives by the known variables, and what each landmark has of its own.
+    # Derivatives of landmark minus camera by the variables of the covariance, and each landmark's independent error.
     by_known = np.zeros((len(seen), 3, len(covariance)))
     own = np.zeros((len(seen), 3, 3))
     points = np.empty((len(seen), 3))
@@ -90,13 +96,13 @@ def predict_pixels(
         else:
             ray = slam_map.ray(view, track)
             points[row] = here + depth * ray
-            by_known[row, :, :3] = 0.0  # it goes with the camera that saw it
+            by_known[row, :, :3] = 0.0  # placed relative to the camera that saw it
             own[row] = (_UNKNOWN_DEPTH * depth) ** 2 * np.outer(ray, ray)
     by_line = slam_map.camera.jacobian((points - camera) @ frame.R_cam_body.T) @ frame.R_cam_body
     rows = (by_line @ by_known).reshape(2 * len(seen), -1)
     by_motion = -by_line.reshape(2 * len(seen), 3)
     spread = rows @ covariance @ rows.T + by_motion @ frame.motion_covariance_m2 @ by_motion.T
-    # A pixel goes with the camera's way over the distance: where both are uncertain, so is their product.
+    # A pixel depends on the camera's displacement over the distance; the product of both errors is of second order.
     alone = by_line @ own @ np.swapaxes(by_line, 1, 2)
     product = by_line @ (covariance[:3, :3] + frame.motion_covariance_m2) @ np.swapaxes(by_line, 1, 2)
     alone += _UNKNOWN_DEPTH**2 * np.array([track not in place for track in seen.tolist()])[:, None, None] * product
@@ -108,22 +114,22 @@ def predict_pixels(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedLines:
-    """Lines from the new camera to landmarks that it may see.
+    """Predicted lines of sight from the new camera to the landmarks of its frame.
 
     Parameters
     ----------
     rows
         (n,) of the frame.
     lines_m
-        (n, 3) landmark less camera, body axes.
-    by_all
-        (n, 3, m) derivative of a line by what is uncertain in common.
+        (n, 3) landmark minus camera, body axes.
+    by_shared
+        (n, 3, m) derivative of a line by the shared variables.
     covariance
-        (m, m) of that: what the reduced system of the adjustment before holds, and the last motion.
+        (m, m) of the shared variables: those of the adjustment's reduced system, and the last motion.
     own_m2
-        (n, 3, 3) covariance that a line shares with no other.
+        (n, 3, 3) covariance of the independent error of each line.
     known
-        (n,): of the map; the others have a guessed distance.
+        (n,): mapped; the others have a guessed distance.
     """
 
     rows: IndexArray
@@ -134,7 +140,7 @@ class PredictedLines:
     known: BoolArray
 
     def subset(self, which: BoolArray) -> PredictedLines:
-        """Return those marked in ``which`` (n,) alone."""
+        """Return those marked in ``which`` (n,)."""
         return PredictedLines(
             self.rows[which],
             self.lines_m[which],
@@ -145,7 +151,7 @@ class PredictedLines:
         )
 
     def joined(self, other: PredictedLines) -> PredictedLines:
-        """Take two together that are uncertain by the same."""
+        """Append lines with the same shared variables."""
         return PredictedLines(
             np.concatenate([self.rows, other.rows]),
             np.concatenate([self.lines_m, other.lines_m]),
@@ -158,14 +164,14 @@ class PredictedLines:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedUncertainty:
-    """What is uncertain when a frame comes: free views and landmarks of the prior before it, and the motion.
+    """Joint covariance of the shared variables: free views, landmarks of the prior, and the motion to the new frame.
 
     Parameters
     ----------
     covariance
         (m, m); the motion has the last three columns.
     views, points
-        Where views, by number, and landmarks of the adjustment before begin among the columns.
+        First column of each free view, by frame number, and of each landmark of the prior.
     """
 
     covariance: FloatArray
@@ -176,7 +182,7 @@ class SharedUncertainty:
     def of(
         cls, adjusted: tuple[Adjustment, State] | None, views: Sequence[int], motion_covariance_m2: FloatArray
     ) -> SharedUncertainty:
-        """Put the covariance of an adjustment and that of the motion after it together.
+        """Combine the covariance of an adjustment with that of the motion after it.
 
         Raises
         ------
@@ -194,13 +200,13 @@ class SharedUncertainty:
         return cls(covariance, free, {j: 3 * slot for j, slot in enumerate(point_slots.tolist()) if slot >= 0})
 
     def by_camera(self, view: int) -> FloatArray:
-        """(3, m) derivative of the new camera's position by all: the view before, and the motion."""
+        """(3, m) derivative of the new camera's position, the previous view's plus the motion."""
         rows = np.zeros((3, len(self.covariance)))
         rows[:, -3:] = np.eye(3)
         return rows + self.by_view(view - 1)
 
     def by_view(self, view: int) -> FloatArray:
-        """(3, m) derivative of a view's position; zero where it is not free."""
+        """(3, m) derivative of a view's position; zero if it is not free."""
         rows = np.zeros((3, len(self.covariance)))
         if view in self.views:
             rows[:, self.views[view] : self.views[view] + 3] = np.eye(3)
@@ -209,10 +215,10 @@ class SharedUncertainty:
     def by_landmarks(
         self, problem: Adjustment, state: State, views: Sequence[int], points: IndexArray
     ) -> tuple[FloatArray, FloatArray]:
-        """(n, 3, m) derivatives of landmarks, and (n, 3, 3) what each has of its own, m^2.
+        """(n, 3, m) derivatives of landmarks, and (n, 3, 3) covariance of the independent error of each, m^2.
 
-        One that the adjustment eliminated goes with the views that saw it: ``p = sum_v V^-1 W_v x_v`` and an error of
-        covariance ``V^-1``, where ``W_v`` is the information of view v about the line to it and V their sum.
+        An eliminated landmark follows from its views: ``p = sum_v V^-1 W_v x_v`` plus an error of covariance ``V^-1``,
+        where ``W_v`` is the information of view v about its line of sight, and V is their sum.
         """
         rows, own = np.zeros((len(points), 3, len(self.covariance))), np.zeros((len(points), 3, 3))
         kept = np.array([j in self.points for j in points.tolist()], dtype=np.bool_)
@@ -229,7 +235,7 @@ class SharedUncertainty:
 
 
 def line_information(problem: Adjustment, state: State, points: IndexArray) -> FloatArray:
-    """(n, V, 3, 3) what each view measured of its line to each of some landmarks, 1/m^2."""
+    """(n, V, 3, 3) information of each view about its line of sight to each of some landmarks, 1/m^2."""
     place = np.full(len(state.points_m), -1, dtype=np.int64)
     place[points] = np.arange(len(points))
     part = _about(problem, place >= 0)
@@ -243,7 +249,7 @@ def line_information(problem: Adjustment, state: State, points: IndexArray) -> F
 
 
 def _about(problem: Adjustment, wanted: BoolArray) -> Adjustment:
-    """Return a problem with the sightings and distances of some landmarks, (L,), alone."""
+    """Return a problem with the pixels and distances of the marked landmarks (L,) only."""
     seen, measured = problem.pixels, problem.distances
     k, d = wanted[seen.point], wanted[measured.point]
     return replace(
@@ -256,7 +262,7 @@ def _about(problem: Adjustment, wanted: BoolArray) -> Adjustment:
 def kept_covariance(problem: Adjustment, state: State) -> tuple[FloatArray, IndexArray, IndexArray]:
     """(3 n, 3 n) covariance of the free views and the prior's landmarks, m^2, and the slots of views and landmarks.
 
-    Slots are -1 for what is held or eliminated.
+    Slots are -1 for fixed and eliminated variables.
 
     Raises
     ------
@@ -277,7 +283,10 @@ def predict_mapped(
     view: int,
     position_m: FloatArray,
 ) -> PredictedLines:
-    """Landmarks of the adjustment before, at (rows of the frame, places in its state), from where ``view`` will be."""
+    """Predict lines of sight from the position of the new ``view`` to landmarks of the adjustment.
+
+    ``places`` are (rows of the frame, indices in the adjustment's state).
+    """
     (rows, points), (problem, state, views) = places, before
     by_landmark, own = common.by_landmarks(problem, state, views, points)
     lines = state.points_m[points] - position_m
@@ -292,7 +301,10 @@ def predict_guessed(
     depth_m: float,
     view: int,
 ) -> PredictedLines:
-    """Landmarks at (rows of the frame, (view, track) that saw them once): as far as their range, or at a guess."""
+    """Predict lines of sight to landmarks that were seen once, at their measured or guessed distance.
+
+    ``places`` are (rows of the frame, (view, track) of the earlier pixel).
+    """
     rows, sights = places
     points, own = guessed_points(slam_map, sights, depth_m)
     at = slam_map.positions_m[view - 1] + slam_map.frames[view].motion_m
@@ -311,9 +323,10 @@ def predict_guessed(
 def guessed_points(
     slam_map: SlamMap, sights: Sequence[tuple[int, int]], depth_m: float
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) landmarks that (view, track) saw once, and (n, 3, 3) covariance against that view, m^2.
+    """(n, 3) landmarks by their single pixels (view, track), and (n, 3, 3) covariance relative to that view, m^2.
 
-    It has the pixel's noise across the ray, and along it 30 % of the distance or the error of the range.
+    The standard deviation across the line of sight is that of the pixel; along it, 30 % of the guessed distance or the
+    error of the measured one.
     """
     n = len(sights)
     depths, sigmas = np.full(n, depth_m), np.full(n, DEPTH_SIGMA * depth_m)

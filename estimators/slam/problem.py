@@ -1,4 +1,4 @@
-"""What an adjustment solves for, and the measurements that it solves from, numbered within the problem."""
+"""Bundle adjustment problem: state, measurements and prior, with views and landmarks numbered within the problem."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelMeasurements:
-    """Where views saw landmarks: (k,) view, (k,) point, (k, 2) pixel, (k,) standard deviation of a coordinate, px."""
+    """Pixels of landmarks in views: (k,) view, (k,) point, (k, 2) pixel, (k,) sigma of a coordinate, px."""
 
     view: IndexArray
     point: IndexArray
@@ -56,7 +56,7 @@ class Distances:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motions:
-    """Displacements (k, 3) from a view to the next one, and the inverse covariances (k, 3, 3) of their errors."""
+    """Predicted displacements (k, 3) from view to view, m, and the inverse covariances (k, 3, 3) of their errors."""
 
     start: IndexArray = field(default_factory=_none)
     end: IndexArray = field(default_factory=_none)
@@ -70,16 +70,16 @@ class Motions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuadraticPrior:
-    """A quadratic in some views and landmarks: ``(x - x0)' H (x - x0) / 2 + g' (x - x0)``, views first.
+    """Prior as a quadratic cost of some views and landmarks: ``(x - x0)' H (x - x0) / 2 + g' (x - x0)``, views first.
 
     Parameters
     ----------
     views, points
         (a,), (b,): the variables by their numbers in the problem.
     origin_m
-        (a + b, 3): x0, where it was linearised.
+        (a + b, 3): x0, the point of linearisation.
     information, gradient
-        (3 (a + b), 3 (a + b)) and (3 (a + b),).
+        H (3 (a + b), 3 (a + b)), 1/m^2, and g (3 (a + b),), 1/m.
     """
 
     views: IndexArray
@@ -95,26 +95,26 @@ class QuadraticPrior:
         return cls(np.zeros(1, dtype=np.int64), _none(), position_m[None], information, np.zeros(3))
 
     def offset(self, state: State) -> FloatArray:
-        """(3 (a + b),) how far ``state`` is from where the quadratic was made, m."""
+        """(3 (a + b),) x - x0 at ``state``, m."""
         here = np.concatenate([state.positions_m[self.views], state.points_m[self.points]])
         return np.asarray((here - self.origin_m).ravel(), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjustment:
-    """A least-squares problem over views of known attitude and landmarks in Cartesian form.
+    """Least-squares problem of views with known attitude and landmarks in Cartesian coordinates.
 
     Parameters
     ----------
     R_cam_body
         (V, 3, 3) attitude of each view.
     free_views, free_points
-        (V,), (L,): what is solved for; the rest stays. All points of a prior are free.
+        (V,), (L,): what is solved for; the others are fixed. All points of a prior are free.
     kept_points
-        (L,): landmarks that are not eliminated from the reduced system beside those of the prior; nothing: none.
+        (L,): landmarks, besides those of the prior, that stay in the reduced system (Schur complement); None: none.
     frozen
-        Where derivatives are taken for variables that a prior knows (first-estimates Jacobians); NaN elsewhere.
-        Nothing: all derivatives are taken at the present state.
+        First-estimates Jacobians: points of linearisation of the variables in the prior; NaN for all others.
+        None: all derivatives are taken at the present state.
     """
 
     camera: Camera
@@ -129,7 +129,7 @@ class Adjustment:
     frozen: State | None = None
 
     def linearisation_point(self, state: State) -> State:
-        """Return ``state`` but for the variables whose derivatives are taken at their first estimates."""
+        """Return ``state`` with the frozen variables at their first estimates."""
         if self.frozen is None:
             return state
         frozen = self.frozen
@@ -141,7 +141,10 @@ class Adjustment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AdjustedWindow:
-    """An adjustment at its minimum: problem, state, its views by number, and its landmarks (n,) by track, ascending."""
+    """Adjusted window: problem, state at the minimum, frame numbers of its views, and tracks (n,) of its landmarks.
+
+    The tracks are ascending.
+    """
 
     problem: Adjustment
     state: State

@@ -1,4 +1,4 @@
-"""Estimators of sequences by name: our own table, and entry points of third-party packages."""
+"""Sequence estimators by name: our own, and those of other packages by their entry points."""
 
 from __future__ import annotations
 

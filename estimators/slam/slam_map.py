@@ -1,4 +1,4 @@
-"""What an estimator that adjusts views remembers: frames, the estimated positions, and the landmarks."""
+"""Map of an estimator that adjusts views: frames, estimated camera positions and landmarks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _FrameIndex:
-    """What is looked up of a frame time and again: the row of each track, and (n, 3) its unit ray, body frame."""
+    """Look-up table of a frame: the row of each track, and (n, 3) unit line of sight of each row, body frame."""
 
     frame: TrackFrame
     rows: dict[int, int]
@@ -36,7 +36,15 @@ class _FrameIndex:
 
 
 class SlamMap:
-    """Frames by number, a position for each, and a point for each landmark of the map (all in the body frame)."""
+    """Frames by number, a camera position for each, and a point for each landmark by its track (m, body frame).
+
+    Attributes
+    ----------
+    guessed
+        Tracks whose points lie at a guessed distance.
+    gated
+        Whether pixels may be refused, so that a frame may be left without a mapped landmark for a while.
+    """
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
@@ -44,13 +52,13 @@ class SlamMap:
         self.positions_m: dict[int, FloatArray] = {}
         self.points_m: dict[int, FloatArray] = {}
         self.guessed: set[int] = set()
-        self.gated = False  # pixels of its frames may be refused, and a frame be left without a landmark for a while
+        self.gated = False
         self.last_depth_m: float | None = None
         self._indices: dict[int, _FrameIndex] = {}
         self._information: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     def pixels(self, views: Sequence[int], tracks: Sequence[int]) -> PixelMeasurements:
-        """Gather where ``views`` saw ``tracks`` (sorted), numbered by their places in the two."""
+        """Collect the pixels of ``tracks`` (sorted) in ``views``, numbered by their indices in the two lists."""
         frames = [self.frames[view] for view in views]
         track = np.concatenate([frame.tracks for frame in frames])
         sizes = [len(frame.tracks) for frame in frames]
@@ -64,7 +72,7 @@ class SlamMap:
         )
 
     def distances(self, views: Sequence[int], tracks: Sequence[int]) -> Distances:
-        """Gather the distances that ``views`` measured to ``tracks`` (sorted)."""
+        """Collect the distances that were measured from ``views`` to ``tracks`` (sorted)."""
         rows = [(slot, item) for slot, view in enumerate(views) for item in self.frames[view].ranges]
         if not rows:
             return Distances()
@@ -78,7 +86,7 @@ class SlamMap:
         )
 
     def motions(self, views: Sequence[int]) -> Motions:
-        """Gather the predicted motions between consecutive frames that are both among ``views`` (sorted)."""
+        """Collect the predicted motions between consecutive frames that are both among ``views`` (sorted)."""
         slots = {view: slot for slot, view in enumerate(views)}
         ends = [view for view in views if view - 1 in slots]
         if not ends:
@@ -96,7 +104,7 @@ class SlamMap:
         return State(np.array([self.positions_m[view] for view in views]).reshape(-1, 3), points)
 
     def keep(self, state: State, views: Sequence[int], tracks: Sequence[int]) -> None:
-        """Take the estimates of ``state`` over."""
+        """Store the estimates of ``state``."""
         self.positions_m.update(zip(views, state.positions_m, strict=True))
         self.points_m.update(zip(tracks, state.points_m, strict=True))
         self.guessed.difference_update(tracks)
@@ -125,7 +133,7 @@ class SlamMap:
         return FrameEstimate(self.positions_m[0].copy(), covariance_m2.copy(), tracks, points, 0.0)
 
     def guess(self, view: int, depth_m: float) -> None:
-        """Place all landmarks that a view sees provisionally at one distance from it."""
+        """Place all landmarks of a view provisionally at one distance from it."""
         for track in self.frames[view].tracks.tolist():
             self.points_m[track] = self.positions_m[view] + depth_m * self.ray(view, track)
             self.guessed.add(track)
@@ -161,7 +169,7 @@ class SlamMap:
         return np.asarray(sight.rays[sight.rows[track]], dtype=np.float64)
 
     def median_depth(self, view: int) -> float:
-        """Return the median distance from a view to the landmarks of the map in sight, or of its ranges, m."""
+        """Return the median distance from a view to its mapped landmarks, or else of its measured ranges, m."""
         frame = self.frames[view]
         known = [self.points_m[track] for track in self._index(view).rows if track in self.points_m]
         if known:
@@ -174,7 +182,7 @@ class SlamMap:
         raise LostError("no landmark of known distance is in view: the scale is unobservable")
 
     def place(self, view: int, rule: StoppingRule) -> None:
-        """Motion-only adjustment: a new view's position from the landmarks in sight and its predicted motion."""
+        """Motion-only adjustment: estimate a new view's position from its mapped landmarks and its predicted motion."""
         tracks = sorted(track for track in self._index(view).rows if track in self.points_m)
         self.positions_m[view] = self.positions_m[view - 1] + self.frames[view].motion_m
         if not tracks:
@@ -192,7 +200,7 @@ class SlamMap:
         self.positions_m[view] = solution.state.positions_m[1]
 
     def triangulate_new(self, tracks: Sequence[int], seen: Mapping[int, Sequence[int]]) -> None:
-        """Give those of ``tracks`` that have no point one; ``seen`` tells the views that saw each."""
+        """Triangulate those of ``tracks`` that have no point; ``seen`` lists the views of each track."""
         depths_m: dict[int, float] = {}
         for track in tracks:
             if track not in self.points_m:
@@ -202,10 +210,14 @@ class SlamMap:
                 self.points_m[track] = self.triangulate(track, seen[track], depths_m[last])
 
     def triangulate(self, track: int, views: Sequence[int], depth_m: float | None = None) -> FloatArray:
-        """(3,) where the rays of ``views`` come closest together, or at the median depth if that is out of reason."""
+        """(3,) midpoint triangulation: the point nearest to the lines of sight of ``views``, least squares.
+
+        The point at the median depth on the last line of sight is returned if the lines are parallel, or if a depth is
+        not within a factor of about 3 of ``depth_m`` (the median depth of the last view by default).
+        """
         rays = np.array([self.ray(view, track) for view in views])
         positions = np.array([self.positions_m[view] for view in views])
-        across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+        across = np.eye(3) - rays[:, :, None] * rays[:, None, :]  # projector onto the plane across each ray
         depth = self.median_depth(views[-1]) if depth_m is None else depth_m
         near = positions[-1] + depth * rays[-1]
         matrix = across.sum(axis=0)
@@ -217,7 +229,7 @@ class SlamMap:
         return np.asarray(point if good else near, dtype=np.float64)
 
     def _motion_information(self, view: int) -> FloatArray:
-        """(3, 3) inverse covariance of the predicted motion to a view, worked out once."""
+        """(3, 3) inverse covariance of the predicted motion to a view, computed once per frame."""
         covariance = self.frames[view].motion_covariance_m2
         kept = self._information.get(view)
         if kept is None or kept[0] is not covariance:

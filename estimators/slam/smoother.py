@@ -1,4 +1,4 @@
-"""Smoothers: a window of all frames of a fixed lag, with what older ones tell in a quadratic; or all frames at once."""
+"""Fixed-lag smoother, with a marginalisation prior for the older frames, and batch adjustment of all frames."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _WEAK_RATIO = 10.0
 
 
 class FixedLagSmoother(ConfiguredEstimator[SmootherOptions]):
-    """Adjusts the last frames; older ones and lost landmarks are marginalised: nothing measured is forgotten."""
+    """Fixed-lag smoother: adjusts the last frames, and marginalises older ones and lost landmarks."""
 
     name: ClassVar[str] = "fixed-lag"
     version: ClassVar[int] = 5
@@ -41,7 +41,7 @@ class FixedLagSmoother(ConfiguredEstimator[SmootherOptions]):
 
 
 class BatchAdjustment(ConfiguredEstimator[BatchOptions]):
-    """Adjusts all frames so far, anew at each frame: the yardstick of the others, at its cost."""
+    """Adjustment of all frames so far at each frame: the accuracy reference for the others, and slow."""
 
     name: ClassVar[str] = "batch"
     version: ClassVar[int] = 1
@@ -56,7 +56,15 @@ class BatchAdjustment(ConfiguredEstimator[BatchOptions]):
 
 
 class WindowSmoother:
-    """The window at work on one sequence. Views and tracks of the prior go by their numbers in the sequence."""
+    """Window of a smoother on one sequence; ``prior`` numbers its views and landmarks by frame and track.
+
+    Attributes
+    ----------
+    absorbed
+        Tracks of marginalised landmarks, whose further pixels are not used.
+    first_positions_m, first_points_m
+        First estimates of the variables in the prior, by view and by track.
+    """
 
     def __init__(self, sequence: TrackSequence, options: SmootherOptions) -> None:
         self.options = options
@@ -74,7 +82,7 @@ class WindowSmoother:
         self.widest_prior = 0
 
     def diagnostics(self) -> dict[str, float]:
-        """Return the steps of a minimisation, and how many variables the prior had at most."""
+        """Return the mean number of steps of a frame, and the largest number of variables in the prior."""
         frames = max(len(self.slam_map.positions_m) - 1, 1)
         refused = {} if self.gate is None else {"refused_pixels": float(self.gate.refused_count)}
         return {
@@ -84,7 +92,7 @@ class WindowSmoother:
         }
 
     def advance(self, frame: TrackFrame) -> FrameEstimate:
-        """Take the next frame in, and drop the oldest one where the window is full. Raises LostError."""
+        """Adjust with the next frame, and marginalise the oldest one if the window is full. Raises LostError."""
         number = len(self.slam_map.positions_m)
         frame = self.weighted(frame)
         self.slam_map.frames[number] = frame
@@ -108,10 +116,10 @@ class WindowSmoother:
         return estimate
 
     def weighted(self, frame: TrackFrame) -> TrackFrame:
-        """Give pixels the noise of the star tracker as well, where that is asked for.
+        """Add the star tracker's noise to that of the pixels with ``attitude: noisy``.
 
-        It moves all pixels of a frame together, which independent noise does not say, but a landmark's pixels in
-        different frames independently, which it does.
+        An attitude error shifts all pixels of a frame together, which this model ignores; the pixels of a landmark in
+        different frames are shifted independently, as modelled.
         """
         if self.options.attitude == "known":
             return frame
@@ -119,7 +127,7 @@ class WindowSmoother:
         return replace(frame, sigma_px=math.hypot(frame.sigma_px, shift_px))
 
     def _adjust(self, rule: StoppingRule) -> AdjustedWindow:
-        """Adjust the window, again as long as what is left of a pixel is too much."""
+        """Adjust the window, repeatedly while the gate rejects outliers."""
         for rounds in range(MAX_ROUNDS):
             tracks = self._map()
             problem = self._problem(tracks)
@@ -131,7 +139,7 @@ class WindowSmoother:
         return adjusted
 
     def predict(self, frame: TrackFrame) -> Prediction | None:
-        """Tell where the landmarks in view will be in the next frame."""
+        """Predict the pixels of the landmarks of the last frame in the next one."""
         return predict_from_window(self.slam_map, self.views[-1], frame, self.adjusted) if self.views else None
 
     def _begin(self) -> FrameEstimate:
@@ -150,14 +158,14 @@ class WindowSmoother:
         check_connected(shared, self.options.connectivity)
 
     def _map(self) -> list[int]:
-        """List the landmarks that the window determines, sorted; those without an estimate get one."""
+        """List the tracks of the landmarks that the window determines, sorted; new ones are triangulated."""
         seen = self.slam_map.seen_by(self.views)
         ranged = {item.track for view in self.views for item in self.slam_map.frames[view].ranges}
         joined = set() if self.prior is None else set(self.prior.points.tolist())
         determined = {
             track for track, by in seen.items() if track not in self.absorbed and (len(by) >= 2 or track in ranged)
         }
-        tracks = sorted(determined | joined)  # also those of the prior whose pixels are all refused
+        tracks = sorted(determined | joined)  # also landmarks of the prior whose pixels are all refused
         self.slam_map.triangulate_new(tracks, seen)
         return tracks
 
@@ -177,13 +185,13 @@ class WindowSmoother:
         )
 
     def _local_prior(self, tracks: list[int]) -> QuadraticPrior | None:
-        """Return the prior with its variables numbered as the problem does."""
+        """Return the prior with its variables numbered as in the problem."""
         if self.prior is None:
             return None
         return replace(self.prior, views=lookup(self.views, self.prior.views), points=lookup(tracks, self.prior.points))
 
     def _frozen(self, tracks: list[int]) -> State | None:
-        """Tell where derivatives by the variables of the prior are taken."""
+        """Return the first estimates of the variables in the prior, where their derivatives are taken."""
         if not self.options.first_estimates:
             return None
         return State(values_or_nan(self.first_positions_m, self.views), values_or_nan(self.first_points_m, tracks))
@@ -198,7 +206,7 @@ class WindowSmoother:
         return FrameEstimate(position, covariance, np.array(tracks, dtype=np.int64), state.points_m, 0.0)
 
     def _marginalise(self, problem: Adjustment, state: State, tracks: Sequence[int]) -> None:
-        """Drop the oldest view, and the landmarks that it saw and that are lost; keep what they tell."""
+        """Marginalise the oldest view, and those of its landmarks and of the prior's that are out of view."""
         number = np.array(tracks, dtype=np.int64)
         oldest = self.slam_map.in_view(self.views[0], tracks)
         if problem.prior is not None:
@@ -229,13 +237,13 @@ class WindowSmoother:
         self._forget_measurements(number[excess])
 
     def _beyond_prior_size(self, number: IndexArray, staying: BoolArray) -> BoolArray:
-        """(L,) landmarks that the prior has no room for: those of the prior stay until they are lost.
+        """(L,) landmarks beyond the size limit of the prior; those already in it stay until they are lost.
 
-        A dense prior costs the cube of its size. What the window saw of such a landmark is marginalised with it, and so
-        joins the views that saw it; what is seen of it from now on counts as another landmark's. Each measurement is
-        used once and none twice, so that the covariance stays honest: what is given up is that both are one landmark.
-        That costs: with 100 landmarks a frame, of which the prior would hold about 40, room for 30 made the error 1.4
-        times as large (10 sequences).
+        The cost of a dense prior grows with the cube of its size. The pixels of an excess landmark are marginalised
+        with it, and so constrain only the views that saw it; its later pixels belong to a new landmark. Each
+        measurement is used exactly once, so that the covariance stays consistent, but the information that both are
+        one landmark is lost: with 100 landmarks a frame, of which the prior would hold about 40, a limit of 30 made
+        the error 1.4 times as large (10 sequences).
         """
         beyond = staying.copy()
         old = set() if self.prior is None else set(self.prior.points.tolist())
@@ -244,7 +252,7 @@ class WindowSmoother:
         return beyond
 
     def _forget_measurements(self, tracks: IndexArray) -> None:
-        """Forget what the window saw of ``tracks``: the prior knows it."""
+        """Drop the pixels of ``tracks`` from the window, since the prior contains them."""
         gone = set(tracks.tolist())
         for view in self.views if gone else ():
             self.slam_map.frames[view] = without_tracks(self.slam_map.frames[view], gone)
@@ -255,10 +263,11 @@ class WindowSmoother:
 
 
 def _with_weak_lines(prior: QuadraticPrior, new: BoolArray, depth_m: float) -> QuadraticPrior:
-    """Hold landmarks that are new in a prior at their line from its first view, to within ten times their distance.
+    """Add a weak prior on the lines of sight of ``new`` landmarks: a sigma of ten times their distance.
 
-    It may know one from a single bearing, and the pixels that would tell its distance may be refused later on. A line
-    and not a place is held, since nothing tells where all of it is.
+    The prior may hold a landmark from a single bearing, and the later pixels that would determine its distance may be
+    refused; then the normal matrix would be singular. The difference from the first view is constrained, not the
+    landmark's position, so that a common translation stays free.
     """
     if len(prior.views) == 0 or not new.any():
         return prior

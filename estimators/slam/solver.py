@@ -1,6 +1,6 @@
-"""Levenberg-Marquardt on an adjustment, equation (4), with the Schur complement and a check of the rank.
+"""Solve an adjustment by compiled kernels: minimum, rank, covariance, and squared residuals.
 
-The work is done by compiled kernels (`estimators.slam.compiled`); their reference in numpy is in the tests.
+The kernels are in `estimators.slam.compiled`; their reference in numpy is in the tests.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ RANK_TOLERANCE = 1e-11
 
 
 def sighting_squares(problem: Adjustment, state: State) -> FloatArray:
-    """(k,) squared residuals of the sightings at a state; NaN where a landmark is behind its camera."""
+    """(k,) squared pixel residuals in standard deviations; NaN where a landmark is behind its camera."""
     at = floats(state.positions_m), floats(state.points_m)
     return np.asarray(kernels.sighting_squares(flat(problem), *at), dtype=np.float64)
 
 
 def landmark_information(problem: Adjustment, state: State) -> FloatArray:
-    """(L, 3, 3) what sightings and distances tell of each landmark where the views are known, 1/m^2."""
+    """(L, 3, 3) information of pixels and distances about each landmark with all views fixed, 1/m^2."""
     problem = replace(problem, frozen=None, prior=None)
     at = floats(state.positions_m), floats(state.points_m)
     return np.asarray(kernels.landmark_information(flat(problem), *at), dtype=np.float64)
@@ -40,7 +40,7 @@ def landmark_information(problem: Adjustment, state: State) -> FloatArray:
 def pixel_squares(
     camera: Camera, frame: TrackFrame, rows: IndexArray, lines_m: FloatArray, own_m2: FloatArray
 ) -> FloatArray:
-    """(n,) squared Mahalanobis distances of the pixels of some rows of a frame; NaN behind the camera.
+    """(n,) squared Mahalanobis distances of measured from predicted pixels of some rows of a frame; NaN behind it.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def pixel_squares(
 
 @dataclass(frozen=True, slots=True)
 class AdjustmentSolution:
-    """The state at the minimum, what it costs, and whether the solver got there."""
+    """State at the minimum, its cost, the steps taken, and whether the solver converged."""
 
     state: State
     cost: float
@@ -64,14 +64,17 @@ class AdjustmentSolution:
 
 @dataclass(frozen=True, slots=True)
 class StoppingRule:
-    """When to stop: no variable moves by more than ``step_m``, or after ``iterations`` steps were taken."""
+    """Stop when no variable moves by more than ``step_m``, or after ``iterations`` steps."""
 
     step_m: float
     iterations: int = 50
 
 
 def minimise(problem: Adjustment, state: State, rule: StoppingRule) -> AdjustmentSolution:
-    """Minimise ``cost`` from ``state``; damping starts at 1e-6 of the mean diagonal."""
+    """Minimise the cost from ``state`` by Levenberg-Marquardt, equation (4).
+
+    The damping starts at 1e-6 of the mean diagonal of the normal matrix.
+    """
     start = floats(state.positions_m), floats(state.points_m)
     positions, points, value, iterations, converged = descent.minimise(
         flat(problem), *start, rule.step_m, rule.iterations
@@ -80,9 +83,9 @@ def minimise(problem: Adjustment, state: State, rule: StoppingRule) -> Adjustmen
 
 
 def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
-    """Count the directions of the kept variables that nothing determines: a free scale counts as one.
+    """Count the undetermined directions of the kept variables: a free scale counts as one.
 
-    Levenberg-Marquardt comes to a stop on an undetermined scale as well, wherever that happens to be.
+    Levenberg-Marquardt converges with an undetermined scale too, so that its convergence does not show it.
     """
     known, values, _, found = descent.reduced_at(flat(problem), floats(state.positions_m), floats(state.points_m))
     if not known:  # a landmark is not determined
@@ -95,7 +98,7 @@ def reduced_rank_deficiency(problem: Adjustment, state: State) -> int:
 
 
 def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
-    """(3, 3) covariance of a free view's position, all other variables taken for unknown, m^2.
+    """(3, 3) covariance of a free view's position, marginal over all other variables, m^2.
 
     Raises
     ------
@@ -109,7 +112,9 @@ def view_covariance(problem: Adjustment, state: State, view: int) -> FloatArray:
 
 
 def reduced_system(problem: Adjustment, state: State) -> tuple[FloatArray, FloatArray, IndexArray, IndexArray]:
-    """Reduced matrix (3n, 3n) and right side (3n,) at a state, and the slots of views (V,) and kept landmarks (L,).
+    """Reduced matrix (3n, 3n) and right-hand side (3n,) at a state, and the slots of views (V,) and landmarks (L,).
+
+    Slots of fixed or eliminated variables are -1.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The windowed adjustment as machine code: numba kernels over flat arrays, strict IEEE arithmetic, one thread."""
+"""Numba kernels of the windowed adjustment on flat arrays: strict IEEE arithmetic, one thread."""
 
 from __future__ import annotations
 

@@ -21,9 +21,9 @@ IndexArray = NDArray[np.int64]
 def reduced(
     system: FlatEquations, ordering: FlatOrdering, damping: float
 ) -> tuple[bool, FloatArray, FloatArray, FloatArray]:
-    """Reduced matrix in its envelope, right side (3n,), inverted blocks (e, 6) of the eliminated landmarks.
+    """Reduced matrix in its envelope, right-hand side (3n,), inverse blocks (e, 6) of the eliminated landmarks.
 
-    The first is False if a landmark is not determined.
+    The first value is False if a landmark is not determined.
     """
     matrix, right = system.kept.copy(), -system.kept_gradient.ravel()
     add_diagonal(matrix, ordering.shape, damping)
@@ -39,7 +39,7 @@ def reduced(
 def _subtract_landmarks(
     system: FlatEquations, ordering: FlatOrdering, inverse: FloatArray, matrix: FloatArray, right: FloatArray
 ) -> None:
-    """Subtract what the eliminated landmarks couple from the reduced system, in place."""
+    """Subtract the Schur complement's coupling terms W V^-1 W' and W V^-1 g of the eliminated landmarks, in place."""
     link, slots, terms = ordering.link, ordering.link_slot, system.terms
     for g in range(len(ordering.eliminated)):
         begin, end, own = ordering.link_begin[g], ordering.link_begin[g + 1], np.uintp(ordering.eliminated[g])
@@ -67,7 +67,7 @@ def _subtract_landmarks(
 
 @kernel
 def _subtract(matrix: FloatArray, at: int, taken: tuple[float, float, float]) -> None:
-    """Subtract from three numbers that follow each other."""
+    """Subtract from three consecutive numbers; an unsigned index saves the test of its sign."""
     k = np.uintp(at)
     matrix[k] -= taken[0]
     matrix[k + np.uintp(1)] -= taken[1]
@@ -78,7 +78,7 @@ def _subtract(matrix: FloatArray, at: int, taken: tuple[float, float, float]) ->
 def back_substitute(
     system: FlatEquations, ordering: FlatOrdering, step: FloatArray, inverse: FloatArray, eliminated_step: FloatArray
 ) -> None:
-    """Write the steps (e, 3) of the eliminated landmarks, given (3n,) those of the kept variables."""
+    """Compute the steps (e, 3) of the eliminated landmarks from those (3n,) of the kept variables."""
     for g in range(len(ordering.eliminated)):
         own = system.eliminated[ordering.eliminated[g]]
         x, y, z = -own[6], -own[7], -own[8]
@@ -91,7 +91,7 @@ def back_substitute(
 
 @kernel
 def _invert(sums: FloatArray, k: int, damping: float, inverse: FloatArray, g: int) -> bool:
-    """Invert a symmetric block plus a multiple of the identity; False unless it is positive definite."""
+    """Invert a symmetric 3 x 3 block plus ``damping`` times the identity; False unless it is positive definite."""
     a, b, c = sums[k, 0] + damping, sums[k, 1], sums[k, 2]
     d, e, f = sums[k, 3] + damping, sums[k, 4], sums[k, 5] + damping
     if not a > 0.0:
@@ -113,7 +113,7 @@ def _invert(sums: FloatArray, k: int, damping: float, inverse: FloatArray, g: in
 
 @kernel
 def six(rows: FloatArray, k: int) -> tuple[float, float, float, float, float, float]:
-    """Return the symmetric block xx, xy, xz, yy, yz, zz of a row; an index without a sign saves the look at it."""
+    """Return the symmetric block xx, xy, xz, yy, yz, zz of a row; an unsigned index saves the test of its sign."""
     i = np.uintp(k)
     return rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3], rows[i, 4], rows[i, 5]
 
@@ -131,7 +131,7 @@ def times(
 def minimise(
     problem: FlatProblem, positions: FloatArray, points: FloatArray, step_m: float, iterations: int
 ) -> tuple[FloatArray, FloatArray, float, int, bool]:
-    """Minimise from a state: what `levenberg.minimise` does, step by step."""
+    """Minimise from a state by Levenberg-Marquardt: positions, points, cost, steps, and whether it converged."""
     residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
     value = evaluate_residuals(problem, positions, points, residuals)
     if not np.isfinite(value):
@@ -168,7 +168,7 @@ def minimise(
 def reduced_at(
     problem: FlatProblem, positions: FloatArray, points: FloatArray
 ) -> tuple[bool, FloatArray, FloatArray, FlatOrdering]:
-    """Reduced matrix and right side at a state; the first is False if a landmark is not determined."""
+    """Reduced matrix and right-hand side at a state; the first value is False if a landmark is not determined."""
     residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
     evaluate_residuals(problem, positions, points, residuals)
     ordering = make_ordering(problem)
@@ -178,7 +178,7 @@ def reduced_at(
 
 @kernel
 def _first_damping(system: FlatEquations, ordering: FlatOrdering) -> float:
-    """Return a millionth of the mean diagonal."""
+    """Return 1e-6 of the mean diagonal of the normal matrix."""
     total, shape = 0.0, ordering.shape
     n, e = len(shape.reach), len(ordering.eliminated)
     if n + e == 0:
@@ -227,7 +227,7 @@ def _stepped_rows(rows: FloatArray, slots: IndexArray, step: FloatArray) -> Floa
 
 @kernel
 def _add_steps(rows: FloatArray, which: IndexArray, steps: FloatArray) -> None:
-    """Move some rows by steps of theirs."""
+    """Add steps (e, 3) to some rows in place."""
     for k in range(len(which)):
         for axis in range(3):
             rows[which[k], axis] += steps[k, axis]

@@ -1,4 +1,4 @@
-"""Normal equations of an adjustment: the same sums as `normal`, measurement by measurement."""
+"""Normal equations of an adjustment: the sums of `estimators.slam.normal`, measurement by measurement."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ IndexArray = NDArray[np.int64]
 
 @kernel
 def sighting_squares(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> FloatArray:
-    """(k,) squared residuals of the sightings in sigma; NaN where a landmark is behind its camera."""
+    """(k,) squared pixel residuals in standard deviations; NaN where a landmark is behind its camera."""
     residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
     evaluate_residuals(problem, positions, points, residuals)
     return np.where(residuals[2] > 0.0, residuals[5], np.nan)
@@ -34,7 +34,7 @@ def sighting_squares(problem: FlatProblem, positions: FloatArray, points: FloatA
 
 @kernel
 def landmark_information(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> FloatArray:
-    """(L, 3, 3) A'A of each landmark over its sightings and distances, 1/m^2."""
+    """(L, 3, 3) sum of A'A of each landmark over its pixels and distances, 1/m^2."""
     residuals = np.empty((RESIDUAL_ROWS, len(problem.seen_view)))
     evaluate_residuals(problem, positions, points, residuals)
     terms = measured_terms(problem, positions, points, residuals)
@@ -54,9 +54,9 @@ def landmark_information(problem: FlatProblem, positions: FloatArray, points: Fl
 def pixel_squares(
     pinhole: FloatArray, R: FloatArray, lines: FloatArray, uv_px: FloatArray, sigma_px: float, own: FloatArray
 ) -> FloatArray:
-    """(n,) squared Mahalanobis distances of pixels from where landmarks are seen; NaN behind the camera.
+    """(n,) squared Mahalanobis distances of measured from predicted pixels; NaN behind the camera.
 
-    ``lines`` (n, 3) go from the camera to the landmarks, body frame, and have the covariances ``own`` (n, 3, 3), m^2.
+    ``lines`` (n, 3) are landmark minus camera, body frame, with covariances ``own`` (n, 3, 3), m^2.
     """
     fx, fy, cx, cy = pinhole
     squares = np.empty(len(lines))
@@ -81,7 +81,7 @@ def pixel_squares(
 
 
 class FlatEquations(NamedTuple):
-    """Kept matrix and gradient (n, 3), eliminated (L, 9) by landmark, and what each measurement adds (m, 9).
+    """Kept matrix and gradient (n, 3), sums by landmark (L, 9), and the terms of each measurement (m, 9).
 
     Nine numbers are a symmetric (3, 3) block as xx, xy, xz, yy, yz, zz and a gradient (3,).
     """
@@ -96,7 +96,7 @@ class FlatEquations(NamedTuple):
 def linearise(
     problem: FlatProblem, ordering: FlatOrdering, positions: FloatArray, points: FloatArray, residuals: FloatArray
 ) -> FlatEquations:
-    """Return J' W J and J' W f of equation (3) by blocks; ``sights`` are those of `look` at the same state."""
+    """Return J' W J and J' W f of equation (3) by blocks, given the ``residuals`` at the same state."""
     shape, seen = ordering.shape, len(problem.seen_view)
     n = len(shape.reach)
     kept, kept_gradient = np.zeros(shape.begin[n]), np.zeros((n, 3))
@@ -118,7 +118,7 @@ def linearise(
 def measured_terms(
     problem: FlatProblem, positions: FloatArray, points: FloatArray, residuals: FloatArray
 ) -> FloatArray:
-    """(m, 9) A'A and A'r of each measurement, A by the landmark; ``sights`` are those of `look` at the same state."""
+    """(m, 9) A'A and A'r of each measurement, A by the landmark, given the ``residuals`` at the same state."""
     terms = np.empty((len(problem.seen_view) + len(problem.ranged_view), 9))
     frozen_positions = _merged(problem.frozen_positions_m, positions)
     frozen_points = _merged(problem.frozen_points_m, points)
@@ -130,7 +130,7 @@ def measured_terms(
 
 @kernel
 def _merged(frozen: FloatArray, present: FloatArray) -> FloatArray:
-    """Return where derivatives are taken: at the frozen values where there are any."""
+    """Return the points of linearisation: the frozen values where there are any, else the present ones."""
     if len(frozen) == 0:
         return present
     merged = np.empty_like(present)
@@ -144,7 +144,7 @@ def _merged(frozen: FloatArray, present: FloatArray) -> FloatArray:
 def _scaled(
     problem: FlatProblem, residuals: FloatArray, frozen_positions: FloatArray, frozen_points: FloatArray
 ) -> FloatArray:
-    """(6, k) f_x / (z sigma), f_y / (z sigma), x / z, y / z where derivatives are taken, and the residuals in sigma."""
+    """(6, k) f_x / (z sigma), f_y / (z sigma), x / z, y / z at the linearisation point, and residuals u, v in sigma."""
     rows = np.empty_like(residuals)
     fx, fy, _, _ = problem.pinhole
     sigma_px, at = problem.seen_sigma_px, residuals
@@ -160,7 +160,7 @@ def _scaled(
 
 @kernel
 def _pixel_terms(R: FloatArray, view: IndexArray, rows: FloatArray, terms: FloatArray) -> None:
-    """A'A and A'r of all sightings, A by the landmark."""
+    """Write A'A and A'r of all pixels, A by the landmark: du (R_0 - x/z R_2), dv (R_1 - y/z R_2), rows R_i of R."""
     for k in range(len(view)):
         i = view[k]
         du, dv, p, q, u, v = rows[0, k], rows[1, k], rows[2, k], rows[3, k], rows[4, k], rows[5, k]
@@ -176,9 +176,9 @@ def _pixel_terms(R: FloatArray, view: IndexArray, rows: FloatArray, terms: Float
 def _distance_terms(
     problem: FlatProblem, at: tuple[FloatArray, FloatArray, FloatArray, FloatArray], terms: FloatArray
 ) -> None:
-    """A'A and A'r of all distances, A by the landmark: the last row of equation (5).
+    """Write A'A and A'r of all distances, A by the landmark: the last row of equation (5).
 
-    ``at`` are positions and landmarks, and the same where derivatives are taken.
+    ``at`` are positions and landmarks, and those of the linearisation point.
     """
     positions, points, frozen_positions, frozen_points = at
     for own in range(len(problem.ranged_view)):
@@ -198,7 +198,7 @@ def _distance_terms(
 def sum_terms(
     terms: FloatArray, view: IndexArray, point: IndexArray, first: int, by_view: FloatArray, by_point: FloatArray
 ) -> None:
-    """Add the terms of measurements, from ``first`` on, to those of their views and landmarks."""
+    """Add the terms of measurements, from row ``first`` on, to the sums of their views and landmarks."""
     for k in range(len(view)):
         i, j = view[k], point[k]
         for entry in range(9):
@@ -210,7 +210,7 @@ def sum_terms(
 def _scatter(
     sums: FloatArray, slots: IndexArray, sign: float, shape: Envelope, kept: FloatArray, gradient: FloatArray
 ) -> None:
-    """Lay the sums of views or landmarks into the kept system; ``sign`` is that of the derivative."""
+    """Add the sums of views or landmarks to the kept system; ``sign`` is that of the derivative."""
     for i in range(len(slots)):
         slot = slots[i]
         if slot >= 0:
@@ -221,7 +221,7 @@ def _scatter(
 
 @kernel
 def _couple_kept_points(problem: FlatProblem, ordering: FlatOrdering, terms: FloatArray, kept: FloatArray) -> None:
-    """Couple views with the landmarks that are kept."""
+    """Add the coupling blocks between free views and kept landmarks."""
     seen = len(problem.seen_view)
     for k in range(len(terms)):
         i = problem.seen_view[k] if k < seen else problem.ranged_view[k - seen]
@@ -235,7 +235,7 @@ def _couple_kept_points(problem: FlatProblem, ordering: FlatOrdering, terms: Flo
 def _add_motions(
     problem: FlatProblem, ordering: FlatOrdering, positions: FloatArray, kept: FloatArray, gradient: FloatArray
 ) -> None:
-    """Add predicted motions."""
+    """Add the predicted motions to the kept system."""
     for k in range(len(problem.motion_start)):
         a, b = ordering.view_slot[problem.motion_start[k]], ordering.view_slot[problem.motion_end[k]]
         for row in range(3):
@@ -264,7 +264,7 @@ def _add_prior(
     kept: FloatArray,
     gradient: FloatArray,
 ) -> None:
-    """Add the prior's quadratic."""
+    """Add the prior to the kept system."""
     slots, shape = prior_slots(problem, ordering.view_slot, ordering.point_slot), ordering.shape
     pull = prior_pull(problem.prior_information, prior_offset(problem, positions, points), problem.prior_gradient)
     for i in range(len(slots)):

@@ -1,4 +1,4 @@
-"""Where each variable of an adjustment stands in the reduced system, as `Layout` in numpy."""
+"""Adjustment as flat arrays for the kernels, and the order of its variables in the reduced system."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _NO_PRIOR = QuadraticPrior(
 
 
 class FlatProblem(NamedTuple):
-    """`Adjustment` without its objects; ``pinhole`` is fx, fy, cx, cy. Frozen points of length 0: none are frozen."""
+    """`Adjustment` as contiguous arrays; ``pinhole`` is fx, fy, cx, cy. Frozen values of length 0: none are frozen."""
 
     pinhole: FloatArray
     attitudes: FloatArray
@@ -55,12 +55,12 @@ class FlatProblem(NamedTuple):
 
 
 def flat(problem: Adjustment) -> FlatProblem:
-    """Lay ``problem`` out for the kernels.
+    """Convert ``problem`` to the arrays of the kernels.
 
     Raises
     ------
     ValueError
-        If its camera is no ideal pinhole: tracks come after the correction of a lens.
+        If its camera has distortion: pixels must be corrected for the lens before tracking.
     """
     if problem.camera.distortion is not None:
         raise ValueError("adjustments know no distortion: correct the pixels for the lens first")
@@ -97,30 +97,31 @@ def flat(problem: Adjustment) -> FlatProblem:
 
 
 def floats(values: FloatArray) -> FloatArray:
-    """Return ``values`` as the one kind of array that the kernels are compiled for; a copy only if it is another."""
+    """Return ``values`` as a writable contiguous float64 array, as the kernels are compiled for; copy if necessary."""
     return _plain(values, _FLOAT)
 
 
 def _plain(values: NDArray[_Scalar], dtype: np.dtype[_Scalar]) -> NDArray[_Scalar]:
-    """Copy what is read-only or strided: for another kind of array a kernel would be compiled once more."""
+    """Copy read-only and strided arrays: numba would compile a kernel again for each kind of array."""
     if values.dtype is dtype and values.flags.carray:
         return values
     return np.array(values, dtype=dtype, order="C")
 
 
 class FlatOrdering(NamedTuple):
-    """Slots of the variables as in `Layout`, the envelope of the reduced matrix, and the links by eliminated landmark.
+    """Slots of the variables as in `estimators.slam.normal.VariableOrdering`, and the envelope of the reduced matrix.
 
     Parameters
     ----------
     gone
         (e,): the eliminated landmarks.
     views
-        How many views are free; the kept landmarks have the slots after theirs.
+        Number of free views; the slots of the kept landmarks follow theirs.
     link_begin
-        (e + 1,): where the links of each eliminated landmark begin.
+        (e + 1,): first link of each eliminated landmark.
     link
-        (m,): the measurements that join a free view with an eliminated landmark; sightings first, then distances.
+        (m,): measurements between a free view and an eliminated landmark, sorted by landmark. Pixels have the first
+        numbers, then distances.
     link_slot
         (m,): the kept slots of their views.
     """
@@ -137,7 +138,7 @@ class FlatOrdering(NamedTuple):
 
 @kernel
 def make_ordering(problem: FlatProblem) -> FlatOrdering:
-    """Give the variables their slots and find which eliminated landmark joins which views."""
+    """Assign slots to the variables, list the links of the eliminated landmarks, and find the envelope of the reduced matrix."""
     view_slot, views = _numbered(problem.free_views, 0)
     free, joined = problem.free_points, problem.kept_points.copy()
     for j in problem.prior_points:
@@ -161,7 +162,7 @@ def make_ordering(problem: FlatProblem) -> FlatOrdering:
 
 @kernel
 def _numbered(mask: BoolArray, first: int) -> tuple[IndexArray, int]:
-    """Count the marked entries from ``first`` on: their numbers, -1 elsewhere, and the next number."""
+    """Assign numbers to the marked entries from ``first`` on, -1 elsewhere; also return the next number."""
     slots = np.empty(len(mask), np.int64)
     for i in range(len(mask)):
         slots[i] = first if mask[i] else -1
@@ -171,7 +172,7 @@ def _numbered(mask: BoolArray, first: int) -> tuple[IndexArray, int]:
 
 @kernel
 def _ends(problem: FlatProblem) -> tuple[IndexArray, IndexArray]:
-    """View and landmark of each measurement: sightings first, then distances."""
+    """View and landmark of each measurement: pixels first, then distances."""
     return (
         np.concatenate((problem.seen_view, problem.ranged_view)),
         np.concatenate((problem.seen_point, problem.ranged_point)),
@@ -201,7 +202,7 @@ def _links(
 
 @kernel
 def _couple(reach: IndexArray, slots: IndexArray, begin: int, end: int) -> None:
-    """Note that a run of slots is coupled: the first with the last."""
+    """Extend the envelope to hold the coupling of all slots of a run with each other."""
     if begin == end:
         return
     first = last = slots[begin]
@@ -212,7 +213,7 @@ def _couple(reach: IndexArray, slots: IndexArray, begin: int, end: int) -> None:
 
 @kernel
 def _couple_pairs(reach: IndexArray, one: IndexArray, other: IndexArray) -> None:
-    """Note that pairs of slots are coupled."""
+    """Extend the envelope to hold the coupling of pairs of slots."""
     for k in range(len(one)):
         first, last = min(one[k], other[k]), max(one[k], other[k])
         if first >= 0:

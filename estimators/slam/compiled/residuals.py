@@ -1,6 +1,6 @@
-"""Where views see landmarks at a state, and what that costs: the same sums as `residuals`, measurement by measurement.
+"""Residuals and cost of an adjustment at a state: the sums of `estimators.slam.normal`, measurement by measurement.
 
-Numbers of the same kind of all sightings lie side by side, (rows, k), so that several are divided at a time.
+The values of all pixel measurements are stored as rows (6, k), so that the compiler can vectorise the divisions.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 RESIDUAL_ROWS = 6
-"""Of every sighting: x, y, z of the landmark in the axes of the camera, m; residual u, v, px; its square in sigma."""
+"""Rows of the pixel residuals: landmark x, y, z in camera axes, m; residual u, v, px; its square in sigma^2."""
 
 
 @kernel
 def evaluate_residuals(problem: FlatProblem, positions: FloatArray, points: FloatArray, residuals: FloatArray) -> float:
-    """Half the sum of squares, equation (2), with the prior's quadratic; inf with a landmark behind its camera.
+    """Return half the sum of squares, equation (2), plus the prior; inf with a landmark behind its camera.
 
-    Writes ``sights`` (6, k) down.
+    Fills ``residuals`` (6, k).
     """
     to_camera_axes(problem.attitudes, problem.seen_view, problem.seen_point, positions, points, residuals)
     _pixel_residuals(problem.pinhole, problem.seen_px, problem.seen_sigma_px, residuals)
@@ -57,7 +57,7 @@ def to_camera_axes(
     points: FloatArray,
     in_camera: FloatArray,
 ) -> None:
-    """Turn the lines from views to landmarks into the axes of the cameras, the first three rows of ``in_camera``."""
+    """Write landmark minus camera position in camera axes to the first three rows of ``in_camera``."""
     for k in range(len(view)):
         i = view[k]
         a, b, c = line_of_sight(positions, i, points, point[k])
@@ -68,7 +68,7 @@ def to_camera_axes(
 
 @kernel
 def _all_positive(values: FloatArray) -> bool:
-    """Tell whether no value is 0, negative or NaN."""
+    """Return whether all values are positive; NaN is not."""
     wrong = 0
     for k in range(len(values)):
         wrong += int(not values[k] > 0.0)
@@ -77,7 +77,7 @@ def _all_positive(values: FloatArray) -> bool:
 
 @kernel
 def _pixel_residuals(pinhole: FloatArray, seen_px: FloatArray, sigma_px: FloatArray, residuals: FloatArray) -> None:
-    """Write the last three of the rows of the sightings, given the first three."""
+    """Fill the last three rows of the residuals, given the first three."""
     fx, fy, cx, cy = pinhole
     for k in range(len(sigma_px)):
         x, y, z = residuals[0, k], residuals[1, k], residuals[2, k]
@@ -89,7 +89,7 @@ def _pixel_residuals(pinhole: FloatArray, seen_px: FloatArray, sigma_px: FloatAr
 
 @kernel
 def _prior_cost(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> float:
-    """Quadratic of the prior at a state."""
+    """Return the prior's cost at a state."""
     offset = prior_offset(problem, positions, points)
     zero = np.zeros(len(offset))
     pull = prior_pull(problem.prior_information, offset, zero)
@@ -101,7 +101,7 @@ def _prior_cost(problem: FlatProblem, positions: FloatArray, points: FloatArray)
 
 @kernel
 def prior_pull(information: FloatArray, offset: FloatArray, begin: FloatArray) -> FloatArray:
-    """Return ``begin + information offset`` (3 n,), three rows at a time."""
+    """Return ``begin + information offset`` (3 n,), three rows at a time for speed."""
     pull = np.empty_like(begin)
     for i in range(len(begin) // 3):
         a, b, c = begin[3 * i], begin[3 * i + 1], begin[3 * i + 2]
@@ -116,7 +116,7 @@ def prior_pull(information: FloatArray, offset: FloatArray, begin: FloatArray) -
 
 @kernel
 def prior_offset(problem: FlatProblem, positions: FloatArray, points: FloatArray) -> FloatArray:
-    """(3 (a + b),) how far a state is from where the prior was made, m."""
+    """(3 (a + b),) state minus the prior's origin, m."""
     views = len(problem.prior_views)
     offset = np.empty(3 * len(problem.prior_origin_m))
     for k in range(len(problem.prior_origin_m)):
@@ -130,13 +130,13 @@ def prior_offset(problem: FlatProblem, positions: FloatArray, points: FloatArray
 
 @kernel
 def line_of_sight(positions: FloatArray, i: int, points: FloatArray, j: int) -> tuple[float, float, float]:
-    """From a view to a landmark, m."""
+    """Return landmark minus camera position, body axes, m."""
     return points[j, 0] - positions[i, 0], points[j, 1] - positions[i, 1], points[j, 2] - positions[i, 2]
 
 
 @kernel
 def motion_residual(problem: FlatProblem, k: int, axis: int, positions: FloatArray) -> float:
-    """One coordinate of a displacement less the predicted one, m."""
+    """One coordinate of a displacement minus the predicted one, m."""
     step: float = positions[problem.motion_end[k], axis] - positions[problem.motion_start[k], axis]
     residual: float = step - problem.motion_m[k, axis]
     return residual

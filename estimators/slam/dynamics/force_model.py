@@ -1,4 +1,9 @@
-"""Motion about the body from one frame to the next, with its derivatives by where it began and by the parameters."""
+"""Force model of equation (6) of Delpech et al. (2015), and propagation with state transition matrix.
+
+The units make all unknowns metres: with the distance L at the first frame and T = sqrt(L^3 / gm), a velocity is given
+as v T, the gravity parameter as L times its ratio to the prior value, and the factor on solar radiation pressure as L
+times it. An error of one metre in any of them moves an orbit by about a metre within a revolution.
+"""
 
 from __future__ import annotations
 
@@ -12,19 +17,19 @@ from scenarios.tracks import Forces
 FloatArray = NDArray[np.float64]
 
 LONGEST_STEP = 0.01
-"""Of the integrator, in units of T: on a circular orbit 0.6 deg, where the classical method errs by 1e-12 L a step."""
+"""Longest integration step, T: 0.6 deg of a circular orbit, with a Runge-Kutta error of 1e-12 L a step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceModel:
-    """Gravity of a point and a constant pressure of light.
+    """Point-mass gravity and constant solar radiation pressure.
 
     Parameters
     ----------
     length_m, time_s
         L and T.
     gm_m3_s2
-        The gravity parameter that `parameters` are relative to.
+        Prior gravity parameter.
     radiation_m
         (3,) acceleration by solar radiation pressure times T^2, inertial axes.
     """
@@ -36,17 +41,17 @@ class ForceModel:
 
     @classmethod
     def of(cls, forces: Forces, distance_m: float) -> ForceModel:
-        """Choose the units by the distance from the body's centre."""
+        """Return the model with units by the distance from the body's centre."""
         time = float(np.sqrt(distance_m**3 / forces.gm_m3_s2))
         return cls(distance_m, time, forces.gm_m3_s2, np.asarray(forces.radiation_m_s2 * time**2, dtype=np.float64))
 
     @property
     def known(self) -> FloatArray:
-        """(2,) what the parameters are as far as it is known before: ratio and factor are 1."""
+        """(2,) prior values of the parameters, m: ratio and factor are 1."""
         return np.full(2, self.length_m)
 
     def sigmas(self, forces: Forces) -> FloatArray:
-        """(2,) standard deviations of the parameters before, m; the factor is certain where there is no pressure."""
+        """(2,) prior standard deviations of the parameters, m; that of the factor is 0 without radiation pressure."""
         pressure = float(np.linalg.norm(forces.radiation_m_s2))
         return self.length_m * np.array(
             [forces.gm_sigma_m3_s2 / forces.gm_m3_s2, forces.radiation_sigma_m_s2 / pressure if pressure else 0.0]
@@ -60,7 +65,7 @@ class ForceModel:
     def derivatives(self, positions_m: FloatArray, parameters_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(k, 3, 3) and (k, 3, 2) derivatives of `acceleration` by position and parameters.
 
-        The former is gm (3 r r' / r^5 - I / r^3).
+        The former is the gravity gradient gm (3 r r' / r^5 - I / r^3).
         """
         weight = self._weight(positions_m)[:, :, None]
         squares = np.einsum("ki,ki->k", positions_m, positions_m)[:, None, None]
@@ -77,16 +82,16 @@ class ForceModel:
 
 
 def propagate(field: ForceModel, states_m: FloatArray, parameters_m: FloatArray, durations: FloatArray) -> FloatArray:
-    """(k, 6) positions and velocities after (k,) durations from (k, 6), inertial axes, units of the field."""
+    """(k, 6) positions and velocities after (k,) durations from (k, 6), inertial axes, units of the model."""
     return _integrate(field, states_m[:, :, None], parameters_m, durations)[:, :, 0]
 
 
 def propagate_with_derivatives(
     field: ForceModel, states_m: FloatArray, parameters_m: FloatArray, durations: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what `propagated` does, and (k, 6, 8) its derivatives by the 6 of the start and the 2 parameters.
+    """Return the propagated states, and (k, 6, 8) their derivatives by the 6 initial values and the 2 parameters.
 
-    The state transition matrix and the sensitivities follow their variational equations in the same integration.
+    The variational equations of the state transition matrix and the sensitivities are integrated with the state.
     """
     start = np.zeros((len(states_m), 6, 9))
     start[:, :, 0] = states_m
@@ -96,7 +101,7 @@ def propagate_with_derivatives(
 
 
 def _integrate(field: ForceModel, start: FloatArray, parameters_m: FloatArray, durations: FloatArray) -> FloatArray:
-    """Integrate by the classical Runge-Kutta method of fourth order, all arcs in as many steps."""
+    """Integrate by the classical fourth-order Runge-Kutta method, all arcs with the same number of steps."""
     steps = max(1, int(np.ceil(np.max(durations, initial=0.0) / LONGEST_STEP)))
     h = (durations / steps)[:, None, None]
     y = start

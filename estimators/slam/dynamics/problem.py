@@ -1,4 +1,4 @@
-"""What an adjustment with dynamics solves for, and what joins its views beside their landmarks."""
+"""Adjustment with orbital dynamics: state, arcs of free motion between views, and prior."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _WHITE_FLOOR = 1e-8
 class DynamicState:
     """Positions and landmarks in the body frame, velocities (V, 3) in inertial axes, parameters (2,); all in m.
 
-    Velocities and parameters are in the units of a `Field`.
+    Velocities and parameters are in the units of a `ForceModel`.
     """
 
     vision: State
@@ -32,7 +32,7 @@ class DynamicState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arcs:
-    """Free motion (k,) from a view to another, its durations (k,) in T, and the inverse covariances (k, 6, 6)."""
+    """Free motion (k,) from view to view, its durations (k,) in T, and the inverse covariances (k, 6, 6)."""
 
     start: IndexArray
     end: IndexArray
@@ -40,7 +40,7 @@ class Arcs:
     information: FloatArray
 
     def of_view(self, view: int) -> Arcs:
-        """Return those that begin or end at a view."""
+        """Return the arcs that begin or end at a view."""
         rows = (self.start == view) | (self.end == view)
         return Arcs(self.start[rows], self.end[rows], self.duration[rows], self.information[rows])
 
@@ -64,27 +64,27 @@ class DynamicPrior:
     gradient: FloatArray
 
     def offset(self, state: DynamicState) -> FloatArray:
-        """(n,) how far ``state`` is from where the quadratic was made."""
+        """(n,) x - x0 at ``state``."""
         return gather(state, self.views, self.points) - self.origin_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DynamicAdjustment:
-    """Sightings and distances of views that are joined by their motion.
+    """Least-squares problem of views that are coupled by their orbital motion.
 
     Parameters
     ----------
     vision
-        Sightings and distances; it has neither motions nor a prior of its own. Its ``kept_points`` are those of
-        `prior`, and its ``frozen`` says where derivatives by positions and landmarks are taken.
+        Pixels and distances, without motions or a prior. Its ``kept_points`` are those of `prior`, and its ``frozen``
+        are the first estimates of positions and landmarks.
     R_body_inertial
         (V, 3, 3) of each view.
     field, arcs
-        How they move.
+        Force model and arcs of free motion.
     free_velocities, free_parameters
         (V,), (2,): what is solved for.
     frozen_velocities_m, frozen_parameters_m
-        (V, 3), (2,): where derivatives are taken for what the prior knows; NaN elsewhere.
+        (V, 3), (2,): first estimates of the variables in the prior, where derivatives are taken; NaN elsewhere.
     """
 
     vision: Adjustment
@@ -98,7 +98,7 @@ class DynamicAdjustment:
     prior: DynamicPrior | None = None
 
     def linearisation_point(self, state: DynamicState) -> DynamicState:
-        """Return ``state`` but for the variables whose derivatives are taken at their first estimates."""
+        """Return ``state`` with the frozen variables at their first estimates."""
         v, p = self.frozen_velocities_m, self.frozen_parameters_m
         return DynamicState(
             self.vision.linearisation_point(state.vision),
@@ -112,7 +112,7 @@ class DynamicAdjustment:
         return np.concatenate([positions, state.velocities_m], axis=1)
 
     def arc_residuals(self, state: DynamicState) -> FloatArray:
-        """(k, 6) where arcs end less where their motion leads, inertial axes, not whitened."""
+        """(k, 6) state at the end of each arc minus the propagated one, inertial axes, not whitened."""
         at, arcs = self.inertial(state), self.arcs
         return np.asarray(
             at[arcs.end] - propagate(self.field, at[arcs.start], state.parameters_m, arcs.duration), dtype=np.float64
@@ -147,12 +147,12 @@ def gather(state: DynamicState, views: IndexArray, points: IndexArray) -> FloatA
 
 
 def arc_information(durations: FloatArray, acceleration_m: float, length_m: float) -> FloatArray:
-    """(k, 6, 6) inverse covariances of what an acceleration that is unknown, but constant over an arc, does to its end.
+    """(k, 6, 6) inverse covariances of the state at the end of an arc, due to a constant unknown acceleration.
 
-    The discrete covariance of piecewise constant acceleration (Bar-Shalom et al. 2001, section 6.3.2); the gradient of
-    gravity changes it by less than a thousandth over 2 deg of an orbit. It has rank 3 of 6: what it says of position
-    and velocity together is sharpened to 5 % of each alone and to 1e-8 of the distance, not to nothing, so that it
-    can be inverted.
+    This is the discrete covariance of piecewise constant acceleration (Bar-Shalom et al. 2001, section 6.3.2); the
+    gravity gradient changes it by less than 0.1 % over 2 deg of an orbit. It has rank 3 of 6, since the errors of
+    position and velocity are fully correlated. White noise of 5 % of each sigma, at least 1e-8 of the distance, makes
+    it invertible.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A fixed-lag smoother of positions, velocities, gravity parameter and solar radiation pressure."""
+"""Fixed-lag smoother of positions, velocities, gravity parameter and solar radiation pressure, and its window."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _CAUSE = "; forces or tracks are not what they are said to be"
 
 @dataclass(slots=True)
 class FirstEstimates:
-    """Where views and landmarks were when a prior first spoke of them."""
+    """Estimates of views and landmarks when they first entered a prior (first-estimates Jacobians)."""
 
     positions_m: dict[int, FloatArray] = field(default_factory=dict)
     velocities_m: dict[int, FloatArray] = field(default_factory=dict)
@@ -52,7 +52,7 @@ class FirstEstimates:
     def keep(
         self, prior: DynamicPrior, state: DynamicState, views: NDArray[np.int64], tracks: NDArray[np.int64]
     ) -> None:
-        """Remember what ``prior``, numbered as ``state``, speaks of, under the numbers of ``views`` and ``tracks``."""
+        """Store the variables of ``prior``, numbered as ``state``, by frame in ``views`` and by track in ``tracks``."""
         count = 3 * len(prior.views)
         told = np.diag(prior.information) > 0.0
         position, velocity = told[:count:3], told[count : 2 * count : 3]
@@ -65,7 +65,7 @@ class FirstEstimates:
 
 
 class DynamicWindow:
-    """Views of one sequence by their numbers, their velocities, and the parameters of the field."""
+    """Window of views by frame number, with their velocities and the parameters of the force model."""
 
     def __init__(self, sequence: TrackSequence, forces: Forces) -> None:
         self.slam_map = SlamMap(sequence.camera)
@@ -82,7 +82,7 @@ class DynamicWindow:
         self.first_parameters_m: FloatArray = np.full(2, np.nan)
 
     def begin(self, sequence: TrackSequence) -> None:
-        """Take the first frame in, and what is known of position, velocity and parameters before."""
+        """Add the first frame, and the prior of position, velocity and parameters."""
         frame = sequence.frames[0]
         self.views = [0]
         self.slam_map.frames[0] = frame
@@ -99,7 +99,7 @@ class DynamicWindow:
         self.free_first = (bool(np.any(blocks[0])), bool(np.any(blocks[1])))
 
     def predict(self, number: int) -> None:
-        """Place a new view where the motion of the one before leads."""
+        """Place a new view by propagating the state of the previous one."""
         arc = self._duration(number)
         start = np.concatenate([self._inertial(number - 1), self.velocities_m[number - 1]])
         end = propagate(self.field, start[None], self.parameters_m, np.array([arc]))[0]
@@ -107,7 +107,7 @@ class DynamicWindow:
         self.velocities_m[number] = end[3:]
 
     def tracks(self) -> list[int]:
-        """List the landmarks that the window determines, sorted; those without an estimate get one."""
+        """List the tracks of the landmarks that the window determines, sorted; new ones are triangulated."""
         slam_map = self.slam_map
         seen = slam_map.seen_by(self.views)
         ranged = {item.track for view in self.views for item in slam_map.frames[view].ranges}
@@ -123,7 +123,7 @@ class DynamicWindow:
         return tracks
 
     def problem(self, tracks: list[int], *, first_estimates: bool) -> DynamicAdjustment:
-        """Make the adjustment of all views of the window and of ``tracks``."""
+        """Return the adjustment of all views of the window and of ``tracks``."""
         prior = self._local_prior(tracks)
         kept = np.zeros(len(tracks), dtype=np.bool_)
         kept[prior.points] = True
@@ -159,13 +159,13 @@ class DynamicWindow:
         return DynamicState(self.slam_map.state(self.views, tracks), velocities, self.parameters_m)
 
     def keep(self, state: DynamicState, tracks: list[int]) -> None:
-        """Take the estimates of ``state`` over."""
+        """Store the estimates of ``state``."""
         self.slam_map.keep(state.vision, self.views, tracks)
         self.velocities_m.update(zip(self.views, state.velocities_m, strict=True))
         self.parameters_m = state.parameters_m
 
     def pass_on(self, prior: DynamicPrior, state: DynamicState, tracks: list[int], lost: BoolArray) -> None:
-        """Drop the oldest view and ``lost`` landmarks (L,); ``prior``, numbered as ``state``, stands for them."""
+        """Replace the oldest view and the ``lost`` landmarks (L,) by ``prior``, which is numbered as ``state``."""
         views, number = np.array(self.views), np.array(tracks, dtype=np.int64)
         self.first.keep(prior, state, views, number)
         self.first_parameters_m = np.where(
@@ -177,7 +177,7 @@ class DynamicWindow:
         del self.slam_map.frames[oldest], self.velocities_m[oldest]
 
     def _local_prior(self, tracks: list[int]) -> DynamicPrior:
-        """Return the prior with its variables numbered as the problem does."""
+        """Return the prior with its variables numbered as in the problem."""
         if self.prior is None:
             raise LostError("the sequence has not begun")
         return replace(self.prior, views=lookup(self.views, self.prior.views), points=lookup(tracks, self.prior.points))
@@ -198,7 +198,7 @@ class DynamicWindow:
 
 
 def _information(covariances: tuple[FloatArray, ...]) -> FloatArray:
-    """Invert blocks of a diagonal; what is certain is not solved for and gets zeros."""
+    """Return the inverse of a block-diagonal covariance; certain variables (zero variance) are fixed and get zeros."""
     size = sum(len(block) for block in covariances)
     information, at = np.zeros((size, size)), 0
     for block in covariances:
@@ -209,18 +209,17 @@ def _information(covariances: tuple[FloatArray, ...]) -> FloatArray:
 
 
 def measurements_beyond_unknowns(problem: DynamicAdjustment) -> int:
-    """Count measurements less unknowns of landmarks; a view adds as many unknowns as its arc tells."""
+    """Count measurements minus unknowns of landmarks; a view adds as many unknowns as its arc has equations."""
     vision = problem.vision
     return 2 * len(vision.pixels.view) + len(vision.distances.view) - 3 * len(vision.free_points)
 
 
 class DynamicSmoother(ConfiguredEstimator[DynamicOptions]):
-    """Adjusts the last views, joined by their motion about the body; older ones and lost landmarks are marginalised.
+    """Fixed-lag smoother of views that are coupled by orbital motion; older ones and lost landmarks are marginalised.
 
-    The motion is that of equation (6) of Delpech et al. (2015): gravity of a point whose parameter is estimated, solar
-    radiation pressure up to a factor that is estimated, and an unknown acceleration in each interval. It takes the
-    place of the predicted displacements, which are not used. It ties the path to the centre of mass, which bearings
-    and ranges alone do not see.
+    The motion is that of equation (6) of Delpech et al. (2015): point-mass gravity with estimated parameter, solar
+    radiation pressure with an estimated factor, and an unknown acceleration in each interval. It replaces the predicted
+    displacements. It determines the position relative to the centre of mass, which bearings and ranges do not.
     """
 
     name: ClassVar[str] = "dynamic-smoother"
@@ -233,7 +232,7 @@ class DynamicSmoother(ConfiguredEstimator[DynamicOptions]):
 
 
 class _Smoother:
-    """The window at work on one sequence."""
+    """Smoother on one sequence."""
 
     def __init__(self, sequence: TrackSequence, options: DynamicOptions) -> None:
         self.options = options
@@ -285,7 +284,7 @@ class _Smoother:
         return estimate
 
     def _begin(self) -> FrameEstimate:
-        """Place the first view, and all landmarks provisionally at the distance that was measured."""
+        """Place the first view, and its landmarks provisionally at the measured distance."""
         sequence = self.sequence
         if sequence.forces is None:
             raise LostError("the sequence tells no forces: dynamic-smoother needs a scenario with a propagated orbit")
@@ -295,7 +294,11 @@ class _Smoother:
         return window.slam_map.first_estimate(sequence.position_covariance_m2)
 
     def _test(self, cost: float, problem: DynamicAdjustment) -> None:
-        """Hold the new frame against what was known before it."""
+        """Test the innovation of the new frame: twice the rise of the minimal cost.
+
+        It is a chi-square of as many degrees of freedom as there are new measurements beyond new unknowns, the squared
+        normalised innovation of an iterated filter.
+        """
         measurements = measurements_beyond_unknowns(problem)
         self.innovation.add(2.0 * (cost - self.before[0]), measurements - self.before[1])
         self.before = cost, measurements
@@ -316,7 +319,7 @@ class _Smoother:
     def _marginalise(
         self, window: DynamicWindow, problem: DynamicAdjustment, state: DynamicState, tracks: list[int]
     ) -> None:
-        """Drop the oldest view, and the landmarks that it saw and that are lost; keep what they tell."""
+        """Marginalise the oldest view, and those of its landmarks and of the prior's that are out of view."""
         number = np.array(tracks, dtype=np.int64)
         oldest = np.isin(number, window.slam_map.frames[window.views[0]].tracks)
         if problem.prior is not None:

@@ -1,4 +1,7 @@
-"""Levenberg-Marquardt on an adjustment with dynamics, and the covariance at the minimum."""
+"""Solve an adjustment with dynamics: normal equations, Levenberg-Marquardt, covariance, marginalisation.
+
+The reduced system of its vision part is a part of a larger dense system with velocities and force parameters.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +24,13 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DynamicOrdering:
-    """Rows of the unknowns in the dense system, -1 for what is not solved for.
+    """Rows of the unknowns in the dense system, -1 for fixed ones.
 
-    First come those of the vision part's reduced system, then velocities, then parameters.
+    The order is that of the vision part's reduced system, then velocities, then parameters.
 
     Parameters
     ----------
-    layout
+    ordering
         Of the vision part.
     position, velocity
         (V, 3) each.
@@ -36,7 +39,7 @@ class DynamicOrdering:
     point
         (L, 3); -1 for landmarks that are eliminated, too.
     count
-        Of all rows.
+        Number of rows.
     """
 
     ordering: VariableOrdering
@@ -48,7 +51,7 @@ class DynamicOrdering:
 
     @classmethod
     def of(cls, problem: DynamicAdjustment) -> DynamicOrdering:
-        """Give every unknown of ``problem`` its row."""
+        """Assign rows to the unknowns of ``problem``."""
         ordering = VariableOrdering.of(problem.vision)
         after = 3 * ordering.kept
         velocity = _numbered(np.repeat(problem.free_velocities, 3), after).reshape(-1, 3)
@@ -76,7 +79,7 @@ class DynamicOrdering:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DynamicEquations:
-    """The vision part, and (n, n), (n,) what arcs and prior add to the reduced matrix and to the gradient."""
+    """Normal equations of the vision part, and matrix (n, n) and gradient (n,) of arcs and prior."""
 
     rows: DynamicOrdering
     vision: NormalEquations
@@ -84,12 +87,12 @@ class DynamicEquations:
     gradient: FloatArray
 
     def reduced(self, damping: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the dense matrix, the right side, and the inverted blocks of the eliminated landmarks.
+        """Return the dense matrix, the right-hand side, and the inverse blocks of the eliminated landmarks.
 
         Raises
         ------
         numpy.linalg.LinAlgError
-            If a landmark has no distance and ``damping`` is 0.
+            If the distance of a landmark is undetermined and ``damping`` is 0.
         """
         part, part_right, inverse = self.vision.reduced(damping)
         joined = len(part)
@@ -101,7 +104,7 @@ class DynamicEquations:
         return matrix, right, inverse
 
     def stepped(self, state: DynamicState, step: FloatArray, inverse: FloatArray) -> tuple[DynamicState, float]:
-        """Return ``state`` after the step (n,) and that of the eliminated landmarks, and the longest of all, m."""
+        """Return ``state`` after the step (n,) and that of the eliminated landmarks, and the largest coordinate, m."""
         kept = step[: 3 * self.rows.ordering.kept].reshape(-1, 3)
         eliminated = self.vision.back_substituted(kept, inverse)
         padded = np.append(step, 0.0)  # row -1: no step
@@ -115,7 +118,7 @@ class DynamicEquations:
 
 def dynamic_equations(problem: DynamicAdjustment, state: DynamicState, rows: DynamicOrdering) -> DynamicEquations:
     """Linearise ``problem`` at ``state``."""
-    bin_row = rows.count  # where -1 leads: what is said of the fixed
+    bin_row = rows.count  # index -1 of the fixed unknowns: this row is dropped
     matrix, gradient = np.zeros((bin_row + 1, bin_row + 1)), np.zeros(bin_row + 1)
     at = rows.of_arcs(problem.arcs.start, problem.arcs.end)
     jacobians = problem.arc_jacobians(state)
@@ -132,7 +135,7 @@ def dynamic_equations(problem: DynamicAdjustment, state: DynamicState, rows: Dyn
 
 
 def dynamic_cost(problem: DynamicAdjustment, state: DynamicState) -> float:
-    """Half the sum of squares with the prior's quadratic; inf with a landmark behind its camera."""
+    """Return half the sum of squares plus the prior; inf with a landmark behind its camera."""
     residuals = problem.arc_residuals(state)
     half = cost(problem.vision, state.vision)
     half += 0.5 * float(np.einsum("ki,kij,kj->", residuals, problem.arcs.information, residuals))
@@ -143,18 +146,18 @@ def dynamic_cost(problem: DynamicAdjustment, state: DynamicState) -> float:
 
 
 def _threes(slots: IndexArray) -> IndexArray:
-    """(k, 3) rows of slots of three; -1 where there is none."""
+    """(k, 3) rows of the 3-vectors in slots (k,); -1 for none."""
     return np.where(slots[:, None] >= 0, 3 * slots[:, None] + np.arange(3), -1)
 
 
 def _numbered(mask: BoolArray, first: int) -> IndexArray:
-    """Count the marked entries from ``first``; -1 elsewhere."""
+    """Assign numbers to the marked entries from ``first``; -1 elsewhere."""
     return np.where(mask, first + np.cumsum(mask) - 1, -1).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True)
 class DynamicSolution:
-    """The state at the minimum, what it costs, and the steps taken."""
+    """State at the minimum, its cost, and the steps taken."""
 
     state: DynamicState
     cost: float
@@ -181,7 +184,7 @@ def minimise_dynamic(problem: DynamicAdjustment, state: DynamicState, rule: Stop
 def covariance_of(
     problem: DynamicAdjustment, state: DynamicState, wanted: IndexArray, rows: DynamicOrdering
 ) -> FloatArray:
-    """(k, k) covariance of the unknowns in the rows ``wanted``, all others taken for unknown; zero for rows of -1.
+    """(k, k) covariance of the unknowns in the rows ``wanted``, marginal over all others; zero for rows of -1.
 
     Raises
     ------
@@ -200,10 +203,10 @@ def covariance_of(
 def _descend(
     problem: DynamicAdjustment, system: DynamicEquations, state: DynamicState, value: float, damping: float
 ) -> tuple[DynamicState | None, float, float]:
-    """Raise the damping until the cost does not grow; nothing if it grows however small the step.
+    """Increase the damping until the cost does not increase; None if it increases for every step.
 
-    Returns the new state, the longest step of an unknown (m), and the damping to begin with next time. Rounding may
-    raise the cost by some parts in 1e10 at the minimum, where arcs are sharp.
+    Returns the new state, the largest step of an unknown (m), and the next initial damping. Near the minimum rounding
+    may increase the cost by some parts in 1e10, since the arcs have small covariances.
     """
     step = 0.0
     for _ in range(25):
@@ -221,14 +224,14 @@ def _descend(
 
 
 def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: int, lost: BoolArray) -> DynamicPrior:
-    """Marginalise a view with its velocity, and the landmarks marked in ``lost`` (L,), all linearised at ``state``.
+    """Marginalise a view with its velocity, and the landmarks marked in ``lost`` (L,), linearised at ``state``.
 
-    The quadratic is about all other views, the parameters, and the landmarks that something departing speaks of.
+    The prior covers all other views, the parameters, and the landmarks that a removed measurement constrains.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If what goes is not determined.
+        If the removed variables are not determined.
     """
     part = _departing_part(problem, view, lost)
     rows = DynamicOrdering.of(part)
@@ -239,7 +242,7 @@ def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: i
     staying = np.zeros(rows.count, dtype=np.bool_)
     staying[kept[kept >= 0]] = True
     information, gradient = eliminate_rows(matrix, -right, ~staying)
-    place = np.append(np.cumsum(staying) - 1, -1)[kept]  # what is fixed keeps rows of zeros
+    place = np.append(np.cumsum(staying) - 1, -1)[kept]  # fixed variables have rows of zeros
     padded = np.zeros((len(information) + 1, len(information) + 1))
     padded[:-1, :-1] = information
     return DynamicPrior(
@@ -248,7 +251,7 @@ def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: i
 
 
 def _departing_part(problem: DynamicAdjustment, view: int, lost: BoolArray) -> DynamicAdjustment:
-    """Return the part of ``problem`` that goes; of its landmarks only those that it speaks of are free."""
+    """Return the removed part of ``problem``; its free landmarks are those that it constrains."""
     vision = departing_part(problem.vision, view, lost)
     joined = np.zeros(len(lost), dtype=np.bool_)
     if problem.prior is not None:

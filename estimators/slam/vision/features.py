@@ -18,12 +18,12 @@ from scenarios.geometry import pixel_from_opencv
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
 
-_BRIGHT_LEVEL = 200.0  # leaves room for what is brighter than the 99th percentile of the body
+_BRIGHT_LEVEL = 200.0  # of 255: headroom for pixels brighter than the 99th percentile of the body
 _FULL_SCALE_PERCENTILE = 99.0
-_LEAST_STRENGTH = 1e-6  # of a blob, in an image scaled to 0..1: some ten times what the detector's noise makes
+_LEAST_STRENGTH = 1e-6  # of a blob, image scaled to 0..1: about ten times the response to the sensor's noise
 _LEAST_CONTRAST = 0.01
 _FAST_THRESHOLD = 5
-# A feature counts if the body's edge is farther than this many of its scales: edges move over the ground.
+# Least distance from the body's edge in units of the feature's scale: the limb and the terminator move over the ground.
 _CLEAR_SCALES = 5.0
 _OPENING_PX = 9
 
@@ -52,7 +52,7 @@ class ImageFeatures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Detections:
-    """What a detector returns: positions, descriptors, strength, and scales, px."""
+    """Result of a detector: positions, descriptors, strengths, and scales, px."""
 
     uv_px: FloatArray
     descriptors: NDArray[np.float32] | NDArray[np.uint8]
@@ -61,12 +61,12 @@ class _Detections:
 
 
 def find_features(image: Image, detector: str, count: int) -> ImageFeatures:
-    """Find the strongest features that lie well within the lit body.
+    """Find the strongest features well within the lit part of the body.
 
     Parameters
     ----------
     image
-        (H, W) any linear measure of radiance; it is scaled to the bright level of the body first.
+        (H, W) linear radiance in any unit; it is scaled by the 99th percentile of the body.
     detector
         ``surf``, ``sift`` or ``orb``.
     count
@@ -89,7 +89,7 @@ def _none(found: _Detections) -> ImageFeatures:
 
 
 def _clearance_px(body: NDArray[np.bool_], uv_px: FloatArray) -> FloatArray:
-    """(M,) distance to the nearest pixel that is not of the lit body, specks of either kind left out."""
+    """(M,) distance to the nearest pixel outside the lit body, after a median filter that removes specks."""
     mask = np.asarray(cv2.medianBlur(body.astype(np.uint8), _OPENING_PX))
     distance = np.asarray(cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
     height, width = mask.shape
@@ -128,7 +128,7 @@ def _sift(image: Image) -> _Detections:
 def _orb(image: Image) -> _Detections:
     height, width = image.shape
     detector = cv2.ORB.create(nfeatures=height * width // 16, fastThreshold=_FAST_THRESHOLD)
-    # A patch of 31 pixels in its octave; the clearance of a corner is half of that.
+    # The size is that of the patch, 31 pixels in its octave; a corner needs a clearance of half of it.
     return _by_opencv(detector, image, 32, 0.5 / _CLEAR_SCALES)
 
 

@@ -1,9 +1,9 @@
-"""Matching guided by an estimator's covariance: each feature is sought where its landmark is expected.
+"""Match features between images: by descriptors, by epipolar RANSAC, and guided by an estimator's prediction.
 
-What is uncertain is above all the camera's position, which all landmarks share: one right match tells where the others
-are. So each landmark's best match is tried as a hypothesis, and that one is believed in which most others agree, as in
-the 1-point RANSAC of Civera et al. (2010). Conditioned on all that agree, the ellipses are small, and the best
-descriptor in each is taken.
+Guided matching searches each landmark's feature in its predicted error ellipse. The main error, that of the camera's
+position, is shared by all landmarks, so that one correct match determines where the others are. Each landmark's best
+match is a hypothesis; the one with which most others agree is chosen, as in the 1-point RANSAC of Civera et al. (2010).
+Conditioned on all that agree, the ellipses are small, and the best descriptor in each is taken.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ Descriptors = NDArray[np.float32] | NDArray[np.uint8]
 
 _GATE = 3.0
 _LEAST_AGREEMENT = 3
-_SLACK = 2.0  # on the noise in the last search, for what is not linear
-_MOST_DISTANCE = 3.0  # of a descriptor, in medians of those that agree
+_SLACK = 2.0  # factor on the noise in the last search, for nonlinearity
+_MOST_DISTANCE = 3.0  # largest descriptor distance, in medians of those that agree
 
 _FUNDAMENTAL_LEAST = 8
 _CONFIDENCE = 0.999
@@ -55,7 +55,7 @@ def match_descriptors(before: ImageFeatures, after: ImageFeatures, ratio_max: fl
 
 
 def fundamental_inliers(before_px: FloatArray, after_px: FloatArray, limit_px: float) -> BoolArray:
-    """(K,) which matches (K, 2) and (K, 2) agree with the best fundamental matrix: RANSAC by OpenCV (MAGSAC)."""
+    """(K,) which matches (K, 2) and (K, 2) are inliers of the best fundamental matrix: RANSAC by OpenCV (MAGSAC)."""
     if len(before_px) < _FUNDAMENTAL_LEAST:
         return np.zeros(len(before_px), dtype=np.bool_)
     matrix, mask = cv2.findFundamentalMat(before_px, after_px, cv2.USAC_MAGSAC, limit_px, _CONFIDENCE, _MOST_ITERATIONS)
@@ -65,19 +65,19 @@ def fundamental_inliers(before_px: FloatArray, after_px: FloatArray, limit_px: f
 
 
 def direction_inliers(before: FloatArray, after: FloatArray, limit_rad: float, rng: np.random.Generator) -> BoolArray:
-    """(K,) which matches agree with the best direction of motion, where the attitude is known.
+    """(K,) which matches are inliers of the best direction of motion, with known attitude: RANSAC.
 
-    Two rays to one point and the motion between their origins lie in a plane: ``t . (r1 x r2) = 0``. Two matches give
-    t, so that a few hundred samples are enough for any share of wrong ones that leaves matching a sense.
+    Epipolar constraint: two rays to one point and the baseline are coplanar, ``t . (r1 x r2) = 0``. Two matches
+    determine t, so that a few hundred samples are enough for any useful share of correct matches.
 
     Parameters
     ----------
     before, after
-        (K, 3) unit directions from the camera in axes that do not turn.
+        (K, 3) unit directions from the camera in common axes.
     limit_rad
-        Angle of the second ray from its epipolar plane at most.
+        Largest angle of the second ray from its epipolar plane.
     rng
-        Draws the samples.
+        Generator of the samples.
     """
     if len(before) < 3:
         return np.zeros(len(before), dtype=np.bool_)
@@ -98,10 +98,10 @@ def direction_inliers(before: FloatArray, after: FloatArray, limit_rad: float, r
 
 
 def fitted_direction(before: FloatArray, after: FloatArray) -> FloatArray:
-    """(3,) direction of motion, up to its sign, that brings the matches nearest to their epipolar planes."""
+    """(3,) direction of motion, up to its sign, with the least squared angles from the epipolar planes."""
     planes = np.cross(before, after)
     direction = np.linalg.eigh(planes.T @ planes)[1][:, 0]
-    for _ in range(_REFITS):  # weights turn the product into the angle off the plane
+    for _ in range(_REFITS):  # weights turn the triple product into the angle from the plane
         weights = 1.0 / np.maximum(np.linalg.norm(np.cross(before, direction), axis=1), 1e-9)
         weighted = planes * weights[:, None]
         direction = np.linalg.eigh(weighted.T @ weighted)[1][:, 0]
@@ -118,16 +118,16 @@ def off_plane(before: FloatArray, after: FloatArray, direction: FloatArray) -> F
 def guided_rows(
     prediction: Prediction, descriptors: Descriptors, features: ImageFeatures, sigma_px: float
 ) -> IndexArray:
-    """(n,) row of the feature that each predicted landmark is matched with; -1 where there is none.
+    """(n,) row of the feature that each predicted landmark is matched with; -1 for none.
 
     Parameters
     ----------
     descriptors
-        (n, D) of the landmarks, as they were seen last.
+        (n, D) of the landmarks, from their last image.
     features
         Of the new image.
     sigma_px
-        Noise of a sighting.
+        Noise of a feature's coordinate.
     """
     none = np.full(len(prediction.tracks), -1, dtype=np.int64)
     if len(features) == 0 or len(none) < _LEAST_AGREEMENT:
@@ -164,7 +164,7 @@ def _blocks(covariance: FloatArray) -> FloatArray:
 
 
 def _best(where: FloatArray, covariance: FloatArray, apart: FloatArray, uv_px: FloatArray) -> IndexArray:
-    """(n,) most alike feature in the ellipse of each landmark; -1 where it holds none."""
+    """(n,) feature with the nearest descriptor in the ellipse of each landmark; -1 if the ellipse has none."""
     offset = uv_px - where[:, None]
     inverse = np.linalg.inv(_blocks(covariance))
     inside = np.einsum("nmi,nij,nmj->nm", offset, inverse, offset) <= _GATE**2
@@ -173,7 +173,7 @@ def _best(where: FloatArray, covariance: FloatArray, apart: FloatArray, uv_px: F
 
 
 def _consensus(where: FloatArray, covariance: FloatArray, best: IndexArray, uv_px: FloatArray) -> BoolArray:
-    """(n,) landmarks whose best matches agree with the hypothesis that most agree with."""
+    """(n,) landmarks whose best matches agree with the hypothesis that has the most agreement."""
     n = len(best)
     found = best >= 0
     innovation = np.where(found[:, None], uv_px[best] - where, 0.0)
@@ -191,9 +191,10 @@ def _consensus(where: FloatArray, covariance: FloatArray, best: IndexArray, uv_p
 
 
 def _snooped(covariance: FloatArray, innovation: FloatArray, agree: BoolArray) -> BoolArray:
-    """(n,) landmarks that agree with each other: the one that the others contradict most is left out, again and again.
+    """(n,) landmarks that agree with each other: the one that the others contradict most is removed, repeatedly.
 
-    W. Baarda (1968): the part of an observation that the others do not predict is S^-1 v, of covariance S^-1.
+    Data snooping, W. Baarda (1968): the test statistic of an observation against all others is S^-1 v, of covariance
+    S^-1.
     """
     kept = agree.copy()
     while kept.sum() >= _LEAST_AGREEMENT:
@@ -210,7 +211,7 @@ def _snooped(covariance: FloatArray, innovation: FloatArray, agree: BoolArray) -
 def _conditioned(
     where: FloatArray, covariance: FloatArray, agree: BoolArray, seen_px: FloatArray, sigma_px: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Where all landmarks are expected, (n, 2), with the covariance (2 n, 2 n), once some have been seen."""
+    """Predicted pixels (n, 2) of all landmarks and their covariance (2 n, 2 n), conditioned on the matched ones."""
     rows = (2 * np.flatnonzero(agree)[:, None] + np.arange(2)).ravel()
     cross = covariance[:, rows].copy()
     cross[rows, np.arange(len(rows))] -= sigma_px**2
@@ -221,7 +222,7 @@ def _conditioned(
 
 
 def _each_once(rows: IndexArray, apart: FloatArray) -> IndexArray:
-    """Leave a feature to the landmark that it is most like."""
+    """Assign a feature that several landmarks claim to the one with the nearest descriptor."""
     kept = rows.copy()
     for row in np.unique(rows[rows >= 0]).tolist():
         claims = np.flatnonzero(rows == row)

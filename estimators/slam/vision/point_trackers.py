@@ -1,4 +1,4 @@
-"""Two ways to carry a track from image to image: by the match of its feature, or by registration of its patch."""
+"""Track points from image to image: by matches of their features, or by registration of their patches."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ _KEPT_SHARE = 0.75
 
 
 def local_flow(before_px: FloatArray, after_px: FloatArray, at_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Fit an affine map to the matches nearest to each point; the worst fitting ones are left out.
+    """Fit an affine map (local optical flow) to the matches nearest to each point, without the worst quarter.
 
     Parameters
     ----------
     before_px, after_px
         (K, 2) matches, K at least 3.
     at_px
-        (n, 2) points of the image before.
+        (n, 2) points of the first image.
 
     Returns
     -------
     ndarray
-        (n, 2) where the points are in the image after.
+        (n, 2) predicted points in the second image.
     ndarray
         (n, 2, 2) derivative of the map there.
     """
@@ -60,16 +60,16 @@ def local_flow(before_px: FloatArray, after_px: FloatArray, at_px: FloatArray) -
 
 
 def area_change(change: FloatArray) -> FloatArray:
-    """(n,) factor by which an area grows or shrinks, at least 1, under maps of derivative (n, 2, 2)."""
+    """(n,) factor by which an area grows or shrinks, at least 1, under maps with derivatives (n, 2, 2)."""
     area = np.maximum(np.abs(np.linalg.det(change)), 1e-12)
     return np.asarray(np.maximum(area, 1.0 / area), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class MatchedImage:
-    """An image (H, W), its features, and how they match those of the image before.
+    """An image (H, W), its features, and their matches with those of the previous image.
 
-    ``pairs`` are (K, 2) rows of the features before and of these, from `matched`; none in the first image.
+    ``pairs`` are (K, 2) rows of the previous features and of these, from `match_descriptors`; none in the first image.
     """
 
     image: Image
@@ -78,13 +78,13 @@ class MatchedImage:
 
     @cached_property
     def spline(self) -> Spline:
-        """The image between its pixels."""
+        """Cubic spline of the image about its features."""
         return Spline(self.image, self.features.uv_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagePair:
-    """From one image to the next: the features before, the look after, and the rows of matches that RANSAC keeps."""
+    """Two consecutive images: features of the first, the second image, and the rows (K, 2) of their inlier matches."""
 
     before: ImageFeatures
     after: MatchedImage
@@ -92,28 +92,28 @@ class ImagePair:
 
 
 class PointTracker(Protocol):
-    """Carries n tracks along; their order is that in which they were added."""
+    """Tracker of n points, in the order in which they were started."""
 
     @property
     def places_px(self) -> FloatArray:
-        """(n, 2) where the tracks are in the present image."""
+        """(n, 2) pixels of the points in the present image."""
         ...
 
     def advance(self, step: ImagePair) -> BoolArray:
-        """Go to the next image; tell of each track (n,) whether it was found there. The others are dropped."""
+        """Track to the next image; return which points (n,) were found there. The others are dropped."""
         ...
 
     def keep(self, keep: BoolArray) -> None:
-        """Keep some of the tracks (n,) alone."""
+        """Drop all points but those marked in ``keep`` (n,)."""
         ...
 
     def start(self, look: MatchedImage, rows: IndexArray) -> None:
-        """Begin tracks at features of the present image."""
+        """Start points at features ``rows`` of the present image."""
         ...
 
 
 class FeatureTracker:
-    """A track is where its feature is found again; ``rows`` are those of its features in the present image."""
+    """Tracking by matched features; ``rows`` are the features of the points in the present image."""
 
     def __init__(self) -> None:
         self.rows = np.empty(0, dtype=np.int64)
@@ -145,9 +145,9 @@ class FeatureTracker:
 
 
 class PatchTracker:
-    """A track is where the patch of its first sighting agrees with the image.
+    """Tracking by registration of the patch from each point's first image.
 
-    The flow of the matches about it says where the patch is to be sought and how it is distorted.
+    The local flow of the matches gives the initial position and deformation of the patch.
     """
 
     def __init__(self, growth_max: float) -> None:

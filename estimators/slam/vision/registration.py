@@ -1,7 +1,7 @@
-"""Patches of the first sighting registered to later images: inverse compositional alignment.
+"""Registration of patches to later images by inverse compositional alignment (Lucas-Kanade).
 
 S. Baker, I. Matthews: Lucas-Kanade 20 years on, IJCV 56 (2004) 221, with an affine warp and with gain and offset of the
-brightness taken out. A patch is always held against the image of its first sighting, so that its place does not drift.
+brightness removed. The reference is always the first image of a patch, so that its position does not drift.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ class TrackPatches:
     values
         (n, P) brightness, of mean 0 and length 1.
     steps
-        (n, 6, P): what turns a misfit of the brightness into a step of the warp, [derivatives (4), shift (2)].
+        (n, 6, P): pseudo-inverse of the steepest-descent images: brightness misfit to step of the warp, [linear part
+        (4), shift (2)].
     """
 
     values: FloatArray
@@ -41,20 +42,20 @@ class TrackPatches:
         return TrackPatches(self.values[rows], self.steps[rows])
 
     def joined(self, other: TrackPatches) -> TrackPatches:
-        """Append others."""
+        """Append other patches."""
         return TrackPatches(np.concatenate([self.values, other.values]), np.concatenate([self.steps, other.steps]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AffineWarps:
-    """Maps from patches to an image: ``A x + t``, with A (n, 2, 2) and the place t (n, 2), px."""
+    """Affine maps from patches to an image: ``A x + t``, with A (n, 2, 2) and the position t (n, 2), px."""
 
     linear: FloatArray
     place_px: FloatArray
 
 
 class Spline:
-    """An image (H, W) as a cubic spline, about the places (n, 2) that matter; beyond them it is like their edge."""
+    """Cubic spline of an image (H, W), computed about the given pixels (n, 2) and constant beyond that area."""
 
     def __init__(self, image: NDArray[np.float32], places_px: FloatArray) -> None:
         height, width = image.shape
@@ -88,7 +89,7 @@ def cut_patches(image: Spline, places_px: FloatArray) -> TrackPatches:
     x, y = offsets.T
     rows = [slopes[0] * x, slopes[0] * y, slopes[1] * x, slopes[1] * y, *slopes]
     steepest = np.stack(rows, axis=1)
-    # What a gain or an offset explains is no step of the warp.
+    # Project out gain and offset of the brightness, so that they cause no step of the warp.
     steepest = steepest - steepest.mean(axis=2, keepdims=True)
     steepest = steepest - np.einsum("nip,np->ni", steepest, values)[..., None] * values[:, None]
     normal = np.einsum("nip,njp->nij", steepest, steepest)
@@ -97,12 +98,12 @@ def cut_patches(image: Spline, places_px: FloatArray) -> TrackPatches:
 
 
 def register_patches(image: Spline, patches: TrackPatches, start: AffineWarps) -> tuple[AffineWarps, FloatArray]:
-    """Find the warps that bring patches to agree with an image.
+    """Register patches to an image.
 
     Returns
     -------
-    Warps
-        As far as 15 steps lead.
+    AffineWarps
+        After at most 15 steps.
     ndarray
         (n,) correlation of patch and image there.
     """
@@ -128,7 +129,7 @@ def _mapped(linear: FloatArray, place: FloatArray, offsets: FloatArray) -> Float
 
 
 def _normalised(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Take mean and length off (n, P); the length (n, 1) is returned too."""
+    """Normalise (n, P) to mean 0 and length 1; return the lengths (n, 1) as well."""
     centred = values - values.mean(axis=1, keepdims=True)
     length = np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), 1e-12)
     return centred / length, length

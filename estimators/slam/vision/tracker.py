@@ -1,4 +1,4 @@
-"""Tracks of features from frame to frame."""
+"""Feature tracks of a sequence of images, with epipolar outlier rejection."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ _LEAST_APART_PX = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EpipolarInliers:
-    """(K,) which of the matches with the frame before RANSAC keeps.
+    """(K,) inliers of the matches with the previous frame.
 
-    ``direction`` is the unit direction of motion that those agree on, body axes; None if they are too few.
+    ``direction`` is the unit direction of motion fitted to them, body axes; None if they are fewer than 2.
     """
 
     kept: BoolArray
@@ -50,16 +50,16 @@ class EpipolarInliers:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedFrame:
-    """What the vision layer tells of a frame.
+    """Tracks of a frame.
 
     Parameters
     ----------
     tracks, uv_px
-        (n,) numbers of the tracks, ascending, and (n, 2) where they are seen.
+        (n,) numbers of the tracks, ascending, and (n, 2) their pixels.
     kept
-        (K,) which of the matches with the frame before RANSAC keeps.
+        (K,) epipolar inliers of the matches with the previous frame.
     seconds
-        Time that it took, without detection and matching of descriptors.
+        Computing time, without detection and matching of descriptors.
     """
 
     tracks: IndexArray
@@ -69,7 +69,7 @@ class TrackedFrame:
 
 
 class Tracker:
-    """Follows the strongest features; one that is not found again is lost for good, and another takes its place."""
+    """Tracker of the strongest features; a lost track never returns, and a new one replaces it."""
 
     def __init__(self, camera: Camera, spec: ImageVisionSpec, rng: np.random.Generator) -> None:
         self._camera = camera
@@ -84,9 +84,9 @@ class Tracker:
         self._next = 0
 
     def advance(self, look: MatchedImage, R_cam_body: FloatArray, prediction: Prediction | None = None) -> TrackedFrame:
-        """Take the next image in, with the known attitude of its camera.
+        """Track to the next image, with the known attitude of its camera.
 
-        Where it is predicted where tracks will be, and features carry them, those are sought there.
+        With a prediction of the tracks' pixels, and tracking by features, the matching is guided by it.
         """
         started = time.perf_counter()
         kept = np.zeros(len(look.pairs), dtype=np.bool_)
@@ -104,7 +104,7 @@ class Tracker:
         return TrackedFrame(self._tracks, self._point_tracker.places_px, kept, time.perf_counter() - started)
 
     def _guided(self, before: ImageFeatures, look: MatchedImage, prediction: Prediction) -> IndexArray:
-        """(k, 2) rows of features of tracks and of those matched with them."""
+        """(k, 2) rows of the tracks' features and of the features matched with them by the prediction."""
         assert isinstance(self._point_tracker, FeatureTracker)  # noqa: S101
         _, ours, theirs = np.intersect1d(self._tracks, prediction.tracks, assume_unique=True, return_indices=True)
         rows = self._point_tracker.rows[ours]
@@ -125,7 +125,7 @@ class Tracker:
         return EpipolarInliers(kept, fitted_direction(rays[0][kept], rays[1][kept]) if kept.sum() >= 2 else None)
 
     def _carry(self, step: ImagePair, direction: FloatArray | None, R_cam_body: FloatArray) -> None:
-        """Let the tracks live on that are found again, near their epipolar lines."""
+        """Continue the tracks that are found again near their epipolar lines."""
         before_px = self._point_tracker.places_px
         found = self._point_tracker.advance(step)
         self._tracks = self._tracks[found]
@@ -136,9 +136,9 @@ class Tracker:
             self._tracks = self._tracks[near]
 
     def _keeps_size(self, before: ImageFeatures, look: MatchedImage, kept: BoolArray) -> BoolArray:
-        """Tell of the matches that are kept whether the image about them keeps its size.
+        """Return which of the inlier matches lie where the local scale of the image is constant.
 
-        Towards the limb it does not: what is seen there is foreshortened and bends out of its plane.
+        Towards the limb it changes with the foreshortening, and features are found again less often.
         """
         if kept.sum() < LEAST_MATCHES:
             return np.ones(int(kept.sum()), dtype=np.bool_)
@@ -147,9 +147,9 @@ class Tracker:
         return np.asarray(area_change(change) <= self._spec.growth_max, dtype=np.bool_)
 
     def _begin(self, look: MatchedImage, preferred: BoolArray) -> None:
-        """Fill up with the strongest features that keep their distance from the tracks.
+        """Start new tracks at the strongest features that are far enough from the others.
 
-        Those that are settled come first: what was found twice is found again more often.
+        The preferred ones come first: features that were found twice are found again more often.
         """
         apart_px = max(self._spec.spacing_px, _LEAST_APART_PX)
         places = list(self._point_tracker.places_px)
@@ -168,7 +168,7 @@ class Tracker:
     def _rays(
         self, before_px: FloatArray, after_px: FloatArray, R_cam_body: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Directions (K, 3) in body axes of pixels of the frame before and of this one."""
+        """Directions (K, 3) in body axes of pixels of the previous frame and of this one."""
         return self._camera.unproject(before_px) @ self._R_cam_body, self._camera.unproject(after_px) @ R_cam_body
 
     @property
