@@ -168,7 +168,7 @@ class _Window:
         before = self.trailing
         tracks = (
             self.slam_map if self.gate is None else self.gate
-        )  # a frame that lost pixels for once must not shift it
+        )  # refused pixels count, so that outliers do not shift the window
         choose = trailing_views(self.slam_map, tracks, before, lead, self.options)
         if self.options.strategy == "offset":
             choose = offset_views(tracks, lead, self.options)

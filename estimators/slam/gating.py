@@ -20,88 +20,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _MOST_HYPOTHESES = 64
-
 _LEAST_KNOWN = 3
-
-
-def gate_frame(camera: Camera, frame: TrackFrame, seen: PredictedLines, false_alarm: float, limit: float) -> BoolArray:
-    """(n,) which pixels of a new frame pass the gate.
-
-    The mapped landmarks are gated first, by one-point RANSAC, and update the camera position. Landmarks at a guessed
-    distance are then gated one by one from there: their prediction before the update is uncertain and nonlinear. With
-    fewer than 3 mapped landmarks, all are gated together.
-    """
-    sound = np.asarray((seen.lines_m @ frame.R_cam_body.T)[:, 2] > 0.0, dtype=np.bool_)
-    first = sound & seen.known
-    if np.count_nonzero(first) < _LEAST_KNOWN:
-        first = sound
-    if not first.any():
-        return sound
-    residual, by_line = _linearised_pixels(camera, frame, seen, seen.lines_m)
-    H = by_line[first] @ seen.by_shared[first]
-    rows = H.reshape(-1, H.shape[2])
-    own = _individual_covariance(frame, seen.subset(first), by_line[first], seen.covariance)
-    spread = rows @ seen.covariance @ rows.T + _block_diagonal(own)
-    fit = np.zeros(len(sound), dtype=np.bool_)
-    fit[first] = gate_pixels(residual[first], spread, "one-point", false_alarm)
-    others = sound & ~first
-    if others.any() and fit.any():
-        inside = np.repeat(fit[first], 2)
-        gain = np.linalg.solve(spread[np.ix_(inside, inside)], rows[inside] @ seen.covariance).T
-        shift = gain @ residual[fit].ravel()
-        left = seen.covariance - gain @ (rows[inside] @ seen.covariance)
-        fit[others] = _single_squares(camera, frame, seen.subset(others), shift, left) <= limit
-    return fit
-
-
-def _single_squares(
-    camera: Camera, frame: TrackFrame, seen: PredictedLines, shift: FloatArray, left: FloatArray
-) -> FloatArray:
-    """(n,) squared distances of single pixels after an update of the shared variables (shift, remaining covariance)."""
-    residual, by_line = _linearised_pixels(camera, frame, seen, seen.lines_m + seen.by_shared @ shift)
-    rows = by_line @ seen.by_shared
-    return mahalanobis_squares(residual, _own_blocks(rows, left) + _individual_covariance(frame, seen, by_line, left))
-
-
-def _own_blocks(rows: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(n, k, k) diagonal blocks of ``rows covariance rows'`` for rows (n, k, m)."""
-    n, k, m = rows.shape
-    half = (rows.reshape(n * k, m) @ covariance).reshape(n, k, m)
-    return np.asarray(half @ np.swapaxes(rows, 1, 2), dtype=np.float64)
-
-
-def _linearised_pixels(
-    camera: Camera, frame: TrackFrame, seen: PredictedLines, lines_m: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Measured minus predicted pixels (n, 2), and derivatives (n, 2, 3) of the prediction by the lines of sight.
-
-    The values of landmarks behind the camera have no meaning.
-    """
-    in_camera = lines_m @ frame.R_cam_body.T
-    in_camera = np.where(in_camera[:, 2:] > 0.0, in_camera, [0.0, 0.0, 1.0])
-    return frame.uv_px[seen.rows] - camera.project(in_camera), camera.jacobian(in_camera) @ frame.R_cam_body
-
-
-def _individual_covariance(
-    frame: TrackFrame, seen: PredictedLines, by_line: FloatArray, covariance: FloatArray
-) -> FloatArray:
-    """(n, 2, 2) covariance of the independent error of each pixel.
-
-    A guessed distance adds a second-order term: the pixel depends on the camera's displacement divided by the distance,
-    and both are uncertain.
-    """
-    own_m2, guessed = seen.own_m2.copy(), ~seen.known
-    own_m2[guessed] += DEPTH_SIGMA**2 * _own_blocks(seen.by_shared[guessed], covariance)
-    own = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2)
-    return np.asarray(own + frame.sigma_px**2 * np.eye(2), dtype=np.float64)
-
-
-def _block_diagonal(blocks: FloatArray) -> FloatArray:
-    """(2 n, 2 n) block-diagonal matrix of blocks (n, 2, 2)."""
-    k = np.arange(len(blocks))
-    wide = np.zeros((len(k), 2, len(k), 2))
-    wide[k, :, k] = blocks
-    return wide.reshape(2 * len(k), 2 * len(k))
 
 
 def gate_pixels(residual_px: FloatArray, covariance_px2: FloatArray, gate: Gate, false_alarm: float) -> BoolArray:
@@ -193,3 +112,83 @@ def mahalanobis_squares(residual_px: FloatArray, covariance_px2: FloatArray) -> 
     x, y = residual_px[:, 0], residual_px[:, 1]
     determinant = np.maximum(a * c - b**2, 1e-18)  # 0 for the pixel taken as correct
     return np.asarray((c * x**2 - 2.0 * b * x * y + a * y**2) / determinant, dtype=np.float64)
+
+
+def gate_frame(camera: Camera, frame: TrackFrame, seen: PredictedLines, false_alarm: float, limit: float) -> BoolArray:
+    """(n,) which pixels of a new frame pass the gate.
+
+    The mapped landmarks are gated first, by one-point RANSAC, and update the camera position. Landmarks at a guessed
+    distance are then gated one by one from there: their prediction before the update is uncertain and nonlinear. With
+    fewer than 3 mapped landmarks, all are gated together.
+    """
+    sound = np.asarray((seen.lines_m @ frame.R_cam_body.T)[:, 2] > 0.0, dtype=np.bool_)
+    first = sound & seen.known
+    if np.count_nonzero(first) < _LEAST_KNOWN:
+        first = sound
+    if not first.any():
+        return sound
+    residual, by_line = _linearised_pixels(camera, frame, seen, seen.lines_m)
+    H = by_line[first] @ seen.by_shared[first]
+    rows = H.reshape(-1, H.shape[2])
+    own = _individual_covariance(frame, seen.subset(first), by_line[first], seen.covariance)
+    spread = rows @ seen.covariance @ rows.T + _block_diagonal(own)
+    fit = np.zeros(len(sound), dtype=np.bool_)
+    fit[first] = gate_pixels(residual[first], spread, "one-point", false_alarm)
+    others = sound & ~first
+    if others.any() and fit.any():  # Kalman update of the shared variables by the accepted pixels
+        inside = np.repeat(fit[first], 2)
+        gain = np.linalg.solve(spread[np.ix_(inside, inside)], rows[inside] @ seen.covariance).T
+        shift = gain @ residual[fit].ravel()
+        left = seen.covariance - gain @ (rows[inside] @ seen.covariance)
+        fit[others] = _single_squares(camera, frame, seen.subset(others), shift, left) <= limit
+    return fit
+
+
+def _single_squares(
+    camera: Camera, frame: TrackFrame, seen: PredictedLines, shift: FloatArray, left: FloatArray
+) -> FloatArray:
+    """(n,) squared distances of single pixels after an update of the shared variables (shift, remaining covariance)."""
+    residual, by_line = _linearised_pixels(camera, frame, seen, seen.lines_m + seen.by_shared @ shift)
+    rows = by_line @ seen.by_shared
+    return mahalanobis_squares(residual, _own_blocks(rows, left) + _individual_covariance(frame, seen, by_line, left))
+
+
+def _own_blocks(rows: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(n, k, k) diagonal blocks of ``rows covariance rows'`` for rows (n, k, m)."""
+    n, k, m = rows.shape
+    half = (rows.reshape(n * k, m) @ covariance).reshape(n, k, m)
+    return np.asarray(half @ np.swapaxes(rows, 1, 2), dtype=np.float64)
+
+
+def _linearised_pixels(
+    camera: Camera, frame: TrackFrame, seen: PredictedLines, lines_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Measured minus predicted pixels (n, 2), and derivatives (n, 2, 3) of the prediction by the lines of sight.
+
+    The values of landmarks behind the camera have no meaning.
+    """
+    in_camera = lines_m @ frame.R_cam_body.T
+    in_camera = np.where(in_camera[:, 2:] > 0.0, in_camera, [0.0, 0.0, 1.0])
+    return frame.uv_px[seen.rows] - camera.project(in_camera), camera.jacobian(in_camera) @ frame.R_cam_body
+
+
+def _individual_covariance(
+    frame: TrackFrame, seen: PredictedLines, by_line: FloatArray, covariance: FloatArray
+) -> FloatArray:
+    """(n, 2, 2) covariance of the independent error of each pixel.
+
+    A guessed distance adds a second-order term: the pixel depends on the camera's displacement divided by the distance,
+    and both are uncertain.
+    """
+    own_m2, guessed = seen.own_m2.copy(), ~seen.known
+    own_m2[guessed] += DEPTH_SIGMA**2 * _own_blocks(seen.by_shared[guessed], covariance)
+    own = by_line @ own_m2 @ np.swapaxes(by_line, 1, 2)
+    return np.asarray(own + frame.sigma_px**2 * np.eye(2), dtype=np.float64)
+
+
+def _block_diagonal(blocks: FloatArray) -> FloatArray:
+    """(2 n, 2 n) block-diagonal matrix of blocks (n, 2, 2)."""
+    k = np.arange(len(blocks))
+    wide = np.zeros((len(k), 2, len(k), 2))
+    wide[k, :, k] = blocks
+    return wide.reshape(2 * len(k), 2 * len(k))

@@ -75,7 +75,7 @@ class Factors:
         noise = self.gtsam.noiseModel.Gaussian.Covariance(known)
         return self.gtsam.PoseTranslationPrior3D(self.view(view), position_m, noise)
 
-    def sighting(self, view: int, point: int, uv_px: FloatArray, sigma_px: float) -> Any:
+    def pixel(self, view: int, point: int, uv_px: FloatArray, sigma_px: float) -> Any:
         """Return the factor of a landmark's pixel."""
         keys = self.view(view), self.point(point)
         noise = self._noise(2, sigma_px)
@@ -117,7 +117,7 @@ def graph_of(problem: Adjustment, state: State) -> tuple[Any, Any]:
     for i, j, uv, sigma in zip(
         seen.view.tolist(), seen.point.tolist(), seen.uv_px, seen.sigma_px.tolist(), strict=True
     ):
-        graph.add(factors.sighting(i, j, uv, sigma))
+        graph.add(factors.pixel(i, j, uv, sigma))
     for i, j, length, sigma in zip(*(part.tolist() for part in _columns(ranged)), strict=True):
         graph.add(factors.distance(i, j, length, sigma))
     for k in range(len(moved.start)):
@@ -236,10 +236,10 @@ class IncrementalFollower:
                     slam_map.guessed.discard(track)
                     earlier = slam_map.frames[number - 1]
                     uv_px = earlier.uv_px[int(np.flatnonzero(earlier.tracks == track)[0])]
-                    graph.add(self.factors.sighting(number - 1, track, uv_px, earlier.sigma_px))
+                    graph.add(self.factors.pixel(number - 1, track, uv_px, earlier.sigma_px))
                 values.insert(self.factors.point(track), slam_map.points_m[track])
                 self.mapped.add(track)
-            graph.add(self.factors.sighting(number, track, frame.uv_px[row], frame.sigma_px))
+            graph.add(self.factors.pixel(number, track, frame.uv_px[row], frame.sigma_px))
             if track in ranges:
                 graph.add(self.factors.distance(number, track, ranges[track].range_m, ranges[track].sigma_m))
 

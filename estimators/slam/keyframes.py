@@ -146,6 +146,7 @@ def offset_views(tracks: SharedLandmarks, lead: int, options: BundleOptions) -> 
 def _grown(tracks: SharedLandmarks, views: list[int], lead: int, options: BundleOptions) -> list[int]:
     """Add the view before the leading one when the leading one shares few enough landmarks with the last."""
     held = tracks.shared(views[-1], views[-1])
+    # The first and the leading view of a full window, views - 1 steps apart, then share just the connectivity.
     share = (options.connectivity / held) ** (1.0 / (options.views - 1))
     near = tracks.shared(views[-1], lead) >= share * held
     candidate = views if near or views[-1] == lead - 1 else [*views, lead - 1]

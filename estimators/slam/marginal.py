@@ -29,7 +29,7 @@ class Retained:
     distances: BoolArray
 
 
-def marginalise_outside(problem: Adjustment, state: State, staying: Retained) -> QuadraticPrior:
+def marginalise_outside(problem: Adjustment, state: State, retained: Retained) -> QuadraticPrior:
     """Marginalise all views, landmarks and measurements outside a window at once.
 
     All are linearised at ``state``. Motions between two remaining views remain. The prior covers the remaining views
@@ -40,15 +40,15 @@ def marginalise_outside(problem: Adjustment, state: State, staying: Retained) ->
     numpy.linalg.LinAlgError
         If the removed variables are not determined.
     """
-    part = _outside_part(problem, staying)
+    part = _outside_part(problem, retained)
     ordering = VariableOrdering.of(part)
     matrix, right, _ = normal_equations(part, state, ordering).reduced()
-    views = np.flatnonzero(part.free_views & staying.views)
+    views = np.flatnonzero(part.free_views & retained.views)
     points = np.flatnonzero(ordering.kept_point >= 0)
-    stays = np.zeros(ordering.kept, dtype=np.bool_)
-    stays[ordering.view[views]] = True
-    stays[ordering.kept_point[points]] = True
-    information, gradient = eliminate_rows(matrix, -right, np.repeat(~stays, 3))
+    remaining = np.zeros(ordering.kept, dtype=np.bool_)
+    remaining[ordering.view[views]] = True
+    remaining[ordering.kept_point[points]] = True
+    information, gradient = eliminate_rows(matrix, -right, np.repeat(~remaining, 3))
     origin = np.concatenate([state.positions_m[views], state.points_m[points]])
     return without_empty_variables(QuadraticPrior(views, points, origin, information, gradient))
 
@@ -68,19 +68,19 @@ def landmark_covariance(problem: Adjustment, state: State, points: IndexArray) -
     return np.asarray(0.5 * (solved + solved.T), dtype=np.float64)
 
 
-def _outside_part(problem: Adjustment, staying: Retained) -> Adjustment:
+def _outside_part(problem: Adjustment, retained: Retained) -> Adjustment:
     """Return the removed part of ``problem``; its free landmarks are those that it constrains."""
     seen, measured, moved = problem.pixels, problem.distances, problem.motions
-    goes, ranged = ~staying.pixels, ~staying.distances
-    motion = ~(staying.views[moved.start] & staying.views[moved.end])
+    removed, ranged = ~retained.pixels, ~retained.distances
+    motion = ~(retained.views[moved.start] & retained.views[moved.end])
     part = replace(
         problem,
-        pixels=seen.subset(goes),
+        pixels=seen.subset(removed),
         distances=measured.subset(ranged),
         motions=moved.subset(motion),
     )
-    told = constrained_points(part)
-    return replace(part, free_points=told, kept_points=told & staying.points)
+    constrained = constrained_points(part)
+    return replace(part, free_points=constrained, kept_points=constrained & retained.points)
 
 
 def departing_part(problem: Adjustment, view: int, lost: BoolArray) -> Adjustment:
@@ -90,12 +90,12 @@ def departing_part(problem: Adjustment, view: int, lost: BoolArray) -> Adjustmen
     reduced system.
     """
     seen, measured, moved = problem.pixels, problem.distances, problem.motions
-    goes = (seen.view == view) | lost[seen.point]
+    removed = (seen.view == view) | lost[seen.point]
     ranged = (measured.view == view) | lost[measured.point]
     motion = (moved.start == view) | (moved.end == view)
     return replace(
         problem,
-        pixels=seen.subset(goes),
+        pixels=seen.subset(removed),
         distances=measured.subset(ranged),
         motions=moved.subset(motion),
         kept_points=problem.free_points & ~lost,
@@ -141,18 +141,18 @@ def eliminate_rows(
     order, count = np.argsort(~out, kind="stable"), int(np.count_nonzero(out))
     matrix, right = information[order][:, order], gradient[order]
     if not descent.eliminate(matrix, right, count):
-        raise np.linalg.LinAlgError("what goes is not determined")
+        raise np.linalg.LinAlgError("the eliminated variables are not determined")
     return matrix[count:, count:].copy(), right[count:].copy()
 
 
 def constrained_points(part: Adjustment) -> BoolArray:
     """(L,) landmarks that a measurement of ``part`` or its prior constrains."""
-    told = np.zeros(len(part.free_points), dtype=np.bool_)
-    told[part.pixels.point] = True
-    told[part.distances.point] = True
+    constrained = np.zeros(len(part.free_points), dtype=np.bool_)
+    constrained[part.pixels.point] = True
+    constrained[part.distances.point] = True
     if part.prior is not None:
-        told[part.prior.points] = True
-    return told
+        constrained[part.prior.points] = True
+    return constrained
 
 
 def _values(state: State, views: NDArray[np.int64], points: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -161,13 +161,13 @@ def _values(state: State, views: NDArray[np.int64], points: NDArray[np.int64]) -
 
 def without_empty_variables(prior: QuadraticPrior) -> QuadraticPrior:
     """Drop the variables whose rows of the information matrix are zero."""
-    told = np.any(prior.information.reshape(len(prior.origin_m), -1) != 0.0, axis=1)
-    rows = np.repeat(told, 3)
+    constrained = np.any(prior.information.reshape(len(prior.origin_m), -1) != 0.0, axis=1)
+    rows = np.repeat(constrained, 3)
     count = len(prior.views)
     return QuadraticPrior(
-        prior.views[told[:count]],
-        prior.points[told[count:]],
-        prior.origin_m[told],
+        prior.views[constrained[:count]],
+        prior.points[constrained[count:]],
+        prior.origin_m[constrained],
         prior.information[np.ix_(rows, rows)],
         prior.gradient[rows],
     )

@@ -24,7 +24,7 @@ from estimators.slam.prediction import (
 )
 from estimators.slam.problem import AdjustedWindow, Adjustment, State
 from estimators.slam.slam_map import SlamMap
-from estimators.slam.solver import StoppingRule, landmark_information, pixel_squares, sighting_squares
+from estimators.slam.solver import StoppingRule, landmark_information, pixel_squares, residual_squares
 from scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
@@ -88,10 +88,10 @@ def all_within_gate(slam_map: SlamMap, matches: FrameMatches, before: tuple[Adju
         own = np.asarray(np.linalg.inv(landmark_information(problem, state)[points[odd]]), dtype=np.float64)
         if not (pixel_squares(slam_map.camera, frame, rows[odd], lines_m[odd], own) <= limit).all():
             return False
-    once, sights = matches.once
+    once, single_pixels = matches.once
     if not len(once):
         return True
-    guessed, own = guessed_points(slam_map, sights, matches.depth_m)
+    guessed, own = guessed_points(slam_map, single_pixels, matches.depth_m)
     squares = pixel_squares(slam_map.camera, frame, once, guessed - slam_map.positions_m[matches.view], own)
     return bool((squares <= limit).all())
 
@@ -175,7 +175,7 @@ class OutlierGate:
         pixel increases the residuals of the others. Readmitted pixels are used from the next frame on.
         """
         seen = adjusted.problem.pixels
-        squares = sighting_squares(adjusted.problem, adjusted.state)
+        squares = residual_squares(adjusted.problem, adjusted.state)
         for view, point in zip(adjusted.problem.distances.view, adjusted.problem.distances.point, strict=True):
             squares[(seen.view == view) & (seen.point == point)] = 0.0  # a ranged landmark must keep its pixel
         self._readmit(adjusted)
@@ -233,8 +233,8 @@ class OutlierGate:
         unknown = np.flatnonzero(points < 0).tolist()
         last = self._last_seen(view, tracks[unknown].tolist())
         once = [row for row in unknown if int(tracks[row]) in last]
-        sights = [(last[int(tracks[row])], int(tracks[row])) for row in once]
-        return FrameMatches(view, points, (np.array(once, dtype=np.int64), sights), depth_m)
+        single_pixels = [(last[int(tracks[row])], int(tracks[row])) for row in once]
+        return FrameMatches(view, points, (np.array(once, dtype=np.int64), single_pixels), depth_m)
 
     def _predict_lines(self, matches: FrameMatches, before: AdjustedWindow | None) -> PredictedLines:
         """Predict the lines of sight of a frame with their covariance."""

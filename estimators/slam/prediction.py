@@ -101,6 +101,7 @@ def predict_pixels(
     by_line = slam_map.camera.jacobian((points - camera) @ frame.R_cam_body.T) @ frame.R_cam_body
     rows = (by_line @ by_known).reshape(2 * len(seen), -1)
     by_motion = -by_line.reshape(2 * len(seen), 3)
+    # First order: the joint error of camera and landmarks, and that of the motion, which is independent of it.
     spread = rows @ covariance @ rows.T + by_motion @ frame.motion_covariance_m2 @ by_motion.T
     # A pixel depends on the camera's displacement over the distance; the product of both errors is of second order.
     alone = by_line @ own @ np.swapaxes(by_line, 1, 2)
@@ -225,9 +226,9 @@ class SharedUncertainty:
         for k in np.flatnonzero(kept).tolist():
             column = self.points[int(points[k])]
             rows[k, :, column : column + 3] = np.eye(3)
-        told = line_information(problem, state, points[~kept])
-        own[~kept] = np.linalg.inv(told.sum(axis=1))
-        weights = own[~kept][:, None] @ told
+        information = line_information(problem, state, points[~kept])
+        own[~kept] = np.linalg.inv(information.sum(axis=1))
+        weights = own[~kept][:, None] @ information
         for slot, view in enumerate(views):
             if view in self.views:
                 rows[~kept, :, self.views[view] : self.views[view] + 3] = weights[:, slot]
@@ -239,13 +240,13 @@ def line_information(problem: Adjustment, state: State, points: IndexArray) -> F
     place = np.full(len(state.points_m), -1, dtype=np.int64)
     place[points] = np.arange(len(points))
     part = _about(problem, place >= 0)
-    told = np.zeros((len(points), len(state.positions_m), 3, 3))
+    information = np.zeros((len(points), len(state.positions_m), 3, 3))
     for measured, by_point in (
         (part.pixels, bearing_jacobians(part, state)),
         (part.distances, distance_jacobians(part, state)),
     ):
-        np.add.at(told, (place[measured.point], measured.view), np.swapaxes(by_point, 1, 2) @ by_point)
-    return told
+        np.add.at(information, (place[measured.point], measured.view), np.swapaxes(by_point, 1, 2) @ by_point)
+    return information
 
 
 def _about(problem: Adjustment, wanted: BoolArray) -> Adjustment:
@@ -305,38 +306,38 @@ def predict_guessed(
 
     ``places`` are (rows of the frame, (view, track) of the earlier pixel).
     """
-    rows, sights = places
-    points, own = guessed_points(slam_map, sights, depth_m)
+    rows, single_pixels = places
+    points, own = guessed_points(slam_map, single_pixels, depth_m)
     at = slam_map.positions_m[view - 1] + slam_map.frames[view].motion_m
     by_camera = common.by_camera(view)
-    by_shared = np.array([common.by_view(other) - by_camera for other, _ in sights])
+    by_shared = np.array([common.by_view(other) - by_camera for other, _ in single_pixels])
     return PredictedLines(
         rows,
         points - at,
-        by_shared.reshape(len(sights), 3, len(common.covariance)),
+        by_shared.reshape(len(single_pixels), 3, len(common.covariance)),
         common.covariance,
         own,
-        np.zeros(len(sights), dtype=np.bool_),
+        np.zeros(len(single_pixels), dtype=np.bool_),
     )
 
 
 def guessed_points(
-    slam_map: SlamMap, sights: Sequence[tuple[int, int]], depth_m: float
+    slam_map: SlamMap, single_pixels: Sequence[tuple[int, int]], depth_m: float
 ) -> tuple[FloatArray, FloatArray]:
     """(n, 3) landmarks by their single pixels (view, track), and (n, 3, 3) covariance relative to that view, m^2.
 
     The standard deviation across the line of sight is that of the pixel; along it, 30 % of the guessed distance or the
     error of the measured one.
     """
-    n = len(sights)
+    n = len(single_pixels)
     depths, sigmas = np.full(n, depth_m), np.full(n, DEPTH_SIGMA * depth_m)
-    for k, (other, track) in enumerate(sights):
+    for k, (other, track) in enumerate(single_pixels):
         for item in slam_map.frames[other].ranges:
             if item.track == track:
                 depths[k], sigmas[k] = item.range_m, item.sigma_m
-    rays = np.array([slam_map.ray(other, track) for other, track in sights]).reshape(n, 3)
-    noise = np.array([slam_map.frames[other].sigma_px for other, _ in sights]) / slam_map.camera.fx_px * depths
+    rays = np.array([slam_map.ray(other, track) for other, track in single_pixels]).reshape(n, 3)
+    noise = np.array([slam_map.frames[other].sigma_px for other, _ in single_pixels]) / slam_map.camera.fx_px * depths
     along = rays[:, :, None] * rays[:, None, :]
     own = (sigmas**2)[:, None, None] * along + (noise**2)[:, None, None] * (np.eye(3) - along)
-    anchors = np.array([slam_map.positions_m[other] for other, _ in sights]).reshape(n, 3)
+    anchors = np.array([slam_map.positions_m[other] for other, _ in single_pixels]).reshape(n, 3)
     return anchors + depths[:, None] * rays, own

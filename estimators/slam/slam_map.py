@@ -165,8 +165,8 @@ class SlamMap:
 
     def ray(self, view: int, track: int) -> FloatArray:
         """(3,) unit direction from the camera to a landmark, body frame."""
-        sight = self._index(view)
-        return np.asarray(sight.rays[sight.rows[track]], dtype=np.float64)
+        index = self._index(view)
+        return np.asarray(index.rays[index.rows[track]], dtype=np.float64)
 
     def median_depth(self, view: int) -> float:
         """Return the median distance from a view to its mapped landmarks, or else of its measured ranges, m."""

@@ -24,10 +24,10 @@ IndexArray = NDArray[np.int64]
 RANK_TOLERANCE = 1e-11
 
 
-def sighting_squares(problem: Adjustment, state: State) -> FloatArray:
+def residual_squares(problem: Adjustment, state: State) -> FloatArray:
     """(k,) squared pixel residuals in standard deviations; NaN where a landmark is behind its camera."""
     at = floats(state.positions_m), floats(state.points_m)
-    return np.asarray(kernels.sighting_squares(flat(problem), *at), dtype=np.float64)
+    return np.asarray(kernels.residual_squares(flat(problem), *at), dtype=np.float64)
 
 
 def landmark_information(problem: Adjustment, state: State) -> FloatArray:

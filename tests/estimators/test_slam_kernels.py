@@ -33,7 +33,7 @@ REFERENCED = (
     "reduced_rank_deficiency",
     "view_covariance",
     "eliminate_rows",
-    "sighting_squares",
+    "residual_squares",
     "landmark_information",
     "pixel_squares",
 )
@@ -124,8 +124,8 @@ def test_equations_are_those_of_numpy(seed: int) -> None:
 def test_deviations_are_those_of_numpy_and_scipy(seed: int) -> None:
     """Also of a landmark behind its camera; those of one pixel with derivatives by differences."""
     problem, state = window(seed)
-    squares = solver.sighting_squares(problem, state)
-    np.testing.assert_allclose(squares, numpy_adjustment.sighting_squares(problem, state), rtol=1e-11)
+    squares = solver.residual_squares(problem, state)
+    np.testing.assert_allclose(squares, numpy_adjustment.residual_squares(problem, state), rtol=1e-11)
     told = solver.landmark_information(problem, state)
     np.testing.assert_allclose(
         told, numpy_adjustment.landmark_information(problem, state), rtol=0, atol=1e-12 * told.max()

@@ -61,15 +61,15 @@ def view_covariance(problem, state, view):
 
 
 def eliminate_rows(information, gradient, out):
-    """`estimators.slam.marginal.schur`."""
+    """`estimators.slam.marginal.eliminate_rows`."""
     cross = information[np.ix_(out, ~out)]
     solved = cho_solve(cho_factor(information[np.ix_(out, out)]), np.column_stack([cross, gradient[out]]))
     left = information[np.ix_(~out, ~out)] - cross.T @ solved[:, :-1]
     return 0.5 * (left + left.T), gradient[~out] - cross.T @ solved[:, -1]
 
 
-def sighting_squares(problem, state):
-    """`estimators.slam.solver.sighting_squares`."""
+def residual_squares(problem, state):
+    """`estimators.slam.solver.residual_squares`."""
     return np.sum(bearing_residuals(problem, state) ** 2, axis=1)
 
 

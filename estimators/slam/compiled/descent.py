@@ -151,13 +151,14 @@ def minimise(
                 points_ahead = _stepped_rows(points, ordering.point_slot, kept_step)
                 _add_steps(points_ahead, ordering.eliminated, eliminated_step)
                 best = evaluate_residuals(problem, ahead, points_ahead, residuals)
+                # Near the minimum the cost may increase by rounding; it is infinite with a landmark behind its camera.
                 if best <= value + 1e-12 * abs(value) + 1e-18:
                     positions, points, value = ahead, points_ahead, best
                     accepted = True
                     break
             damping *= 10.0
         damping *= 0.1
-        if not accepted:
+        if not accepted:  # no decrease at any damping: converged if rounding is the cause, with a short last step
             return positions, points, value, iteration, longest <= 1e3 * step_m
         if longest <= step_m:
             return positions, points, value, iteration, True

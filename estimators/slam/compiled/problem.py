@@ -63,7 +63,7 @@ def flat(problem: Adjustment) -> FlatProblem:
         If its camera has distortion: pixels must be corrected for the lens before tracking.
     """
     if problem.camera.distortion is not None:
-        raise ValueError("adjustments know no distortion: correct the pixels for the lens first")
+        raise ValueError("the camera of an adjustment has distortion: correct the pixels for the lens first")
     camera, seen, ranged, moved = problem.camera, problem.pixels, problem.distances, problem.motions
     prior = _NO_PRIOR if problem.prior is None else problem.prior
     frozen = _NO_STATE if problem.frozen is None else problem.frozen
@@ -138,7 +138,7 @@ class FlatOrdering(NamedTuple):
 
 @kernel
 def make_ordering(problem: FlatProblem) -> FlatOrdering:
-    """Assign slots to the variables, list the links of the eliminated landmarks, and find the envelope of the reduced matrix."""
+    """Assign slots to the variables, list the links of eliminated landmarks, and find the envelope."""
     view_slot, views = _numbered(problem.free_views, 0)
     free, joined = problem.free_points, problem.kept_points.copy()
     for j in problem.prior_points:

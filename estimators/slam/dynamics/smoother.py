@@ -54,8 +54,8 @@ class FirstEstimates:
     ) -> None:
         """Store the variables of ``prior``, numbered as ``state``, by frame in ``views`` and by track in ``tracks``."""
         count = 3 * len(prior.views)
-        told = np.diag(prior.information) > 0.0
-        position, velocity = told[:count:3], told[count : 2 * count : 3]
+        informed = np.diag(prior.information) > 0.0
+        position, velocity = informed[:count:3], informed[count : 2 * count : 3]
         for slot in prior.views[position].tolist():
             self.positions_m.setdefault(int(views[slot]), state.vision.positions_m[slot])
         for slot in prior.views[velocity].tolist():
@@ -128,7 +128,7 @@ class DynamicWindow:
         kept = np.zeros(len(tracks), dtype=np.bool_)
         kept[prior.points] = True
         free = np.ones((2, len(self.views)), dtype=np.bool_)
-        if self.views[0] == 0:
+        if self.views[0] == 0:  # with a covariance of zero the first position or velocity is fixed
             free[:, 0] = self.free_first
         first = self.first if first_estimates else FirstEstimates()
         vision = Adjustment(
@@ -202,8 +202,8 @@ def _information(covariances: tuple[FloatArray, ...]) -> FloatArray:
     size = sum(len(block) for block in covariances)
     information, at = np.zeros((size, size)), 0
     for block in covariances:
-        told = np.flatnonzero(np.diag(block) > 0.0)
-        information[np.ix_(at + told, at + told)] = np.linalg.inv(block[np.ix_(told, told)])
+        informed = np.flatnonzero(np.diag(block) > 0.0)
+        information[np.ix_(at + informed, at + informed)] = np.linalg.inv(block[np.ix_(informed, informed)])
         at += len(block)
     return information
 

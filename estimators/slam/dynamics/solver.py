@@ -239,10 +239,10 @@ def marginalise_dynamic(problem: DynamicAdjustment, state: DynamicState, view: i
     views = np.flatnonzero(np.arange(len(problem.R_body_inertial)) != view)
     points = np.flatnonzero(part.vision.free_points & ~lost)
     kept = rows.of_prior(views, points)
-    staying = np.zeros(rows.count, dtype=np.bool_)
-    staying[kept[kept >= 0]] = True
-    information, gradient = eliminate_rows(matrix, -right, ~staying)
-    place = np.append(np.cumsum(staying) - 1, -1)[kept]  # fixed variables have rows of zeros
+    remaining = np.zeros(rows.count, dtype=np.bool_)
+    remaining[kept[kept >= 0]] = True
+    information, gradient = eliminate_rows(matrix, -right, ~remaining)
+    place = np.append(np.cumsum(remaining) - 1, -1)[kept]  # fixed variables have rows of zeros
     padded = np.zeros((len(information) + 1, len(information) + 1))
     padded[:-1, :-1] = information
     return DynamicPrior(
@@ -256,6 +256,6 @@ def _departing_part(problem: DynamicAdjustment, view: int, lost: BoolArray) -> D
     joined = np.zeros(len(lost), dtype=np.bool_)
     if problem.prior is not None:
         joined[problem.prior.points] = True
-    told = constrained_points(vision) | joined
-    vision = replace(vision, free_points=vision.free_points & told, kept_points=told & (joined | ~lost))
+    constrained = constrained_points(vision) | joined
+    vision = replace(vision, free_points=vision.free_points & constrained, kept_points=constrained & (joined | ~lost))
     return replace(problem, vision=vision, arcs=problem.arcs.of_view(view))

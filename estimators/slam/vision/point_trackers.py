@@ -107,7 +107,7 @@ class PointTracker(Protocol):
         """Drop all points but those marked in ``keep`` (n,)."""
         ...
 
-    def start(self, look: MatchedImage, rows: IndexArray) -> None:
+    def start(self, current: MatchedImage, rows: IndexArray) -> None:
         """Start points at features ``rows`` of the present image."""
         ...
 
@@ -138,10 +138,10 @@ class FeatureTracker:
         """Keep some of the tracks alone."""
         self.rows, self._places_px = self.rows[keep], self._places_px[keep]
 
-    def start(self, look: MatchedImage, rows: IndexArray) -> None:
+    def start(self, current: MatchedImage, rows: IndexArray) -> None:
         """Begin tracks at features."""
         self.rows = np.concatenate([self.rows, rows])
-        self._places_px = np.concatenate([self._places_px, look.features.uv_px[rows]])
+        self._places_px = np.concatenate([self._places_px, current.features.uv_px[rows]])
 
 
 class PatchTracker:
@@ -182,12 +182,12 @@ class PatchTracker:
             self._patches = self._patches[keep]
         self._warps = AffineWarps(self._warps.linear[keep], self._warps.place_px[keep])
 
-    def start(self, look: MatchedImage, rows: IndexArray) -> None:
+    def start(self, current: MatchedImage, rows: IndexArray) -> None:
         """Begin tracks at features."""
         if not len(rows):
             return
-        places = look.features.uv_px[rows]
-        fresh = cut_patches(look.spline, places)
+        places = current.features.uv_px[rows]
+        fresh = cut_patches(current.spline, places)
         self._patches = fresh if self._patches is None else self._patches.joined(fresh)
         self._warps = AffineWarps(
             np.concatenate([self._warps.linear, np.tile(np.eye(2), (len(rows), 1, 1))]),

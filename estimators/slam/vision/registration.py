@@ -92,6 +92,7 @@ def cut_patches(image: Spline, places_px: FloatArray) -> TrackPatches:
     # Project out gain and offset of the brightness, so that they cause no step of the warp.
     steepest = steepest - steepest.mean(axis=2, keepdims=True)
     steepest = steepest - np.einsum("nip,np->ni", steepest, values)[..., None] * values[:, None]
+    # Inverse compositional: the Gauss-Newton matrix is that of the patch, computed once; damped for flat patches.
     normal = np.einsum("nip,njp->nij", steepest, steepest)
     damping = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(6)
     return TrackPatches(values, np.linalg.solve(normal + damping, steepest))
@@ -113,7 +114,7 @@ def register_patches(image: Spline, patches: TrackPatches, start: AffineWarps) -
         seen, _ = _normalised(image.at(_mapped(linear, place, offsets)))
         step = np.einsum("nip,np->ni", patches.steps, seen - patches.values)
         turn = np.eye(2) + step[:, :4].reshape(-1, 2, 2)
-        good = np.abs(np.linalg.det(turn)) > 0.1
+        good = np.abs(np.linalg.det(turn)) > 0.1  # a nearly singular step has no inverse: skip it
         turn[~good] = np.eye(2)
         linear = linear @ np.linalg.inv(turn)
         shift = np.einsum("nij,nj->ni", linear, np.where(good[:, None], step[:, 4:], 0.0))

@@ -83,27 +83,29 @@ class Tracker:
         self._tracks = np.empty(0, dtype=np.int64)
         self._next = 0
 
-    def advance(self, look: MatchedImage, R_cam_body: FloatArray, prediction: Prediction | None = None) -> TrackedFrame:
+    def advance(
+        self, current: MatchedImage, R_cam_body: FloatArray, prediction: Prediction | None = None
+    ) -> TrackedFrame:
         """Track to the next image, with the known attitude of its camera.
 
         With a prediction of the tracks' pixels, and tracking by features, the matching is guided by it.
         """
         started = time.perf_counter()
-        kept = np.zeros(len(look.pairs), dtype=np.bool_)
-        preferred = np.zeros(len(look.features), dtype=np.bool_)
+        kept = np.zeros(len(current.pairs), dtype=np.bool_)
+        preferred = np.zeros(len(current.features), dtype=np.bool_)
         if self._features is not None:
-            agreed = self._epipolar_inliers(self._features, look, R_cam_body)
-            kept = agreed.kept
-            step, direction = ImagePair(self._features, look, look.pairs[kept]), agreed.direction
+            inliers = self._epipolar_inliers(self._features, current, R_cam_body)
+            kept = inliers.kept
+            step, direction = ImagePair(self._features, current, current.pairs[kept]), inliers.direction
             if prediction is not None and isinstance(self._point_tracker, FeatureTracker):
-                step, direction = replace(step, pairs=self._guided(self._features, look, prediction)), None
+                step, direction = replace(step, pairs=self._guided(self._features, current, prediction)), None
             self._carry(step, direction, R_cam_body)
-            preferred[look.pairs[kept, 1]] = self._keeps_size(self._features, look, kept)
-        self._features, self._R_cam_body = look.features, R_cam_body
-        self._begin(look, preferred)
+            preferred[current.pairs[kept, 1]] = self._keeps_size(self._features, current, kept)
+        self._features, self._R_cam_body = current.features, R_cam_body
+        self._begin(current, preferred)
         return TrackedFrame(self._tracks, self._point_tracker.places_px, kept, time.perf_counter() - started)
 
-    def _guided(self, before: ImageFeatures, look: MatchedImage, prediction: Prediction) -> IndexArray:
+    def _guided(self, before: ImageFeatures, current: MatchedImage, prediction: Prediction) -> IndexArray:
         """(k, 2) rows of the tracks' features and of the features matched with them by the prediction."""
         assert isinstance(self._point_tracker, FeatureTracker)  # noqa: S101
         _, ours, theirs = np.intersect1d(self._tracks, prediction.tracks, assume_unique=True, return_indices=True)
@@ -112,11 +114,13 @@ class Tracker:
         known = Prediction(
             prediction.tracks[theirs], prediction.uv_px[theirs], prediction.covariance_px2[np.ix_(both, both)]
         )
-        found = guided_rows(known, before.descriptors[rows], look.features, self._spec.sigma_px)
+        found = guided_rows(known, before.descriptors[rows], current.features, self._spec.sigma_px)
         return np.column_stack([rows, found])[found >= 0]
 
-    def _epipolar_inliers(self, before: ImageFeatures, look: MatchedImage, R_cam_body: FloatArray) -> EpipolarInliers:
-        first, second = before.uv_px[look.pairs[:, 0]], look.features.uv_px[look.pairs[:, 1]]
+    def _epipolar_inliers(
+        self, before: ImageFeatures, current: MatchedImage, R_cam_body: FloatArray
+    ) -> EpipolarInliers:
+        first, second = before.uv_px[current.pairs[:, 0]], current.features.uv_px[current.pairs[:, 1]]
         rays = self._rays(first, second, R_cam_body)
         if self._spec.epipolar == "fundamental":
             kept = fundamental_inliers(first, second, self._spec.epipolar_max_px)
@@ -135,18 +139,18 @@ class Tracker:
             self._point_tracker.keep(near)
             self._tracks = self._tracks[near]
 
-    def _keeps_size(self, before: ImageFeatures, look: MatchedImage, kept: BoolArray) -> BoolArray:
+    def _keeps_size(self, before: ImageFeatures, current: MatchedImage, kept: BoolArray) -> BoolArray:
         """Return which of the inlier matches lie where the local scale of the image is constant.
 
         Towards the limb it changes with the foreshortening, and features are found again less often.
         """
         if kept.sum() < LEAST_MATCHES:
             return np.ones(int(kept.sum()), dtype=np.bool_)
-        first, second = before.uv_px[look.pairs[kept, 0]], look.features.uv_px[look.pairs[kept, 1]]
+        first, second = before.uv_px[current.pairs[kept, 0]], current.features.uv_px[current.pairs[kept, 1]]
         _, change = local_flow(first, second, first)
         return np.asarray(area_change(change) <= self._spec.growth_max, dtype=np.bool_)
 
-    def _begin(self, look: MatchedImage, preferred: BoolArray) -> None:
+    def _begin(self, current: MatchedImage, preferred: BoolArray) -> None:
         """Start new tracks at the strongest features that are far enough from the others.
 
         The preferred ones come first: features that were found twice are found again more often.
@@ -157,11 +161,11 @@ class Tracker:
         for row in np.argsort(~preferred, kind="stable").tolist():
             if len(places) >= self._spec.tracks:
                 break
-            place = look.features.uv_px[row]
+            place = current.features.uv_px[row]
             if not places or float(np.linalg.norm(np.array(places) - place, axis=1).min()) >= apart_px:
                 places.append(place)
                 rows.append(row)
-        self._point_tracker.start(look, np.array(rows, dtype=np.int64))
+        self._point_tracker.start(current, np.array(rows, dtype=np.int64))
         self._tracks = np.concatenate([self._tracks, np.arange(self._next, self._next + len(rows), dtype=np.int64)])
         self._next += len(rows)
 
