@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from estimators.slam.contract import FrameEstimate
 from estimators.slam.following import ConfiguredEstimator, Follower, LostError, check_connected, check_scale
 from estimators.slam.options import GtsamFixedLagOptions, GtsamOptions
-from estimators.slam.problem import Adjustment, State
 from estimators.slam.slam_map import SlamMap
 from estimators.slam.solver import StoppingRule
 from scenarios.errors import BoresightError
@@ -100,35 +99,6 @@ class Factors:
         if (size, sigma) not in self._isotropic:
             self._isotropic[size, sigma] = self.gtsam.noiseModel.Isotropic.Sigma(size, sigma)
         return self._isotropic[size, sigma]
-
-
-def graph_of(problem: Adjustment, state: State) -> tuple[Any, Any]:
-    """Return the factor graph of an adjustment without a prior, and ``state`` as its values."""
-    factors = Factors(problem.camera)
-    graph, values = factors.gtsam.NonlinearFactorGraph(), factors.gtsam.Values()
-    for i, (R, position) in enumerate(zip(problem.R_cam_body, state.positions_m, strict=True)):
-        graph.add(factors.attitude(i, R))
-        values.insert(factors.view(i), factors.pose(R, position))
-        if not problem.free_views[i]:
-            graph.add(factors.place(i, position, np.zeros((3, 3))))
-    for j, point in enumerate(state.points_m):
-        values.insert(factors.point(j), point)
-    seen, ranged, moved = problem.pixels, problem.distances, problem.motions
-    for i, j, uv, sigma in zip(
-        seen.view.tolist(), seen.point.tolist(), seen.uv_px, seen.sigma_px.tolist(), strict=True
-    ):
-        graph.add(factors.pixel(i, j, uv, sigma))
-    for i, j, length, sigma in zip(*(part.tolist() for part in _columns(ranged)), strict=True):
-        graph.add(factors.distance(i, j, length, sigma))
-    for k in range(len(moved.start)):
-        ends = int(moved.start[k]), int(moved.end[k])
-        covariance = np.linalg.inv(moved.information[k])
-        graph.add(factors.motion(ends, problem.R_cam_body[list(ends)], moved.displacement_m[k], covariance))
-    return graph, values
-
-
-def _columns(ranged: Any) -> tuple[Any, ...]:
-    return ranged.view, ranged.point, ranged.range_m, ranged.sigma_m
 
 
 class GtsamIsam2(ConfiguredEstimator[GtsamOptions]):

@@ -43,7 +43,7 @@ class SolverOptions(LossOptions):
     connectivity: int = Field(3, ge=2, le=100, description="Landmarks that two views must share")
 
 
-class AssociationOptions(SolverOptions):
+class OutlierOptions(SolverOptions):
     """Options of estimators that adjust a window: outlier rejection."""
 
     associations: Literal["all", "consensus"] = Field(
@@ -56,7 +56,7 @@ class AssociationOptions(SolverOptions):
     )
 
 
-class BundleOptions(AssociationOptions):
+class BundleOptions(OutlierOptions):
     """Options of ``ba-slam``."""
 
     views: int = Field(5, ge=2, le=100, description="Views of the window, the leading one included")
@@ -144,7 +144,7 @@ class ConsistentFilterOptions(IteratedFilterOptions):
     )
 
 
-class SmootherOptions(AssociationOptions):
+class SmootherOptions(OutlierOptions):
     """Options of ``fixed-lag``."""
 
     associations: Literal["all", "consensus"] = Field(
@@ -169,7 +169,7 @@ class SmootherOptions(AssociationOptions):
     )
 
 
-class BatchOptions(AssociationOptions):
+class BatchOptions(OutlierOptions):
     """Options of ``batch``."""
 
     motion: bool = Field(True, description="Use predicted motions as measurements")

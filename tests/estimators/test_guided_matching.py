@@ -1,4 +1,4 @@
-"""Matching by an estimator's covariance: consensus against a known world, covariance against another way."""
+"""Guided matching: consensus against a known world, and the predicted covariance against another computation."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_the_next_sightings_lie_in_the_predicted_ellipses():
 
 
 def world(rng, n=25, clutter=300):
-    """Landmarks that a shared error of 40 px shifts, among features that look like nothing in particular."""
+    """Landmarks shifted by a shared error of 40 px, among random features."""
     expected = rng.uniform(200, 800, (n, 2))
     shared = np.tile(np.eye(2), (n, n)) * 40.0**2 + np.eye(2 * n) * 2.0**2
     shift = np.array([37.0, -51.0])
@@ -65,7 +65,7 @@ def world(rng, n=25, clutter=300):
 
 def test_landmarks_are_found_though_some_look_more_like_something_else():
     prediction, descriptors, features = world(np.random.default_rng(1))
-    # Copies of a fifth of them lie within the ellipses, but not where the others say.
+    # Copies of a fifth of them lie within the ellipses, but not at the shared shift.
     features.descriptors[100:105] = descriptors[:5]
     features.uv_px[100:105] = prediction.uv_px[:5] + np.array([-30.0, 60.0])
     rows = guided_rows(prediction, descriptors, features, 0.5)

@@ -130,14 +130,14 @@ def test_free_scale_is_one_missing_rank(small: tuple[Adjustment, State]) -> None
     assert reduced_rank_deficiency(problem, at) == 0
     scaleless = replace(problem, distances=Distances(), motions=Motions())
     free = minimise(scaleless, at, RULE)
-    assert np.isfinite(free.cost)  # it comes to a stop all the same
+    assert np.isfinite(free.cost)  # it converges all the same
     assert reduced_rank_deficiency(scaleless, free.state) == 1
     adrift = replace(scaleless, free_views=np.ones(4, dtype=bool))
     assert reduced_rank_deficiency(adrift, free.state) == 4
 
 
 def test_prior_of_the_departed_stands_for_them(small: tuple[Adjustment, State]) -> None:
-    """The gradient and the matrix of what stays are those of the whole problem with the departed eliminated."""
+    """Gradient and matrix of the remaining variables are those of the whole problem with the others eliminated."""
     problem, state = small
     problem = replace(problem, free_views=np.ones(4, dtype=bool), prior=_anchor(state))
     at = minimise(problem, state, RULE).state

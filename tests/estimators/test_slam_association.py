@@ -1,4 +1,4 @@
-"""Wrong associations in a window: the covariance that they are judged by, and estimators that do not follow them."""
+"""Outlier rejection in a window: the predicted covariance of the gate, and estimators on tracks with outliers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SHARE = 0.05
 
 
 def thrown(sequence: TrackSequence, seed: int) -> tuple[TrackSequence, list[set[int]]]:
-    """Sightings anywhere in the image, but for those that begin a track; and which they are."""
+    """Put some pixels, but the first of no track, anywhere in the image; also return which."""
     rng = np.random.default_rng(seed)
     frames, wrong, older = [sequence.frames[0]], [set[int]()], sequence.frames[0].tracks
     for frame in sequence.frames[1:]:
@@ -45,7 +45,7 @@ def thrown(sequence: TrackSequence, seed: int) -> tuple[TrackSequence, list[set[
 
 
 def misplaced_gauge(sequence: TrackSequence) -> TrackSequence:
-    """See the landmark of known distance far off in the second frame."""
+    """Misplace the pixel of the ranged landmark in the second frame."""
     gauge = sequence.frames[0].ranges[0].track
     second = sequence.frames[1]
     uv = np.where((second.tracks == gauge)[:, None], second.uv_px + np.array([120.0, -70.0]), second.uv_px)
@@ -61,7 +61,7 @@ def errors(estimate: SequenceEstimate, truth: Truth) -> np.ndarray:
     ("estimator", "options"), [(FixedLagSmoother, {"lag": 6}), (BundleSlam, {}), (BatchAdjustment, {})]
 )
 def test_wrong_associations_cost_little(estimator: type[FixedLagSmoother], options: dict[str, object]) -> None:
-    """Five in a hundred: believed, they cost many times the error; refused, hardly any."""
+    """5 % outliers: used, they increase the error many times; refused, hardly."""
     frames = 10 if estimator is BatchAdjustment else 30
     sequence, truth = make_sequence(np.random.default_rng(8), Recipe(frames=frames, landmarks=20))
     spoilt, _ = thrown(sequence, 77)
@@ -74,7 +74,7 @@ def test_wrong_associations_cost_little(estimator: type[FixedLagSmoother], optio
 
 
 def test_gate_refuses_the_wrong_and_few_of_the_right(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A right pixel is refused once in a thousand times; 12 sequences of 19 frames have about 4000."""
+    """One correct pixel in a thousand is refused; 12 sequences of 19 frames have about 4000."""
     gates: list[OutlierGate] = []
     original = OutlierGate.drop_view
 
@@ -101,7 +101,7 @@ def test_gate_refuses_the_wrong_and_few_of_the_right(monkeypatch: pytest.MonkeyP
 
 
 def test_cheap_judgement_of_a_frame_is_that_by_the_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a frame that fits at once, all that is known refuses no wrong pixel, and hardly a right one."""
+    """If a frame passes the fast test, the gate with the full covariance refuses no outlier and few correct pixels."""
     judged = {"at once": 0, "frames": 0, "right": 0, "wrong": 0, "pixels": 0}
     wrong: list[set[int]] = []
 
@@ -109,7 +109,7 @@ def test_cheap_judgement_of_a_frame_is_that_by_the_covariance(monkeypatch: pytes
         place(self, view, before, rule, depth_m)
         if before is None:
             return
-        self.slam_map.place(view, rule)  # as before anything of it was judged
+        self.slam_map.place(view, rule)  # as before the gate
         matches = self._match_frame(view, before, depth_m)
         judged["frames"] += 1
         if not self.refused.get(view) and all_within_gate(
@@ -136,7 +136,7 @@ def test_cheap_judgement_of_a_frame_is_that_by_the_covariance(monkeypatch: pytes
 
 
 def test_wrong_range_landmark_in_the_second_frame_does_not_take_the_scale() -> None:
-    """The one landmark of known distance is misplaced once; the scale comes back with it."""
+    """The one ranged landmark is misplaced once; the scale is recovered with its next pixel."""
     sequence, truth = make_sequence(np.random.default_rng(8), Recipe(frames=25, landmarks=20))
     estimate = FixedLagSmoother.from_options({}).follow(misplaced_gauge(sequence))
     assert estimate.status == "ok", estimate.reason
@@ -145,7 +145,7 @@ def test_wrong_range_landmark_in_the_second_frame_does_not_take_the_scale() -> N
 
 
 def test_covariance_of_what_is_expected_is_that_of_scipy() -> None:
-    """Three views, and four landmarks of which all but one are eliminated: one problem of least squares."""
+    """Three views and four landmarks, all but one eliminated, against one dense least-squares problem."""
     rng = np.random.default_rng(4)
     sequence, truth = make_sequence(rng, Recipe(frames=3, landmarks=15))
     tracks = sorted(set.intersection(*(set(frame.tracks.tolist()) for frame in sequence.frames)))[:4]
@@ -183,7 +183,7 @@ def test_covariance_of_what_is_expected_is_that_of_scipy() -> None:
 
     x = np.concatenate([state.positions_m[1:].ravel(), state.points_m.ravel()])
     jacobian = least_squares(residuals, x, method="trf", max_nfev=1, jac="3-point").jac
-    # one evaluation: the derivatives are those where it began
+    # one evaluation: derivatives at the initial state
     common = SharedUncertainty.of((problem, state), (0, 1, 2), np.zeros((3, 3)))
     by_landmark, own = common.by_landmarks(problem, state, (0, 1, 2), np.arange(4))
     rows = np.concatenate([common.by_view(1), common.by_view(2), *by_landmark])
@@ -195,7 +195,7 @@ def test_covariance_of_what_is_expected_is_that_of_scipy() -> None:
 
 
 def test_refused_pixels_do_not_move_the_window_of_keyframes() -> None:
-    """A landmark that is misplaced in one frame is still in view: the oldest view of the window stays."""
+    """A landmark with a refused pixel counts as in view: the oldest view of the window stays."""
     for trial in range(3):
         sequence, _ = make_sequence(np.random.default_rng([6, trial]), Recipe(frames=60, landmarks=12))
         spoilt, wrong = thrown(sequence, trial)
@@ -206,7 +206,7 @@ def test_refused_pixels_do_not_move_the_window_of_keyframes() -> None:
 
 
 def test_bundle_waits_a_frame_where_the_gauge_is_refused() -> None:
-    """The one landmark of known distance is misplaced in the second frame: there is no scale until the third."""
+    """The one ranged landmark is misplaced in the second frame: the scale is undetermined until the third."""
     sequence, truth = make_sequence(np.random.default_rng(8), Recipe(frames=25, landmarks=20))
     spoilt = misplaced_gauge(sequence)
     gated = BundleSlam.from_options({"associations": "consensus"}).follow(spoilt)

@@ -1,4 +1,4 @@
-"""Smoothing with dynamics: the motion against scipy, the adjustment against scipy, the truth without noise."""
+"""Smoothing with dynamics: propagation and adjustment against scipy, and the truth without noise."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_derivatives_of_the_motion_are_those_of_central_differences() -> None:
 
 
 def test_covariance_of_an_arc_is_that_of_drawn_pushes() -> None:
-    """What a constant push does to the end of an arc, in units in which the push is 1 m per T^2."""
+    """Displacement of an arc's end by a constant acceleration, in units in which that is 1 m per T^2."""
     duration = np.array([0.035])
     covariance = np.linalg.inv(arc_information(duration, 1.0, ORBIT_M))[0]
     pushes = np.random.default_rng(3).standard_normal((4000, 3))
@@ -110,7 +110,7 @@ def packed(state: DynamicState) -> np.ndarray:
 
 
 def all_residuals(problem: DynamicAdjustment, state: DynamicState, sequence: TrackSequence) -> np.ndarray:
-    """Written anew in SI units: motion by DOP853, and what is known before from the sequence."""
+    """Independent residuals in SI units: propagation by DOP853, and the prior from the sequence."""
     forces = sequence.forces
     assert forces is not None
     field = problem.field
@@ -204,7 +204,7 @@ def errors(estimate, truth: OrbitTruth) -> np.ndarray:
 
 
 def test_noise_free_sequence_returns_the_truth_and_the_parameters() -> None:
-    """What is believed of velocity, gravity and light is wrong all the same."""
+    """The prior velocity, gravity parameter and radiation pressure have errors."""
     drive = Drive(noise_m_s2=0.0, gm_sigma=1.0, radiation_sigma=1.0)
     sequence, truth = make_orbit_sequence(np.random.default_rng(1), Recipe(frames=60, noise_px=0.0), drive)
     forces = replace(sequence.forces, gm_m3_s2=1.05 * GM, radiation_m_s2=0.9 * LIGHT)
@@ -259,7 +259,7 @@ def test_long_lag_is_the_batch_and_a_short_one_near_it() -> None:
 
 
 def test_error_of_the_first_position_is_found_out() -> None:
-    """Gravity tells where the centre of mass is: half a revolution leaves a tenth of the uncertainty, which is true."""
+    """Gravity determines the centre of mass: half a revolution leaves a tenth of the uncertainty, and it is right."""
     sequence, truth = make_orbit_sequence(np.random.default_rng(9), Recipe(frames=91), Drive(noise_m_s2=1e-9))
     shift = np.array([12.0, -16.0, 0.0])
     unsure = replace(sequence, position_m=sequence.position_m + shift, position_covariance_m2=400.0 * np.eye(3))
@@ -288,7 +288,7 @@ def test_innovation_is_one_and_wrong_forces_are_declared() -> None:
 
 
 def test_what_is_certain_stays_as_it_is() -> None:
-    """Nothing is solved for that has no variance, and the covariance of the path is the smaller for it."""
+    """Parameters without variance are fixed, which makes the covariance of the path smaller."""
     certain = Drive(gm_sigma=0.0, radiation_sigma=0.0, velocity_sigma_m_s=0.0)
     sequence, truth = make_orbit_sequence(np.random.default_rng(6), Recipe(frames=16), certain)
     assert sequence.forces is not None

@@ -18,7 +18,7 @@ NO_RANGES = (np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
 
 @pytest.fixture
 def state() -> FilterState:
-    """Three landmarks anchored at the first position, the camera two degrees further on."""
+    """Three landmarks anchored at the first position, and the camera two degrees further on the orbit."""
     rng = np.random.default_rng(3)
     first = np.array([ORBIT_M, 0.0, 0.0])
     start = FilterState.of_camera(first, 0.01 * np.eye(3), frame_at(first, first))
@@ -40,7 +40,7 @@ def _second() -> np.ndarray:
 
 
 def measured(state: FilterState, rows: list[int], shift_px: np.ndarray, sigma_px: float = 0.7) -> FrameMeasurements:
-    """The landmarks where the state expects them from the second position, but for a shift."""
+    """Pixels predicted by the state at the second position, plus a shift."""
     lines = state.points(CAMERA)[rows] - state.position_m
     uv = CAMERA.project(lines @ look_down(_second()).T) + shift_px
     return FrameMeasurements(CAMERA, np.array(rows), uv, sigma_px, *NO_RANGES)
@@ -93,7 +93,7 @@ def test_innovation_derivatives_are_those_of_central_differences(state: FilterSt
 
 
 def test_update_is_that_of_the_least_squares(state: FilterState) -> None:
-    """It gives what the prior and the linearised measurements give as one weighted least-squares problem."""
+    """The update solves the weighted least-squares problem of prior and linearised measurements."""
     innovation = measured(state, [0, 1, 2], np.array([[0.5, -1.0]])).innovation(state)
     after, squared = kalman_update(state, innovation)
     root = square_root(state.covariance)
@@ -119,7 +119,7 @@ def test_covariance_of_the_update_is_that_of_the_form_of_joseph(state: FilterSta
 
 
 def test_iterated_update_is_the_minimum_of_scipy(state: FilterState) -> None:
-    """Distances wrong by 30 % and a position by metres: one step of the plain filter does not get there."""
+    """Distances wrong by 30 % and a position by metres: one step of the plain filter does not reach the minimum."""
     unsure = replace(state, covariance=state.covariance * 100.0)
     seen = measured(state, [0, 1, 2], np.array([[60.0, -25.0], [75.0, -20.0], [50.0, -30.0]]))
     root = square_root(unsure.covariance)
@@ -145,7 +145,7 @@ def test_one_step_of_the_iterated_update_moves_as_the_plain_one(state: FilterSta
 
 
 def test_settled_landmarks_tell_nothing_of_the_scale(state: FilterState) -> None:
-    """Bearings from two places and with two estimates: one direction of the scale, about any point, unseen by both."""
+    """Bearing Jacobians at two positions and estimates have a common null space: the scale about any point."""
     settled = state.with_fixed_linearisation(1.0)
     assert not np.isnan(settled.settled).any()
     later = replace(settled, x=settled.x * np.tile([1.02, 0.97, 1.01], len(settled.x) // 3))

@@ -1,4 +1,4 @@
-"""Gates on an innovation: their false alarms, and what they find where the predicted position is wrong."""
+"""Innovation gates: false-alarm rates, and outliers found with a wrong predicted position."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_right_pixels_are_refused_as_often_as_asked(gate: Literal["individual", 
 
 
 def test_consensus_refuses_few_right_pixels_of_many() -> None:
-    """Each is refused with at most the probability asked for, now and then with the one that all hang on."""
+    """Each is refused with at most the given probability, sometimes because the hypothesis itself is poor."""
     rng = np.random.default_rng(2)
     kept = [gate_pixels(drawn(rng, 20), covariance(20), "one-point", 0.001) for _ in range(200)]
     assert np.mean(kept) > 0.997
@@ -41,7 +41,7 @@ def test_consensus_refuses_few_right_pixels_of_many() -> None:
 
 @pytest.mark.parametrize("wrong", [1, 3, 7])
 def test_consensus_finds_what_gates_one_by_one_let_pass(wrong: int) -> None:
-    """Fifteen pixels off by up to 20 px, in a common error of 30: each alone is well within what is expected."""
+    """Outliers of up to 20 px within a common error of 30 px: each pixel passes its individual gate."""
     rng = np.random.default_rng(wrong)
     missed_alone = 0
     for _ in range(50):

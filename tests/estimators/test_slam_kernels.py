@@ -40,7 +40,7 @@ REFERENCED = (
 
 
 def window(seed: int) -> tuple[Adjustment, State]:
-    """Five views and their landmarks with everything that a problem can hold, at a disturbed state."""
+    """Five views and their landmarks with every kind of measurement, at a disturbed state."""
     rng = np.random.default_rng([31, seed])
     sequence, truth = make_sequence(rng, Recipe(frames=5, landmarks=6 + 2 * seed, range_all=True))
     slam_map = SlamMap(sequence.camera)
@@ -83,7 +83,7 @@ def window(seed: int) -> tuple[Adjustment, State]:
 
 @pytest.fixture
 def in_numpy(monkeypatch: pytest.MonkeyPatch):
-    """Call a function with the arithmetic in numpy, wherever it is called from."""
+    """Call a function with the kernels replaced by their numpy reference in all modules."""
 
     def call(function, *arguments):
         with monkeypatch.context() as patch:
@@ -122,7 +122,7 @@ def test_equations_are_those_of_numpy(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_deviations_are_those_of_numpy_and_scipy(seed: int) -> None:
-    """Also of a landmark behind its camera; those of one pixel with derivatives by differences."""
+    """Also for a landmark behind its camera; one pixel against derivatives by differences."""
     problem, state = window(seed)
     squares = solver.residual_squares(problem, state)
     np.testing.assert_allclose(squares, numpy_adjustment.residual_squares(problem, state), rtol=1e-11)
@@ -157,7 +157,7 @@ def test_minimum_is_that_of_numpy(seed: int) -> None:
     assert solution.converged
     assert solution.cost == pytest.approx(expected.cost, rel=1e-12)
     np.testing.assert_allclose(solution.state.positions_m, expected.state.positions_m, rtol=1e-12, atol=1e-9)
-    # Equal costs leave points that are seen at small angles free by more than the rounding of their places.
+    # At equal costs, points with small parallax differ by more than the rounding of their coordinates.
     np.testing.assert_allclose(solution.state.points_m, expected.state.points_m, rtol=1e-12, atol=1e-8)
     at = expected.state
     assert reduced_rank_deficiency(problem, at) == numpy_adjustment.reduced_rank_deficiency(problem, at) == 0
@@ -222,7 +222,7 @@ def test_sequence_is_followed_as_with_numpy(estimator: type[BundleSlam], in_nump
 
 
 def test_machine_code_is_kept_where_the_user_wants_it(tmp_path: Path) -> None:
-    """The envelope's kernels alone, in a process of their own: none of them lands beside the source."""
+    """The envelope's kernels in a separate process: none is cached in the source folder."""
     code = (
         "import numpy as np; from estimators.slam.compiled.envelope import make_envelope;"
         "print(make_envelope(np.array([2, 1, 2])).reach.tolist())"

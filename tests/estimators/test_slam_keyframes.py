@@ -1,4 +1,4 @@
-"""The views of BA-SLAM's window, worked out by hand, and what no estimator may know: the frames to come."""
+"""The views of BA-SLAM's window, worked out by hand, and causality: no estimator uses later frames."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_turn_beyond_the_largest_angle_shifts_the_window(connected):
 
 
 def gauged(connected, seen, ranges=()):
-    """The landmark that holds the scale of views 2, 4 and 6, where landmark 7 did since view 2."""
+    """The landmark of the depth gauge for views 2, 4 and 6, after landmark 7 since view 2."""
     points = {track: np.array([0.0, 0.0, float(track)]) for track in (7, 8, 9)}
     frame = SimpleNamespace(tracks=np.array(sorted(seen)), ranges=ranges)
     slam_map = SimpleNamespace(frames={2: frame}, points_m=points, guessed={9}, positions_m={2: np.zeros(3)})

@@ -1,4 +1,4 @@
-"""Loop closure: which pairs agree against a full search, covariances against scipy, whole loops against the truth."""
+"""Loop closure: compatible pairs against a full search, covariances against scipy, whole loops against the truth."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_what_is_told_from_outside_stands_for_it(global_map: GlobalMap) -> None:
 
 
 def test_covariance_of_landmarks_is_that_of_scipy(global_map: GlobalMap) -> None:
-    """All residuals written down anew, and their derivatives by scipy's differences."""
+    """Independent residuals, with derivatives by scipy's differences."""
     problem, tracks = global_map.problem(kept=global_map.seen)
     views = list(range(12))
     state = minimise(problem, global_map.slam_map.state(views, tracks), StoppingRule(1e-9)).state
@@ -204,7 +204,7 @@ def test_closed_loops_are_better_and_consistent_also_with_wrong_recognitions() -
     trials = 4
     open_errors, _, _ = last_errors(FixedLagSmoother.from_options({}), 0.0, trials)
     low, high = chi2.ppf([5e-5, 1.0 - 5e-5], 3 * trials)
-    for wrong, room in ((0.0, 200), (0.3, 200), (0.0, 5)):  # also where the prior of the window has room for few
+    for wrong, room in ((0.0, 200), (0.3, 200), (0.0, 5)):  # also with a small limit of the prior
         options = {"closure_frames": 10, "prior_landmarks": room}
         errors, square, united = last_errors(LoopSmoother.from_options(options), wrong, trials)
         assert united > 5 * trials
@@ -243,7 +243,7 @@ def test_recognitions_wait_until_enough_are_there() -> None:
 
 
 def test_error_of_the_first_position_shifts_all() -> None:
-    """A closed loop tells nothing about where the body's centre is: the error stays, and the covariance adds."""
+    """A loop closure does not determine the body's centre: the error of the first position stays in the covariance."""
     sequence, _, _ = loop(5)
     shift = np.array([3.0, -2.0, 1.0])
     unsure = replace(sequence, position_m=sequence.position_m + shift, position_covariance_m2=4.0 * np.eye(3))

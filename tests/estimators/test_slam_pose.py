@@ -1,4 +1,4 @@
-"""The filter with the whole camera in its state: attitudes, derivatives, covariance, and what it is worth."""
+"""The filter with the camera's pose in its state: attitudes, derivatives, covariance, consistency, accuracy."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def on_orbit(number: int) -> np.ndarray:
 
 
 def frame_at(number: int, **values: object) -> TrackFrame:
-    """A frame that looks down on a body that turns by ``SPIN`` from each to the next; no tracks."""
+    """A frame without tracks above a body that rotates by ``SPIN`` between frames."""
     turned = SPIN.as_rotvec() * number
     known = Rotation.from_rotvec(turned).as_matrix()
     here = TrackFrame(
@@ -70,7 +70,7 @@ def differences(function, x: np.ndarray, steps: np.ndarray) -> np.ndarray:
 
 
 def errors_of(state: PoseState, true: PoseState) -> np.ndarray:
-    """(15,) what a state has wrong, in the elements of its covariance; rotations by scipy."""
+    """(15,) errors of a state, in the elements of its covariance; rotations by scipy."""
     turn = Rotation.from_matrix(true.attitude) * Rotation.from_matrix(state.attitude).inv()
     wrong = true.x[:15] - state.x[:15]
     wrong[6:9] = turn.as_rotvec()
@@ -108,7 +108,7 @@ def test_landmark_turns_with_its_anchor(state: PoseState) -> None:
 
 
 def test_innovation_derivatives_are_those_of_central_differences(state: PoseState) -> None:
-    """Of pixels and of distances, at attitudes that are not those which the filter holds beside its state."""
+    """Of pixels and of distances, at attitude errors that are not zero."""
     seen = FrameMeasurements(
         CAMERA, np.array([2, 0]), np.full((2, 2), 500.0), 0.7, np.array([1, 2]), np.full(2, 600.0), np.ones(2)
     )
@@ -121,7 +121,7 @@ def test_innovation_derivatives_are_those_of_central_differences(state: PoseStat
 
 
 def test_propagation_has_the_derivatives_of_central_differences(state: PoseState) -> None:
-    """With a body that turns below the camera; what is added has the covariance of drawn motions and accelerations."""
+    """With a rotating body; the process noise is the covariance of drawn motions and accelerations."""
     start = state.with_errors_reset()
     end = start.propagated(frame_at(2))
     shifts = np.concatenate([np.full(6, 1e-3), np.full(3, 1e-5), np.full(3, 1e-7), np.full(3, 1e-5)])
@@ -150,7 +150,7 @@ def test_propagation_has_the_derivatives_of_central_differences(state: PoseState
 
 
 def _drawn_noise(start: PoseState, count: int) -> np.ndarray:
-    """(count, 15) errors after an interval in which the camera moves and accelerates as chance has it."""
+    """(count, 15) errors after an interval with random motions and angular accelerations."""
     rng = np.random.default_rng(8)
     frame, end = frame_at(2), start.propagated(frame_at(2))
     known, dt = frame.R_body_inertial, SECONDS
@@ -185,7 +185,7 @@ def test_folding_keeps_the_pose_and_refers_errors_to_it(state: PoseState) -> Non
 
 
 def test_what_is_told_stands_in_the_axes_that_the_spacecraft_knows(state: PoseState) -> None:
-    """Without a misalignment all that lasts is the body's: with the measured attitude landmarks look the same."""
+    """Without a misalignment the lasting error is the body's: with the measured attitude, pixels do not change."""
     grown = replace(state.with_errors_reset(), misalignment_rad=0.0)
     grown = replace(grown, x=grown.x + np.eye(len(grown.x))[12] * 0.01)
     position, covariance, points = grown.estimate(CAMERA)
@@ -228,11 +228,11 @@ def test_star_tracker_without_landmarks_is_consistent() -> None:
         total += error @ np.linalg.solve(covariance, error)
     low, high = chi2.ppf([0.001, 0.999], 9 * runs)
     assert low < total < high
-    assert np.sqrt(np.diag(covariance)[:3]).min() > 0.99 * lasting  # no number of frames tells the misalignment
+    assert np.sqrt(np.diag(covariance)[:3]).min() > 0.99 * lasting  # the misalignment is not observable
 
 
 def test_rate_and_velocity_are_those_of_the_orbit() -> None:
-    """In inertial space, while the body turns below: closed form of a circle whose camera looks at its centre."""
+    """In inertial space, above a rotating body: closed form for a circle with the camera pointed at its centre."""
     state = PoseState.at_first(on_orbit(0), np.zeros((3, 3)), frame_at(0), TURN_NOISE_RAD)
     for number in range(1, 9):
         state = state.predicted(frame_at(number))
@@ -286,7 +286,7 @@ def squares(estimate: SequenceEstimate, true_m: np.ndarray) -> tuple[float, floa
 
 @pytest.mark.parametrize(("noise_deg", "lasting_deg"), [(0.03, 0.0), (0.0, 0.1)])
 def test_whole_camera_is_more_accurate_and_more_consistent(noise_deg: float, lasting_deg: float) -> None:
-    """Than the position with the star tracker's attitude taken for true; all on the same tracks."""
+    """Compared with the position-only filter with the star tracker's attitude taken as exact; on the same tracks."""
     kept = []
     for seed in range(4):
         sequence, truth = make_sequence(np.random.default_rng(seed), Recipe(frames=60))
@@ -304,7 +304,7 @@ def test_whole_camera_is_more_accurate_and_more_consistent(noise_deg: float, las
 
 
 def test_smoother_counts_noise_of_attitudes_as_noise_of_pixels() -> None:
-    """Where there is none, or none but what lasts, nothing changes; with it the smoother is less overconfident."""
+    """Without frame-to-frame noise nothing changes; with it the smoother is less overconfident."""
     kept = []
     for seed in range(4):
         sequence, truth = make_sequence(np.random.default_rng(seed), Recipe(frames=60))
@@ -329,7 +329,7 @@ def test_same_input_gives_the_same_bits_and_stays_as_it_was() -> None:
 
 
 def test_propagation_adds_the_whole_covariance_of_the_motion(state: PoseState) -> None:
-    """To the position, on which nothing else of the camera depends."""
+    """Compared with the position: no other camera element affects it."""
     frame = frame_at(2)
     moved = state.with_errors_reset().propagated(frame)
     added = moved.covariance[:3, :3] - state.with_errors_reset().covariance[:3, :3]

@@ -1,4 +1,4 @@
-"""The vision layer: features where they were painted, epipolar geometry against OpenCV, registration against SciPy."""
+"""The vision layer: features of a known image, epipolar geometry against OpenCV, registration against SciPy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def texture(rng, size=256):
 
 
 def moved(image):
-    """Let what was at (u, v) about the middle be at LINEAR (u, v) + SHIFT: SciPy resamples by the inverse."""
+    """Move the point (u, v) about the middle to LINEAR (u, v) + SHIFT: SciPy resamples by the inverse."""
     middle = 0.5 * (np.array(image.shape) - 1.0)
     inverse = np.linalg.inv(LINEAR[::-1, ::-1])
     offset = middle - inverse @ (middle + SHIFT[::-1])
@@ -70,7 +70,7 @@ def test_no_feature_lies_at_the_edge_of_the_body_and_a_black_image_has_none():
 
 
 def epipolar_world(rng, count=120, wrong=40):
-    """Matches of two cameras that look the same way, the last of them wrong."""
+    """Matches of two cameras with the same attitude, the last of them wrong."""
     points = np.column_stack([rng.uniform(-120, 120, (count, 2)), rng.uniform(550, 750, count)])
     motion = np.array([60.0, 8.0, -15.0])
     uv = [CAMERA.project(points - place) + 0.2 * rng.standard_normal((count, 2)) for place in (0.0, motion)]

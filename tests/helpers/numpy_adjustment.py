@@ -1,4 +1,4 @@
-"""The adjustment of sequences in plain numpy: what its compiled kernels are held against."""
+"""The adjustment of sequences in plain numpy: the reference of its compiled kernels."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def _first_damping(system):
 
 
 def _descend(problem, system, state, value, damping):
-    """Raise the damping until the cost does not grow; nothing if it grows however small the step.
+    """Increase the damping until the cost does not increase; None if it increases for every step.
 
     Returns the new state, the longest step of a variable (m), and the damping to begin with next time. Rounding may
     raise the cost by some parts in 1e12 at the minimum.
