@@ -16,8 +16,7 @@ import cv2
 from threadpoolctl import threadpool_limits
 
 from renderers.mitsuba3 import limit_threads
-from renderers.mitsuba3.gpus import gpu_names
-from renderers.mitsuba3.variant import CUDA
+from renderers.mitsuba3.variant import CUDA, gpu_names
 from scenarios.limits import installed_memory_bytes
 
 PACKAGES = (

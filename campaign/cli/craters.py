@@ -26,7 +26,7 @@ def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
 
 def _craters(arguments: argparse.Namespace) -> int:
     # Imported here: Matplotlib and SPICE take a third of the start-up, and most commands need neither.
-    from campaign.data.craters.detection import detect_real, write_real
+    from campaign.data.named_craters import detect_real, write_real
 
     detector = crater_detector_class(arguments.detector).from_options({})
     found = detect_real(detector, arguments.image)

@@ -73,9 +73,7 @@ def _tables(arguments: argparse.Namespace) -> list[Path]:
 
 def _poses(arguments: argparse.Namespace) -> list[Path]:
     # Imported here, as above.
-    from campaign.export.colmap import write_model
-    from campaign.export.poses import check_posed, posed, stored_images, trajectories
-    from campaign.export.tum import write_trajectory
+    from campaign.export.poses import check_posed, posed, stored_images, trajectories, write_model, write_trajectory
     from campaign.inspection.case import Choice, cases_of, checked_trials, chosen_rows
     from campaign.inspection.recompute import reopened
     from reports.run.data import read_run

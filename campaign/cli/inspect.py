@@ -78,8 +78,7 @@ def _cases(arguments: argparse.Namespace) -> int:
     # Imported here: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
     from campaign.imaging.image_store import store_switched
     from campaign.inspection.build import inspect_case, order_of
-    from campaign.inspection.case import Choice, chosen_rows, named_cases
-    from campaign.inspection.ranking import ORDER, worst_cases
+    from campaign.inspection.case import ORDER, Choice, chosen_rows, named_cases, worst_cases
     from campaign.inspection.recompute import reopened
     from reports.run.data import read_run
 

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.imaging.imager import Imager, open_renderer
+from campaign.imaging.image_store import Imager, open_renderer
 from campaign.imaging.real_images import images_digest, open_images
 from renderers.images import ImageSet, reach
 from renderers.mitsuba3 import BodyRenderer

@@ -12,10 +12,8 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from campaign.inspection.case import Case, Choice
-from campaign.inspection.ranking import ORDER, worst_cases
-from campaign.inspection.recompute import Recomputed, recompute
-from campaign.inspection.same import Sameness
+from campaign.inspection.case import ORDER, Case, Choice, worst_cases
+from campaign.inspection.recompute import Recomputed, Sameness, recompute
 from campaign.inspection.show import Drawn, Kept, Show, show_of
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder

@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
-from campaign.inspection.case import CONTROLS, Choice, unknown
+from collections.abc import Callable, Iterable
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from campaign.inspection.case import CONTROLS, Case, Choice, unknown, worst_cases
 from campaign.inspection.show import Scene, show_of
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
-from reports.pages.look import Look
-from reports.run.data import RunData
+from reports.pages.look import BAD, FAILED, GOOD, Cameras, Look, Marks
+from reports.run.data import RunData, select
 from scenarios.errors import BoresightError
+from scenarios.geometry import TriangleMesh
+
+_FINER = 1.25
+
+FloatArray = NDArray[np.float64]
+
+MOST_FACES = 40_000
+_NEAR = 1.8
+
+IndexArray = NDArray[np.int64]
 
 
 def look_of(campaign: ResolvedCampaign, folder: RunFolder, run: RunData, choice: Choice) -> Look:
@@ -39,3 +55,122 @@ def _one(run: RunData, choice: Choice) -> list[str]:
             raise BoresightError(f"--look shows one {column}: give --{column}, one of {', '.join(there)}")
         chosen.append(wanted or rest[0])
     return chosen
+
+
+def camera_sets(
+    rows: pd.DataFrame, badness: FloatArray, told: Callable[[float], str], places: Callable[[int], FloatArray]
+) -> list[Cameras]:
+    """Divide the cameras of trials into good ones, bad ones (above the median badness) and those without an estimate.
+
+    Parameters
+    ----------
+    rows
+        Rows of the run, one for each trial.
+    badness
+        (n,) how bad each is, in the order of the rows.
+    told
+        Says a badness in words.
+    places
+        (n, 3) cameras of a trial.
+    """
+    values = pd.Series(badness, index=rows.index)
+    solved = rows["status"] == "ok"
+    good = solved & (values <= values[solved].median())
+    sets = (("good trials", GOOD, good), ("bad trials", BAD, solved & ~good), ("no estimate", FAILED, ~solved))
+    found = []
+    for name, colour, which in sets:
+        texts, points = [], [np.zeros((0, 3))]
+        keys = rows.loc[which, ["trial", "status", "reason"]].itertuples(index=False, name=None)
+        for (trial, status, reason), value in zip(keys, values[which], strict=True):
+            points.append(np.reshape(places(int(trial)), (-1, 3)))
+            text = f"trial {trial}<br>" + (told(value) if status == "ok" else f"{status}: {reason}")
+            texts += [text] * len(points[-1])
+        if texts:
+            found.append(Cameras(name, colour, np.concatenate(points), texts))
+    return found
+
+
+def nearer(places_m: FloatArray, radius_m: float) -> tuple[float, str]:
+    """Return by which factor (n, 3) cameras are drawn nearer than they are, and a line that says so.
+
+    From 2 km a body of 300 m is a dot: cameras in the middle are drawn at 1.8 radii of the body.
+    """
+    middle = float(np.median(np.linalg.norm(places_m, axis=1))) if len(places_m) else 0.0
+    factor = max(middle / (_NEAR * radius_m), 1.0)
+    return factor, f" Cameras are drawn {factor:.2g} times nearer to the body than they are." if factor > 1.0 else ""
+
+
+def finite_or_dash(value: float, unit: str) -> str:
+    """Print a number with its unit, or a dash where there is none."""
+    return "-" if np.isnan(value) else f"{value:.3g} {unit}"
+
+
+def middle_and_worst(scene: Scene) -> Iterable[tuple[str, str, Case]]:
+    """Yield the trial in the middle and the worst one with their names and colours; one that is both, once."""
+    every = len(select(scene.run.rows, scene.scenario, scene.label))
+    ranked, _ = worst_cases(scene.run, every, Choice(scene.scenario, scene.label), None)
+    cases = list(dict.fromkeys([ranked[len(ranked) // 2], ranked[0]]))
+    return list(zip(("middle", "worst"), (GOOD, BAD), cases, strict=False))
+
+
+def outcome_marks(places_m: FloatArray, outcomes: pd.DataFrame, words: tuple[str, str, str]) -> Marks:
+    """Colour craters by their share of hits; ``words`` name the share, the chances and the hits."""
+    chances, hits = (outcomes[name].to_numpy(dtype=np.float64) for name in ("chances", "hits"))
+    share = np.where(chances > 0, 100.0 * hits / np.maximum(chances, 1.0), np.nan)
+    texts = [
+        f"crater {number}<br>{words[1]}: {c:.0f} times<br>{words[2]}: {h:.0f} ({finite_or_dash(s, '%')})"
+        for number, c, h, s in zip(outcomes.index, chances, hits, share, strict=True)
+    ]
+    return Marks(words[0], places_m, share, texts, "%")
+
+
+def crater_look(
+    scene: Scene,
+    rows: pd.DataFrame,
+    marks: list[Marks],
+    mesh: TriangleMesh,
+    trials: tuple[dict[int, FloatArray], str, pd.Series | None],
+) -> Look:
+    """Put a look together: ``trials`` are the cameras of each, what its faults are called, and how many it has."""
+    views, called, faults = trials
+    body = coarsened(mesh, MOST_FACES)
+    factor, told = nearer(np.concatenate(list(views.values())), body.radius_m)
+    badness = np.full(len(rows), np.nan) if faults is None else faults[rows.index].to_numpy(dtype=np.float64)
+    middle = float(np.nanmedian(badness)) if np.isfinite(badness).any() else 0.0
+    note = f"{len(rows)} trials. Good and bad: at most, or more than, the median of {middle:g} {called}.{told}"
+    cameras = camera_sets(rows, badness, lambda value: f"{value:.0f} {called}", lambda trial: views[trial] / factor)
+    return Look(scene.title, note, body.vertices_m, body.faces, marks, cameras)
+
+
+def places_of(centre_m: FloatArray, numbers: IndexArray, outcomes: pd.DataFrame) -> FloatArray:
+    """Find the middles of the craters that index ``outcomes``."""
+    return pd.DataFrame(centre_m, index=numbers).loc[outcomes.index].to_numpy(dtype=np.float64)
+
+
+def coarsened(mesh: TriangleMesh, most_faces: int) -> TriangleMesh:
+    """Merge the vertices of each cube of a grid into their mean until no more than ``most_faces`` facets are left.
+
+    Facets whose corners come together vanish. That is rough, and good enough for the eye; nothing is measured on it.
+    """
+    if len(mesh.faces) <= most_faces:
+        return mesh
+    # A closed surface of area A in cubes of edge a crosses about A / a^2 of them, with two facets for each vertex.
+    area_m2 = float(np.linalg.norm(mesh.area_vectors_m2, axis=1).sum())
+    edge_m = float(np.sqrt(2.0 * area_m2 / most_faces))
+    while True:
+        coarse = _merged(mesh, edge_m)
+        if len(coarse.faces) <= most_faces:
+            return coarse
+        edge_m *= _FINER
+
+
+def _merged(mesh: TriangleMesh, edge_m: float) -> TriangleMesh:
+    cubes = np.floor(mesh.vertices_m / edge_m).astype(np.int64)
+    _, which, counts = np.unique(cubes, axis=0, return_inverse=True, return_counts=True)
+    which = which.ravel()
+    sums = np.stack([np.bincount(which, mesh.vertices_m[:, axis]) for axis in range(3)], axis=1)
+    faces = which[mesh.faces]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return TriangleMesh(sums / counts[:, None], faces[np.sort(first)].astype(np.int32))

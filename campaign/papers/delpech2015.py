@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from campaign.kinds.sequence.images import OrbitImages
 from campaign.papers.gather import FinishedRun
-from campaign.papers.kinds import Draw, Paper, PaperFigure, Runs
+from campaign.papers.page import Draw, Paper, PaperFigure, Runs
 from reports.figures.sequences import LANDMARKS, POSITION
 from reports.figures.sightings import draw_sightings
 from reports.kinds.designs.tables import design_grids

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
 from campaign.papers.gather import FinishedRun, Gathered, gather_runs, run_folders
-from campaign.papers.kinds import Paper, PaperFigure
 from campaign.runs.resolve import CATALOG, campaign_names
 from campaign.runs.start import RUNS
 from reports.figures.provenance import counted, stamp
@@ -17,10 +17,59 @@ from reports.papers.page import PaperLine, PaperPage, paper_lines
 from reports.papers.tables import lines_by_table, table_figure
 from reports.published import load_published
 from reports.run.known import short_line
+from reports.schema.grid import Grid
 from reports.schema.labels import count_of
 from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 from scenarios.load import load_campaign
+
+Runs = Mapping[str, FinishedRun]
+Draw = Callable[[Runs, int | None], Iterator[NamedFigure]]
+"""Draws runs; what it builds again takes so many workers, None for one for each core, or GPU."""
+
+
+@dataclass(frozen=True, slots=True)
+class PaperFigure:
+    """A figure of the paper: its number, the campaigns of which it needs one, and how it is drawn.
+
+    Each run of them gives drawings of its own, unless one drawing shows them all ``together``.
+    """
+
+    number: str
+    campaigns: tuple[str, ...]
+    draw: Draw
+    together: bool = False
+
+    def named(self, figure: NamedFigure, suffix: str = "") -> NamedFigure:
+        """Give a figure the paper's number."""
+        return replace(
+            figure, stem=f"figure_{self.number:0>2}{suffix}", caption=f"Figure {self.number}. {figure.caption}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Paper:
+    """All that its page is made of.
+
+    Parameters
+    ----------
+    title
+        Heading of the page.
+    campaigns
+        Names of its campaigns, in the order of its sections; those that are not in the catalogue are left out.
+    methods
+        Names of what the paper itself describes; other estimators of a run are not held against it.
+    figures
+        Its figures.
+    grids
+        Further tables of a run.
+    """
+
+    title: str
+    campaigns: tuple[str, ...]
+    methods: tuple[str, ...]
+    figures: tuple[PaperFigure, ...]
+    grids: Callable[[FinishedRun], list[Grid]]
 
 
 def paper_called(name: str) -> Paper:

@@ -22,7 +22,7 @@ from campaign.kinds.single_image.examples import (
 )
 from campaign.machine import workers
 from campaign.papers.gather import FinishedRun
-from campaign.papers.kinds import Paper, PaperFigure, Runs
+from campaign.papers.page import Paper, PaperFigure, Runs
 from campaign.papers.shapes import broadside_view, built_again, cluster_view, surface_view
 from campaign.products.landmark_database import KIND as DATABASE
 from estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from campaign.imaging.world import World
-from campaign.products.landmark_candidates import candidates_of
+from campaign.products.landmark_database import candidates_of
 from estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild, build_database
 from estimators.landmark.clustering import PointCluster
 from estimators.landmark.database import LandmarkDatabase

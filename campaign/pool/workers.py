@@ -25,7 +25,7 @@ from joblib.externals.loky import ProcessPoolExecutor
 
 from campaign.imaging.image_store import store_is_on, store_switched
 from campaign.pool.guard import guarding
-from renderers.mitsuba3.gpus import gpu_of_worker
+from renderers.mitsuba3.variant import gpu_of_worker
 from scenarios.errors import MachineError
 
 T = TypeVar("T")

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from campaign.imaging.world import open_world
-from campaign.products.database_images import DatabaseImage, database_images
-from campaign.products.spread import over_images
+from campaign.products.database_images import DatabaseImage, database_images, over_images
 from estimators.contract import NoProductError
 from estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
 from estimators.craters.database.build import build_database, triangulate_landmarks

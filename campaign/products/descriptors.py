@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from campaign.products.database_images import database_images
-from campaign.products.spread import over_images
+from campaign.products.database_images import database_images, over_images
 from estimators.descriptors.database import (
     METHOD_VERSION,
     DescriptorDatabase,

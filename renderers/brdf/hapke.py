@@ -13,7 +13,7 @@ from math import pi
 from typing import Any, Literal
 
 from renderers.brdf.arrays import Array, ArrayMath, azimuth_squares, grazing_safe, root, sine, smaller_and_larger_angle
-from renderers.brdf.phase import henyey_greenstein
+from renderers.brdf.lunar_lambert import henyey_greenstein
 
 
 @dataclass(frozen=True, slots=True)

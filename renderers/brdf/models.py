@@ -6,14 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
-from renderers.brdf.arrays import Array, ArrayMath
+from renderers.brdf.arrays import NUMPY, Array, ArrayMath
 from renderers.brdf.hapke import HapkeParameters, hapke
-from renderers.brdf.lambert import lambert
-from renderers.brdf.lommel_seeliger import LommelSeeligerParameters, lommel_seeliger
-from renderers.brdf.mcewen import McEwenParameters, mcewen
+from renderers.brdf.lunar_lambert import LommelSeeligerParameters, McEwenParameters, lambert, lommel_seeliger, mcewen
 from renderers.brdf.oren_nayar import OrenNayarParameters, oren_nayar
 from scenarios.spec.base import SpecModel
-from scenarios.spec.brdf import HapkeSpec, LambertSpec, LommelSeeligerSpec, McEwenSpec, OrenNayarSpec
+from scenarios.spec.brdf import BrdfSpec, HapkeSpec, LambertSpec, LommelSeeligerSpec, McEwenSpec, OrenNayarSpec
 
 Values = Mapping[str, Any]
 
@@ -70,3 +68,26 @@ MODELS = {
         ReflectanceModel(McEwenSpec, _mcewen),
     )
 }
+
+
+def brdf_value(spec: BrdfSpec, cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath = NUMPY) -> Array:
+    """Bidirectional reflectance distribution function of a scenario's surface, 1/sr.
+
+    Parameters
+    ----------
+    spec
+        The scenario's ``brdf`` section.
+    cos_i, cos_e
+        Cosines of the angles of incidence and emission from the normal; values below COS_MIN count as COS_MIN.
+    phase_rad
+        Angle between the direction to the light and the direction to the viewer, 0 to pi.
+    xp
+        The array library of the angles.
+
+    Returns
+    -------
+    Array
+        The BRDF, finite and never negative; the radiance factor I/F is pi times it times ``cos_i``. For Lambert
+        it is a single number.
+    """
+    return MODELS[spec.kind].formula(dict(spec), cos_i, cos_e, phase_rad, xp)

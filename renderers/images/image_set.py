@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, View
+
+FloatArray = NDArray[np.float64]
+Rectangle = tuple[float, float, float, float]
 
 
 class ImageSet(Protocol):
@@ -88,3 +93,100 @@ def check_size(image: NDArray[np.float32], camera: Camera, path: Path) -> None:
         raise BoresightError(
             f"{path}: the image is {width} x {height} pixels, but the camera has {camera.width_px} x {camera.height_px}"
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Selection:
+    """Some images of a set, in its order.
+
+    Parameters
+    ----------
+    images
+        The set.
+    kept
+        Indices of those that are used.
+    left_out
+        The others, each with the reason.
+    """
+
+    images: ImageSet
+    kept: tuple[int, ...]
+    left_out: tuple[tuple[str, str], ...]
+
+    def __len__(self) -> int:
+        return len(self.kept)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the images that are used."""
+        return tuple(self.images.names[index] for index in self.kept)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file of the whole set: which images are left out depends on all of them."""
+        return self.images.files
+
+    def time_s(self, index: int) -> float:
+        """Return the epoch of an image."""
+        return self.images.time_s(self.kept[index])
+
+    def view(self, index: int, prefix: str | None = None) -> View:
+        """Return the view of an image."""
+        return self.images.view(self.kept[index], prefix)
+
+    def image(self, index: int) -> NDArray[np.float32]:
+        """Read an image."""
+        return self.images.image(self.kept[index])
+
+    def content_digest(self) -> str:
+        """Digest of the whole set."""
+        return self.images.content_digest()
+
+    def check_images(self) -> None:
+        """Read every image that is used once."""
+        for index in range(len(self)):
+            self.image(index)
+
+
+def keep_clear(images: ImageSet, outline_m: FloatArray, rectangles: Sequence[Rectangle]) -> Selection:
+    """Leave out the images in which the body reaches into a part of the detector.
+
+    Parameters
+    ----------
+    images
+        The set.
+    outline_m
+        (N, 3) points of the body frame whose hull holds the body.
+    rectangles
+        Left, top, right and bottom of each part in pixels.
+
+    Raises
+    ------
+    BoresightError
+        If no image remains.
+    """
+    reasons = [reach(images.view(index), outline_m, rectangles) for index in range(len(images))]
+    kept = tuple(index for index, reason in enumerate(reasons) if not reason)
+    left_out = tuple((name, reason) for name, reason in zip(images.names, reasons, strict=True) if reason)
+    if not kept:
+        raise BoresightError(f"images.keep_clear_px: no image remains of {len(images)}: {left_out[0][0]}: {reasons[0]}")
+    return Selection(images, kept, (*images.left_out, *left_out))
+
+
+def reach(view: View, outline_m: FloatArray, rectangles: Sequence[Rectangle]) -> str:
+    """Say into which part of the detector the body reaches; nothing where it stays clear of all.
+
+    The body is taken for the hull of its outline as the camera sees it, which is never smaller.
+    """
+    uv = view.camera.project(view.T_cam_body.transform(outline_m))
+    seen = uv[np.isfinite(uv).all(axis=1)].astype(np.float32)
+    if len(seen) < 3:
+        return ""
+    hull = cv2.convexHull(seen[:, None])[:, 0]
+    for left, top, right, bottom in rectangles:
+        corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]], dtype=np.float32)
+        shared, _ = cv2.intersectConvexConvex(hull, corners)
+        if shared > 0.0:
+            part = f"[{left:g}, {top:g}, {right:g}, {bottom:g}]"
+            return f"the body reaches {shared:.0f} px2 into {part}, which must stay clear"
+    return ""

@@ -16,7 +16,6 @@ from pvl.decoder import OmniDecoder
 from pvl.exceptions import LexerError, ParseError, QuantityError
 from pvl.parser import OmniParser
 
-from renderers.images.metadata import number
 from scenarios.errors import BoresightError, one_line
 from scenarios.limits import MOST_PIXELS
 
@@ -243,3 +242,13 @@ def _number(label: Label, values: Mapping[str, object], key: str, default: float
     if not abs(found) <= _LARGEST:
         raise label.fault(f"{key}: {value!r} is not a finite number of any use")
     return found
+
+
+def number(value: object) -> float:
+    """Return a number of a label or header; NaN where it is none, or beyond any that is used."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)):
+        return float("nan")
+    try:
+        return float(value)
+    except (OverflowError, ValueError):  # a whole number of too many digits; a signalling NaN
+        return float("nan")

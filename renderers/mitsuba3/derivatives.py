@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.mitsuba3.arguments import opaque
 from renderers.mitsuba3.rays import Window, ray_bundle
 from renderers.mitsuba3.variant import load_mitsuba
+from renderers.mitsuba3.wavefront import opaque
 from scenarios.errors import BoresightError
 from scenarios.geometry import View
 

@@ -8,9 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.mitsuba3.derivatives import image_and_derivatives
-from renderers.mitsuba3.rays import body_window, outline_points, ray_bundle
+from renderers.mitsuba3.rays import (
+    body_window,
+    check_outside,
+    corner_weights,
+    interpolate,
+    outline_points,
+    ray_bundle,
+    vertex_normals,
+)
 from renderers.mitsuba3.scalar import ScalarTracer
-from renderers.mitsuba3.surface import check_outside, corner_weights, interpolate, vertex_normals
 from renderers.mitsuba3.variant import Variant, choose_variant
 from renderers.mitsuba3.wavefront import WavefrontTracer
 from scenarios.errors import BoresightError

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.brdf import brdf_value, phase_of_rays
-from renderers.mitsuba3.rays import Window, ray_bundle
+from renderers.mitsuba3.rays import Window, corner_weights, interpolate, ray_bundle
 from renderers.mitsuba3.scene import SHAPE_ID, SUN_ID, build_shape
-from renderers.mitsuba3.surface import corner_weights, interpolate
 from renderers.mitsuba3.variant import Variant, load_mitsuba
 from scenarios.geometry import Camera, TriangleMesh, View
 from scenarios.spec.brdf import BrdfSpec

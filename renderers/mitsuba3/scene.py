@@ -8,9 +8,16 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from renderers.mitsuba3.variant import Variant, load_mitsuba
+from scenarios.craters.facing import facet_normals
 from scenarios.geometry import TriangleMesh
+
+FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.int64]
 
 SHAPE_ID = "body"
 SUN_ID = "sun"
@@ -70,3 +77,45 @@ def mesh_on_device(variant: Variant, mesh: TriangleMesh) -> DeviceMesh:
             albedo=None if mesh.albedo is None else mi.Float(mesh.albedo.astype(np.float32)),
         )
     return by_variant[variant.name]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Facets with corners (F, 3, 3), body frame, in a scene of their own."""
+
+    scene: Any
+    corners_m: SingleArray
+
+    @classmethod
+    def of(cls, mi: Any, corners_m: SingleArray) -> Part:
+        """Build the scene under the active variant."""
+        properties = mi.Properties()
+        properties["face_normals"] = True
+        shape = mi.Mesh("part", 3 * len(corners_m), len(corners_m), props=properties)
+        parameters = mi.traverse(shape)
+        parameters["vertex_positions"] = corners_m.ravel()
+        parameters["faces"] = np.arange(3 * len(corners_m), dtype=np.uint32)
+        parameters.update()
+        return cls(mi.load_dict({"type": "scene", "part": shape}), corners_m)
+
+    def first_hits(self, mi: Any, origins_m: FloatArray, directions: FloatArray) -> tuple[SingleArray, IndexArray]:
+        """Distances (N,), inf where nothing is met, and facets (N,) of the first hits of rays (N, 3)."""
+        hit = self.scene.ray_intersect_preliminary(_rays(mi, origins_m, directions), coherent=True)
+        met = hit.is_valid().numpy()
+        return np.where(met, hit.t.numpy(), np.inf).astype(np.float32), np.where(met, hit.prim_index.numpy(), 0)
+
+    def blocks(self, mi: Any, origins_m: FloatArray, directions: FloatArray) -> BoolArray:
+        """(N,): whether it stands on rays (N, 3)."""
+        blocked: BoolArray = self.scene.ray_test(_rays(mi, origins_m, directions), coherent=True).numpy()
+        return blocked
+
+    def normals(self, facets: IndexArray) -> SingleArray:
+        """Work out unit normals (N, 3) of facets (N,); 0 of one without area."""
+        found = np.zeros((len(facets), 3), dtype=np.float32)
+        facet_normals(found, self.corners_m, facets)
+        return found
+
+
+def _rays(mi: Any, origins_m: FloatArray, directions: FloatArray) -> Any:
+    origin = mi.Point3f(np.ascontiguousarray(origins_m.T, dtype=np.float32))
+    return mi.Ray3f(origin, mi.Vector3f(np.ascontiguousarray(directions.T, dtype=np.float32)))

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.brdf import brdf_value, phase_of_rays
-from renderers.mitsuba3.parts import Part, tiles_casting, tiles_seen
-from renderers.mitsuba3.rays import Window, body_window, grid_positions, outline_points, ray_bundle
+from renderers.mitsuba3.rays import Window, body_window, check_outside, grid_positions, outline_points, ray_bundle
 from renderers.mitsuba3.renderer import MitsubaRenderer
-from renderers.mitsuba3.surface import check_outside
+from renderers.mitsuba3.scene import Part
 from renderers.mitsuba3.variant import Variant, choose_variant, load_mitsuba
 from renderers.mitsuba3.wavefront import drjit_math
 from scenarios.craters import CrateredSurface
+from scenarios.craters.facing import may_face
 from scenarios.craters.meeting import Fan, facets_met
 from scenarios.geometry import SurfaceHits, TriangleMesh, View
 from scenarios.spec.brdf import BrdfSpec
@@ -28,6 +28,9 @@ BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.int64]
 
 _SHADOW_OFFSET = 1e-5
+_RELIEF_PX = 5.0  # by which a facet may lie beside the box about its tile's corners
+_SHADOWS_PX = 20.0
+_SINGLE = 1e-4  # rounding of single precision and more, radian
 
 
 class BodyRenderer(Protocol):
@@ -221,6 +224,31 @@ class TiledRenderer:
         vertices_m = np.concatenate([under.vertices_m, self.ground.vertices_m[used].astype(np.float64)])
         faces = faces.reshape(-1, 3) + len(under.vertices_m)
         return TriangleMesh(vertices_m, np.concatenate([under.faces, faces]).astype(np.int32))
+
+
+def tiles_seen(ground: CrateredSurface, view: View) -> IndexArray:
+    """Tiles of which something may be in the frame and face the camera."""
+    to_camera = view.T_cam_body.camera_position_m - ground.middles_m
+    distance_m = np.linalg.norm(to_camera, axis=1)
+    span_rad = 2.0 * ground.tiling.reach_m / distance_m
+    facing = may_face(ground.cones, to_camera / distance_m[:, None], span_rad)
+    return np.flatnonzero(facing & _near_frame(ground, view, _RELIEF_PX))
+
+
+def tiles_casting(ground: CrateredSurface, view: View) -> IndexArray:
+    """Tiles near the frame of which something may face the Sun: a ray that leaves the body does so through such."""
+    facing = may_face(ground.cones, view.sun_dir_body, _SINGLE)
+    return np.flatnonzero(facing & _near_frame(ground, view, _SHADOWS_PX))
+
+
+def _near_frame(ground: CrateredSurface, view: View, margin_px: float) -> BoolArray:
+    """(T,): whether the box about a tile's corners in the image reaches into the frame with a margin about it."""
+    seen = view.camera.project(view.T_cam_body.transform(ground.corners_m))
+    a, b, c = (seen[corners] for corners in ground.tiling.mesh.faces.T)
+    size = np.array([view.camera.width_px, view.camera.height_px])
+    # Where a corner has no pixel the comparison is false: such a tile is beside the lens's field or behind the camera.
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    return np.asarray(((high > -margin_px) & (low < size + margin_px)).all(axis=1))
 
 
 def renderer_version(spec: ScenarioSpec) -> tuple[str, int]:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.brdf import ArrayMath, brdf_value, phase_angle
-from renderers.mitsuba3.arguments import opaque
 from renderers.mitsuba3.rays import RayBundle, Window, grid_positions, ray_bundle
 from renderers.mitsuba3.scene import mesh_on_device
 from renderers.mitsuba3.variant import Variant, load_mitsuba
@@ -17,6 +16,13 @@ from scenarios.spec.brdf import BrdfSpec
 
 # Shadow rays start this far off the surface, in units of the body's radius; single precision needs about a tenth.
 _SHADOW_OFFSET = 1e-5
+
+
+def opaque(mi: Any, vector: NDArray[np.float64]) -> Any:
+    """Turn a 3-vector into data of a kernel rather than literals, which would compile a kernel for every pose."""
+    import drjit as dr
+
+    return mi.Vector3f(*(dr.opaque(mi.Float, float(x)) for x in vector))
 
 
 def drjit_math(drjit: Any) -> ArrayMath:

@@ -1,7 +1,6 @@
 """Pose, Sun and camera from SPICE kernels."""
 
-from renderers.spice.geometry import Actors, Sighting, sight
-from renderers.spice.image_set import SpiceImageSet
+from renderers.spice.image_set import Actors, Sighting, SpiceImageSet, sight
 from renderers.spice.instruments import INSTRUMENTS, Instrument
 from renderers.spice.kernels import Constants, loaded
 

@@ -14,8 +14,7 @@ from types import MappingProxyType
 
 import spiceypy
 
-from renderers.images.metadata import ImageMetadata
-from renderers.images.product import Product
+from renderers.images.product import ImageMetadata, Product
 from renderers.spice.kernels import Constants
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, RadialDistortion

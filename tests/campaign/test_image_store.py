@@ -190,7 +190,7 @@ def test_another_kernel_of_the_data_base_renders_nothing(own_cache, tmp_path):
 def test_other_clusters_read_no_image_and_find_no_corner(own_cache, tmp_path, monkeypatch):
     compute(write_campaign(tmp_path / "first"), tmp_path / "a", trials=1)
     assert main(["cache", "--clear", "images"]) == 0
-    monkeypatch.setattr("campaign.products.landmark_candidates.extract_candidates", None)
+    monkeypatch.setattr("campaign.products.landmark_database.extract_candidates", None)
     clusters = CAMPAIGN.replace("seed_radius_m: 15", "seed_radius_m: 16")
     said = compute(write_campaign(tmp_path / "other", clusters), tmp_path / "b", trials=1)
     count = int(re.search(r"images: 40; candidates from cache: (\d+)", said)[1])

@@ -12,7 +12,7 @@ from browser import needs_chromium, opened
 from orbit_worlds import orbit_world
 
 from campaign.inspection.case import Case
-from campaign.inspection.look_parts import nearer
+from campaign.inspection.look import nearer
 from campaign.kinds.crater_matching.show import pair_outcomes
 from campaign.kinds.crater_matching.trial import MatchedPair
 from campaign.kinds.orbit_determination.show import image_sets, landmark_errors, orbit_marks, sightings_of

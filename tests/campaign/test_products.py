@@ -13,8 +13,8 @@ import trimesh
 from tiny_campaign import DATABASE, SCENE, assert_same_results, compute, files, write_campaign
 
 from campaign.products import Shelf, landmark_database, product_key
-from campaign.products.landmark_candidates import candidates_of
-from campaign.products.spread import IN_THIS_PROCESS
+from campaign.products.database_images import IN_THIS_PROCESS
+from campaign.products.landmark_database import candidates_of
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.database import LandmarkDatabase
 from estimators.maplets.build import MapletOptions, build_maplets

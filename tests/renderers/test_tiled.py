@@ -7,7 +7,7 @@ import pytest
 from small_craters import small_ground, small_view
 
 from renderers.mitsuba3 import MitsubaRenderer, TiledRenderer, choose_variant
-from renderers.mitsuba3.parts import tiles_casting, tiles_seen
+from renderers.mitsuba3.tiled import tiles_casting, tiles_seen
 from scenarios.craters import Rims, crater_truth
 from scenarios.craters.meeting import Fan, facets_met
 from scenarios.craters.rims import RIM_POINTS

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from campaign.inspection.crater_look import crater_look, outcome_marks, places_of
-from campaign.inspection.ranking import crater_faults
+from campaign.inspection.case import crater_faults
+from campaign.inspection.look import crater_look, outcome_marks, places_of
 from campaign.inspection.recompute import Recomputed
 from campaign.inspection.show import Drawn, Kept, Scene, Show
 from campaign.kinds.crater_detection.examples import crater_examples

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from campaign.imaging.imager import Imager
+from campaign.imaging.image_store import Imager
 from campaign.trial.crater_score import check_detections, match_detections
 from campaign.trial.methods import Unbuilt, able, built
 from estimators.craters.contract import CraterDetector

@@ -9,9 +9,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from campaign.inspection.case import Case
-from campaign.inspection.crater_look import crater_look, outcome_marks, places_of
-from campaign.inspection.ranking import crater_faults
+from campaign.inspection.case import Case, crater_faults
+from campaign.inspection.look import crater_look, outcome_marks, places_of
 from campaign.inspection.recompute import Recomputed, recompute
 from campaign.inspection.show import Drawn, Kept, Scene, Show
 from campaign.kinds.crater_matching.pairs import PairSource, RenderedPairs, SimulatedPairs

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.imaging.imager import Imager
+from campaign.imaging.image_store import Imager
 from campaign.trial.crater_score import match_detections
 from estimators.craters.contract import CraterDetections
 from renderers.mitsuba3 import TiledRenderer, choose_variant

@@ -11,8 +11,8 @@ from campaign.draft import drafted
 from campaign.imaging.image_store import store_switched
 from campaign.imaging.world import believed
 from campaign.products import BuiltProduct, Shelf, landmark_database
-from campaign.products.landmark_candidates import candidates_of
-from campaign.products.spread import IN_THIS_PROCESS
+from campaign.products.database_images import IN_THIS_PROCESS
+from campaign.products.landmark_database import candidates_of
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness
 from estimators.contract import NoProductError

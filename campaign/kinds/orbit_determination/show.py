@@ -7,8 +7,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from campaign.inspection.case import Case
-from campaign.inspection.coarse import coarsened
-from campaign.inspection.look_parts import MOST_FACES, finite_or_dash, middle_and_worst, nearer
+from campaign.inspection.look import MOST_FACES, coarsened, finite_or_dash, middle_and_worst, nearer
 from campaign.inspection.recompute import Recomputed, recompute
 from campaign.inspection.show import Drawn, Kept, Scene, Show
 from campaign.kinds.orbit_determination.score import orbit_errors, residual_records, wrong_sightings

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from campaign.imaging.imager import Imager, open_renderer
+from campaign.imaging.image_store import Imager, open_renderer
 from estimators.slam.vision.features import ImageFeatures, find_features
 from estimators.slam.vision.matching import match_descriptors
 from renderers.rectify import rectify

@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaign.inspection.case import Case
-from campaign.inspection.coarse import coarsened
-from campaign.inspection.look_parts import MOST_FACES, middle_and_worst
-from campaign.inspection.posed import PosedFrame, PosedFrames
+from campaign.inspection.look import MOST_FACES, coarsened, middle_and_worst
 from campaign.inspection.recompute import Recomputed, recompute
-from campaign.inspection.show import Drawn, Kept, Scene, Show, listed
+from campaign.inspection.show import Drawn, Kept, PosedFrame, PosedFrames, Scene, Show, listed
 from campaign.kinds.sequence.score import known_from_true, orbit_frame
 from campaign.kinds.sequence.trial import FollowedSequence, SequenceTrials
 from campaign.resolved import ResolvedCampaign

@@ -9,11 +9,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from campaign.inspection.case import Case
-from campaign.inspection.coarse import coarsened
-from campaign.inspection.look_parts import MOST_FACES, camera_sets, finite_or_dash, nearer
-from campaign.inspection.posed import PosedFrame, PosedFrames
+from campaign.inspection.look import MOST_FACES, camera_sets, coarsened, finite_or_dash, nearer
 from campaign.inspection.recompute import Recomputed
-from campaign.inspection.show import Drawn, Kept, Scene, Show, listed, plain, plain_pose
+from campaign.inspection.show import Drawn, Kept, PosedFrame, PosedFrames, Scene, Show, listed, plain, plain_pose
 from campaign.kinds.single_image.examples import SecondLook, alignment_of, fit_figures, fit_of, recognised_again
 from campaign.kinds.single_image.trial import EstimatedImage, SingleImage
 from campaign.trial.in_turn import part_of

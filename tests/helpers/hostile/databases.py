@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.data.craters.named_craters import GAZETTEER, read_gazetteer
+from campaign.data.named_craters import GAZETTEER, read_gazetteer
 from estimators.craters.contract import CraterDetections, CraterMatches
 from estimators.craters.database.files import (
     CraterDatabase,

@@ -9,12 +9,13 @@ import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
+from typing import Protocol
 
 from campaign.draft import drafted
 from campaign.imaging.world import believed
-from campaign.products.databases import differs, of_database, with_knowledge, with_world
-from campaign.products.keys import content_key
-from campaign.products.kinds import product_kind
+from campaign.products import crater_database, descriptors, landmark_database, maplets
+from campaign.products.databases import content_key, differs, of_database, with_knowledge, with_world
 from estimators.contract import ImageRenderer, NoProductError
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.atomic import explain
@@ -30,6 +31,58 @@ _UNMADE = "unmade.txt"
 
 _TRACE = "traceback.txt"
 """Beside it the trace, where making the product failed for another reason than that the scenario has none."""
+
+
+class ProductKind(Protocol):
+    """What a module of this folder offers.
+
+    A product is built once from what the spacecraft believes of a scenario, stored in a folder, kept by the hash of
+    everything that it depends on, and lent to estimators.
+    """
+
+    def parse(self, options: Mapping[str, object]) -> SpecModel:
+        """Validate the options that an estimator asks with."""
+        ...
+
+    def versions(self) -> list[int]:
+        """List the versions of all code that the product depends on, beside the renderer's."""
+        ...
+
+    def announcement(self, options: SpecModel) -> str:
+        """Say what takes time in a build."""
+        ...
+
+    def build(
+        self, scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str
+    ) -> Mapping[str, object] | None:
+        """Build the product into an empty folder; return what is to be said of the building, if anything."""
+        ...
+
+    def load(self, folder: Path) -> object:
+        """Read it back."""
+        ...
+
+    def about(self, folder: Path) -> dict[str, object]:
+        """Describe it for the manifest, in plain values."""
+        ...
+
+
+_KINDS: Mapping[str, ProductKind] = MappingProxyType(
+    {module.KIND: module for module in (landmark_database, maplets, descriptors, crater_database)}
+)
+
+
+def product_kind(name: str) -> ProductKind:
+    """Look up a kind.
+
+    Raises
+    ------
+    BoresightError
+        If there is none of that name.
+    """
+    if name not in _KINDS:
+        raise BoresightError(f"no product is called {name!r}; there are: {', '.join(sorted(_KINDS))}")
+    return _KINDS[name]
 
 
 def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant: str) -> str:
