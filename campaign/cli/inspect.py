@@ -105,8 +105,8 @@ def _cases(arguments: argparse.Namespace) -> int:
                 found = inspect_case(campaign, folder, case, out)
             except OSError as error:
                 raise BoresightError(explain(error.filename or out, error)) from error
-            same = same and not found.sameness.differences
+            same = same and not found.comparison.differences
             reason = f" ({found.row['reason']})" if found.row["reason"] else ""
-            printer.print(f"{case}: {found.row['status']}{reason}; {found.sameness}")
+            printer.print(f"{case}: {found.row['status']}{reason}; {found.comparison}")
             printer.print(f"  {found.page}")
     return 0 if same else 1

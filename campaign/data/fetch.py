@@ -150,7 +150,7 @@ def disk_fault(path: Path, error: OSError) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Fetched:
+class FetchedFile:
     """A file that is now there.
 
     Parameters
@@ -172,7 +172,7 @@ class Fetched:
     trust: str
 
 
-def fetch(dataset: DataSetSpec, root: Path, progress: Progress) -> Iterator[Fetched]:
+def fetch(dataset: DataSetSpec, root: Path, progress: Progress) -> Iterator[FetchedFile]:
     """Fetch what is not there yet of a data set.
 
     Parameters
@@ -213,7 +213,7 @@ def state(dataset: DataSetSpec, root: Path) -> str:
     )
 
 
-def _fetch_file(file: FileSpec, folder: Path, ledger: _Ledger, progress: Progress) -> Fetched:
+def _fetch_file(file: FileSpec, folder: Path, ledger: _Ledger, progress: Progress) -> FetchedFile:
     path = folder / file.file_name
     known, trust = (file.sha256, _REGISTERED) if file.sha256 else (ledger.sha256(path.name), _FIRST)
     if path.is_file():
@@ -225,7 +225,7 @@ def _fetch_file(file: FileSpec, folder: Path, ledger: _Ledger, progress: Progres
             )
         if known is None:
             ledger.add(file, path, found)
-        return Fetched(path, found, "there", trust if known else _NOTHING)
+        return FetchedFile(path, found, "there", trust if known else _NOTHING)
     getter = ResumingDownloader(path.with_name(f"{path.name}.part"), file.size_bytes, progress)
     pooch.get_logger().setLevel(logging.ERROR)
     try:
@@ -241,7 +241,7 @@ def _fetch_file(file: FileSpec, folder: Path, ledger: _Ledger, progress: Progres
         raise BoresightError(disk_fault(path, error)) from error
     found = _sha256(path)
     ledger.add(file, path, found)
-    return Fetched(path, found, "fetched", trust if known else _NOTHING)
+    return FetchedFile(path, found, "fetched", trust if known else _NOTHING)
 
 
 class _Ledger:

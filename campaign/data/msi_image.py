@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from renderers.images import open_product
-from renderers.images.product import Product
-from renderers.spice import INSTRUMENTS, loaded
+from renderers.images.product import ImageProduct
+from renderers.spice import INSTRUMENTS, loaded_kernels
 from scenarios.data import find_data_file
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, View, pixel_to_opencv
@@ -32,7 +32,7 @@ _POSE_SIGMA = (np.array([1e-4] * 3), np.array([40.0, 40.0, 200.0]))  # rad, m: t
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RealImage:
+class MsiImage:
     """A frame, its camera with square pixels, and where the header says that camera and Sun stood."""
 
     name: str
@@ -40,7 +40,7 @@ class RealImage:
     view: View
 
 
-def open_msi(path: Path | None = None, search_dirs: Sequence[Path] = ()) -> RealImage:
+def open_msi(path: Path | None = None, search_dirs: Sequence[Path] = ()) -> MsiImage:
     """Open an image by its label or FITS file; without one, the image under ``$BORESIGHT_DATA``.
 
     Raises
@@ -51,7 +51,7 @@ def open_msi(path: Path | None = None, search_dirs: Sequence[Path] = ()) -> Real
     product = open_product(path or find_data_file(IMAGE, search_dirs, ".", "image"))
     kernels = [find_data_file(name, search_dirs, "spice", "kernels") for name in KERNELS]
     msi = INSTRUMENTS["near-msi"]
-    with loaded(kernels):
+    with loaded_kernels(kernels):
         et = msi.middle_et(product)
         R_body_j2000 = spiceypy.pxform("J2000", "EROS_FIXED", et)
         R_cam_craft = spiceypy.pxform("NEAR_SC_BUS_PRIME", msi.frame, et)
@@ -67,10 +67,10 @@ def open_msi(path: Path | None = None, search_dirs: Sequence[Path] = ()) -> Real
     image, square = square_pixels(pixels, camera_of_lines(camera, pixels.shape, product.path))
     covariance = np.diag(np.concatenate(_POSE_SIGMA) ** 2)
     frame = Frame(image, rotation @ sun, pose, covariance, et)
-    return RealImage(product.path.stem, frame, View(square, pose, sun))
+    return MsiImage(product.path.stem, frame, View(square, pose, sun))
 
 
-def _numbers(product: Product, keys: Sequence[int]) -> FloatArray:
+def _numbers(product: ImageProduct, keys: Sequence[int]) -> FloatArray:
     """Read keywords of the header; some products write their numbers as texts."""
     values = [product.keywords.get(f"NEAR-{key:03d}") for key in keys]
     try:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.data.msi_image import RealImage, open_msi
+from campaign.data.msi_image import MsiImage, open_msi
 from estimators.craters.contract import CraterDetections, CraterDetector
 from estimators.craters.detection.classic import CraterClassic, DetectionStages
 from reports.figures.craters import draw_detections, draw_stages
@@ -53,7 +53,7 @@ class NamedCrater:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Predicted:
+class PredictedCraters:
     """Named craters that an image should show, with the images of their rims as plane circles."""
 
     names: tuple[str, ...]
@@ -91,7 +91,7 @@ def _crater(row: Mapping[str, str | None], place: str) -> NamedCrater:
     return NamedCrater(name, float(np.radians(lat_deg)), float(np.radians(lon_deg)), 1e3 * diameter_km)
 
 
-def predict(craters: Sequence[NamedCrater], mesh: TriangleMesh, view: View) -> Predicted:
+def predict(craters: Sequence[NamedCrater], mesh: TriangleMesh, view: View) -> PredictedCraters:
     """Put craters on the outermost surface in their direction and project those in sight of the camera.
 
     A rim lies in the mean plane of the facets within its radius.
@@ -109,7 +109,9 @@ def predict(craters: Sequence[NamedCrater], mesh: TriangleMesh, view: View) -> P
     uv = view.camera.project(points @ view.T_cam_body.rotation.T + view.T_cam_body.translation_m)
     rows = np.flatnonzero(seen & view.camera.contains(uv))
     ellipses = project_circles(view, points[rows], normals[rows], radius[rows]) if len(rows) else Ellipses.none()
-    return Predicted(tuple(craters[int(i)].name for i in rows), ellipses, normals[rows] @ view.sun_dir_body > 0.0)
+    return PredictedCraters(
+        tuple(craters[int(i)].name for i in rows), ellipses, normals[rows] @ view.sun_dir_body > 0.0
+    )
 
 
 def _plane(mesh: TriangleMesh, point_m: FloatArray, radius_m: float, normal: FloatArray) -> FloatArray:
@@ -131,9 +133,9 @@ class RealDetection:
         Of the classic detector; None of others.
     """
 
-    image: RealImage
+    image: MsiImage
     detections: CraterDetections
-    predicted: Predicted
+    predicted: PredictedCraters
     nearest: NDArray[np.int64]
     stages: DetectionStages | None
 
@@ -168,7 +170,7 @@ def detect_real(detector: CraterDetector, path: Path | None = None) -> RealDetec
     return RealDetection(image, found, predicted, _nearest(found, predicted), stages)
 
 
-def _nearest(found: CraterDetections, predicted: Predicted) -> NDArray[np.int64]:
+def _nearest(found: CraterDetections, predicted: PredictedCraters) -> NDArray[np.int64]:
     radius = predicted.ellipses.radius_px
     apart = np.linalg.norm(predicted.ellipses.centre_px[:, None] - found.ellipses.centre_px[None], axis=2)
     ratio = np.abs(np.log(found.ellipses.radius_px[None] / radius[:, None]))

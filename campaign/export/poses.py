@@ -77,8 +77,8 @@ def _showing(campaign: ResolvedCampaign) -> Show:
 
 
 def _same(again: Recomputed) -> Recomputed:
-    if again.sameness.differences:
-        raise BoresightError(f"{again.case}: {again.sameness}: the run cannot be exported so")
+    if again.comparison.differences:
+        raise BoresightError(f"{again.case}: {again.comparison}: the run cannot be exported so")
     return again
 
 

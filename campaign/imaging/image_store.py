@@ -66,14 +66,14 @@ _MOST_BYTES = 5 * MOST_PIXELS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KeptImage:
+class StoredImage:
     """An image (H, W) float32 with the fingerprint of its view."""
 
     image: Image
     view: bytes
 
 
-def write_images(path: Path, images: Mapping[int, KeptImage]) -> None:
+def write_images(path: Path, images: Mapping[int, StoredImage]) -> None:
     """Write images by their index; every bit comes back, negative zeros and NaN included."""
     rows = []
     for index, kept in sorted(images.items()):
@@ -93,7 +93,7 @@ def write_images(path: Path, images: Mapping[int, KeptImage]) -> None:
     )
 
 
-def read_images(path: Path) -> dict[int, KeptImage]:
+def read_images(path: Path) -> dict[int, StoredImage]:
     """Read all images of a file; they are read-only.
 
     Raises
@@ -101,7 +101,7 @@ def read_images(path: Path) -> dict[int, KeptImage]:
     ValueError, KeyError, TypeError, OSError or one of pyarrow's
         If the file is damaged.
     """
-    images: dict[int, KeptImage] = {}
+    images: dict[int, StoredImage] = {}
     for batch in _stored(path).to_batches():
         for row in range(batch.num_rows):
             index, view, height, width, lit = (batch.column(name)[row].as_py() for name in _SCHEMA.names[:-1])
@@ -109,7 +109,7 @@ def read_images(path: Path) -> dict[int, KeptImage]:
             mask = np.unpackbits(np.frombuffer(lit, np.uint8), count=height * width).reshape(height, width)
             image[mask.view(np.bool_)] = batch.column("values")[row].values.to_numpy()
             image.setflags(write=False)
-            images[index] = KeptImage(image, view)
+            images[index] = StoredImage(image, view)
     return images
 
 
@@ -198,7 +198,7 @@ class ImageStore:
     key: str
     chunk_images: int
     _chunk: str = ""
-    _images: dict[int, KeptImage] = field(default_factory=dict)
+    _images: dict[int, StoredImage] = field(default_factory=dict)
     _fresh: set[int] = field(default_factory=set)
     _writable: bool = True
 
@@ -224,7 +224,7 @@ class ImageStore:
             return kept.image, index not in self._fresh
         image = render(view)
         image.setflags(write=False)
-        self._images[index] = KeptImage(image, wanted)
+        self._images[index] = StoredImage(image, wanted)
         self._fresh.add(index)
         return image, False
 
@@ -240,13 +240,13 @@ def _cache() -> Cache | None:
     return default_cache() if store_is_on() else None
 
 
-def _read(chunk: str) -> dict[int, KeptImage]:
+def _read(chunk: str) -> dict[int, StoredImage]:
     cache = _cache()
     folder = None if cache is None else cache.find(KIND, chunk)
     return {} if folder is None else read_chunk(folder / _FILE)
 
 
-def read_chunk(path: Path) -> dict[int, KeptImage]:
+def read_chunk(path: Path) -> dict[int, StoredImage]:
     """Read a chunk; nothing where it is damaged, or where another process has thrown it out this moment."""
     try:
         return read_images(path)

@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.imaging.world import Sight, World
+from campaign.imaging.world import TrialImage, World
 from renderers.rectify import rectify
 from scenarios.beliefs import believed_attitude, believed_camera, believed_sun
 from scenarios.draw import Stream, degrade, generator, prior_covariance
@@ -35,7 +35,7 @@ def altimeter_reading(world: World, view: View, rng: np.random.Generator) -> Ran
     return RangeReading(range_m + float(rng.normal(0.0, altimeter.sigma_m)), altimeter.sigma_m)
 
 
-def observe(world: World, sight: Sight, seed: int, trial: int) -> Observation:
+def observe(world: World, sight: TrialImage, seed: int, trial: int) -> Observation:
     """Make what an estimator may see of a sight.
 
     The image of a lens is resampled to the pinhole that the spacecraft takes it for, once for all estimators.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from campaign.imaging.image_store import Imager, open_renderer
 from campaign.imaging.real_images import images_digest, open_images
-from renderers.images import ImageSet, reach
+from renderers.images import ImageSet, keep_clear_violation
 from renderers.mitsuba3 import BodyRenderer
 from scenarios.aim import draw_aimed_view
 from scenarios.beliefs import believed_spec
@@ -27,7 +27,7 @@ _MOST_DRAWS = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
+class TrialImage:
     """What a camera saw in one trial, with the truth of it: for experiments only, never for an estimator.
 
     Parameters
@@ -54,10 +54,10 @@ class Sight:
     from_store: bool = False
 
 
-class Source(Protocol):
+class ImageSource(Protocol):
     """Where the images of an experiment come from."""
 
-    def sight(self, seed: int, trial: int) -> Sight:
+    def trial_image(self, seed: int, trial: int) -> TrialImage:
         """Produce the image and the truth of one trial."""
         ...
 
@@ -71,7 +71,7 @@ class Source(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RenderedSource:
+class RenderedImageSource:
     """Images rendered from views drawn at random, or taken from the store of those."""
 
     scenario: LoadedScenario
@@ -79,11 +79,11 @@ class RenderedSource:
     shape: TriangleMesh
     imager: Imager
 
-    def sight(self, seed: int, trial: int) -> Sight:
+    def trial_image(self, seed: int, trial: int) -> TrialImage:
         """Draw a view, render it and expose the detector."""
         view = self.view(seed, trial)
         image, from_store = self.imager.image(view, seed, trial, generator(seed, Stream.DETECTOR, trial))
-        return Sight(image, view, {}, from_store=from_store)
+        return TrialImage(image, view, {}, from_store=from_store)
 
     def flush(self) -> None:
         """Keep what was rendered."""
@@ -98,7 +98,7 @@ class RenderedSource:
                 view = draw_aimed_view(viewpoint, self.scenario.spec.lighting, self.camera, self.shape, rng)
             else:
                 view = draw_view(self.scenario.spec, self.camera, rng)
-            if not clear or not reach(view, self.imager.renderer.outline_m, clear):
+            if not clear or not keep_clear_violation(view, self.imager.renderer.outline_m, clear):
                 return view
         raise BoresightError(
             f"{self.scenario.path}: viewpoint.keep_clear_px: the body reached into it in {_MOST_DRAWS} views of trial"
@@ -107,7 +107,7 @@ class RenderedSource:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RealSource:
+class RealImageSource:
     """Real images: trial t looks at image t modulo their number, so that few trials cover many images."""
 
     images: ImageSet
@@ -115,7 +115,7 @@ class RealSource:
     further: tuple[str, ...]
     realisations: int
 
-    def sight(self, seed: int, trial: int) -> Sight:
+    def trial_image(self, seed: int, trial: int) -> TrialImage:
         """Read the trial's image."""
         if trial >= len(self.images) * self.realisations:
             raise BoresightError(
@@ -123,7 +123,7 @@ class RealSource:
                 f" realisations: ask for at most {len(self.images) * self.realisations} trials"
             )
         index = trial % len(self.images)
-        return Sight(
+        return TrialImage(
             self.images.image(index),
             self.images.view(index, self.truth),
             {name: self.images.view(index, name) for name in (self.truth, *self.further)},
@@ -148,7 +148,7 @@ class World:
     camera: Camera
     body: Body
     renderer: BodyRenderer
-    source: Source
+    source: ImageSource
     ground: CrateredSurface | None = None
 
 
@@ -218,13 +218,15 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
     renderer = open_renderer(scenario, variant)
     if spec.images is not None:
         images = open_images(scenario)
-        source: Source = RealSource(images, spec.images.truth, spec.images.also_score, spec.images.noise_realisations)
+        source: ImageSource = RealImageSource(
+            images, spec.images.truth, spec.images.also_score, spec.images.noise_realisations
+        )
         return World(scenario, camera, body, renderer, source, ground)
     if spec.viewpoint is None:
         raise BoresightError(f"{scenario.path}: give either viewpoint or images")
     _check_range(scenario, body.mesh, spec.viewpoint)
     imager = Imager.open(scenario, variant, renderer, Stream.TRUTH, spec.viewpoint, spec.lighting)
-    source = RenderedSource(scenario, camera, body.mesh, imager)
+    source = RenderedImageSource(scenario, camera, body.mesh, imager)
     return World(scenario, camera, body, renderer, source, ground)
 
 

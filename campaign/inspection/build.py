@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from campaign.inspection.case import ORDER, Case, Choice, worst_cases
-from campaign.inspection.recompute import Recomputed, Sameness, recompute
-from campaign.inspection.show import Drawn, Kept, Show, show_of
+from campaign.inspection.recompute import Recomputed, StoredComparison, recompute
+from campaign.inspection.show import CaseFigures, CaseFiles, Show, show_of
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
 from campaign.trial.kept_images import write_image
@@ -52,7 +52,7 @@ def worst_figures(campaign: ResolvedCampaign, folder: RunFolder, count: int) -> 
 def keep(again: Recomputed, show: Show | None, folder: Path) -> list[Path]:
     """Write the tables of a case as Parquet, what its estimator saw as TIFF, and what it returned as JSON."""
     kept = [_table(name, records, folder) for name, records in again.records.items() if records]
-    shown = Kept() if show is None else show.kept(again.shown)
+    shown = CaseFiles() if show is None else show.kept(again.shown)
     for name, image in shown.images.items():
         kept.append(folder / f"{name}.tiff")
         write_image(kept[-1], image)
@@ -75,7 +75,7 @@ class Inspected:
 
     case: Case
     row: Record
-    sameness: Sameness
+    comparison: StoredComparison
     page: Path
 
 
@@ -103,16 +103,16 @@ def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out:
         credits=drawn.credits,
     )
     path = write_case(page, drawn.figures, place)
-    return Inspected(case, again.row, again.sameness, path)
+    return Inspected(case, again.row, again.comparison, path)
 
 
-def draw_case(again: Recomputed, show: Show | None, kind: str) -> Drawn:
+def draw_case(again: Recomputed, show: Show | None, kind: str) -> CaseFigures:
     """Draw the stages of a case, as far as they came; where there is nothing to draw, a note says so."""
     drawn = None if show is None else show.draw(again)
     if drawn is not None:
         return drawn
     why = f"trials of {kind} hold numbers alone" if show is None else "the trial ended before an estimator saw anything"
-    return Drawn([], notes=[f"There is nothing to draw: {why}."])
+    return CaseFigures([], notes=[f"There is nothing to draw: {why}."])
 
 
 def _facts(again: Recomputed, folder: RunFolder, campaign: ResolvedCampaign) -> list[tuple[str, str]]:
@@ -123,7 +123,7 @@ def _facts(again: Recomputed, folder: RunFolder, campaign: ResolvedCampaign) -> 
         ("Run", str(folder.path)),
         ("Campaign", campaign.spec.title or campaign.spec.name),
         ("Status", f"{row['status']}: {row['reason']}" if row["reason"] else str(row["status"])),
-        ("Recomputed", str(again.sameness)),
+        ("Recomputed", str(again.comparison)),
         ("Seed", str(campaign.seed)),
         ("Commit", str(manifest.get("commit") or "")),
         ("Image", str(row.get("image") or "")),

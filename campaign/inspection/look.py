@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from campaign.inspection.case import CONTROLS, Case, Choice, unknown, worst_cases
-from campaign.inspection.show import Scene, show_of
+from campaign.inspection.show import EstimatorRun, show_of
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
 from reports.pages.look import BAD, FAILED, GOOD, Cameras, Look, Marks
@@ -40,7 +40,7 @@ def look_of(campaign: ResolvedCampaign, folder: RunFolder, run: RunData, choice:
     show = show_of(kind)
     if show is None or show.look is None:
         raise BoresightError(f"{folder.path}: --look: trials of {kind} have no camera to look at: leave it out")
-    return show.look(Scene(campaign, folder, run, scenario, label))
+    return show.look(EstimatorRun(campaign, folder, run, scenario, label))
 
 
 def _one(run: RunData, choice: Choice) -> list[str]:
@@ -90,14 +90,17 @@ def camera_sets(
     return found
 
 
-def nearer(places_m: FloatArray, radius_m: float) -> tuple[float, str]:
+def camera_scale(places_m: FloatArray, radius_m: float) -> tuple[float, str]:
     """Return by which factor (n, 3) cameras are drawn nearer than they are, and a line that says so.
 
     From 2 km a body of 300 m is a dot: cameras in the middle are drawn at 1.8 radii of the body.
     """
     middle = float(np.median(np.linalg.norm(places_m, axis=1))) if len(places_m) else 0.0
     factor = max(middle / (_NEAR * radius_m), 1.0)
-    return factor, f" Cameras are drawn {factor:.2g} times nearer to the body than they are." if factor > 1.0 else ""
+    return (
+        factor,
+        f" Cameras are drawn {factor:.2g} times nearer to the body than they are." if factor > 1.0 else "",
+    )
 
 
 def finite_or_dash(value: float, unit: str) -> str:
@@ -105,7 +108,7 @@ def finite_or_dash(value: float, unit: str) -> str:
     return "-" if np.isnan(value) else f"{value:.3g} {unit}"
 
 
-def middle_and_worst(scene: Scene) -> Iterable[tuple[str, str, Case]]:
+def middle_and_worst(scene: EstimatorRun) -> Iterable[tuple[str, str, Case]]:
     """Yield the trial in the middle and the worst one with their names and colours; one that is both, once."""
     every = len(select(scene.run.rows, scene.scenario, scene.label))
     ranked, _ = worst_cases(scene.run, every, Choice(scene.scenario, scene.label), None)
@@ -125,7 +128,7 @@ def outcome_marks(places_m: FloatArray, outcomes: pd.DataFrame, words: tuple[str
 
 
 def crater_look(
-    scene: Scene,
+    scene: EstimatorRun,
     rows: pd.DataFrame,
     marks: list[Marks],
     mesh: TriangleMesh,
@@ -134,7 +137,7 @@ def crater_look(
     """Put a look together: ``trials`` are the cameras of each, what its faults are called, and how many it has."""
     views, called, faults = trials
     body = coarsened(mesh, MOST_FACES)
-    factor, told = nearer(np.concatenate(list(views.values())), body.radius_m)
+    factor, told = camera_scale(np.concatenate(list(views.values())), body.radius_m)
     badness = np.full(len(rows), np.nan) if faults is None else faults[rows.index].to_numpy(dtype=np.float64)
     middle = float(np.nanmedian(badness)) if np.isfinite(badness).any() else 0.0
     note = f"{len(rows)} trials. Good and bad: at most, or more than, the median of {middle:g} {called}.{told}"

@@ -40,7 +40,7 @@ class Recomputed:
         Its stored tables, made again.
     shown
         What its witness was shown; None of a kind that shows nothing, or where there was no such trial.
-    sameness
+    comparison
         Against what is stored.
     """
 
@@ -48,7 +48,7 @@ class Recomputed:
     trials: Trials
     records: Records
     shown: object | None
-    sameness: Sameness
+    comparison: StoredComparison
 
     @property
     def row(self) -> Record:
@@ -129,12 +129,12 @@ def recompute(campaign: ResolvedCampaign, folder: RunFolder, case: Case) -> Reco
     watched = trials_of(campaign, case.scenario, bench).watched(case.estimator, shown.append)
     with guarding(lost=_stopped_before(folder, case)):
         records = watched.run(range(case.trial, case.trial + 1))
-    sameness = compare_with_stored(folder, case, records)
-    return Recomputed(case, watched, records, shown[-1] if shown else None, sameness)
+    comparison = compare_with_stored(folder, case, records)
+    return Recomputed(case, watched, records, shown[-1] if shown else None, comparison)
 
 
 @dataclass(frozen=True, slots=True)
-class Sameness:
+class StoredComparison:
     """What came out of the comparison of a recomputed trial with the stored one.
 
     Parameters
@@ -154,7 +154,7 @@ class Sameness:
         return f"the same as stored, bit for bit ({self.values:,} values)"
 
 
-def compare_with_stored(folder: RunFolder, case: Case, records: Records) -> Sameness:
+def compare_with_stored(folder: RunFolder, case: Case, records: Records) -> StoredComparison:
     """Compare every stored table of a case with what was recomputed, but for times and traces."""
     values, differences = 0, []
     for name in (name for name in TABLES if name not in NOT_REPRODUCIBLE):
@@ -165,7 +165,7 @@ def compare_with_stored(folder: RunFolder, case: Case, records: Records) -> Same
             continue
         values += stored.num_rows * len(stored.column_names)
         differences += _differences(name, stored, again)
-    return Sameness(values, tuple(differences))
+    return StoredComparison(values, tuple(differences))
 
 
 def _differences(name: str, stored: pa.Table, again: pa.Table) -> Sequence[str]:

@@ -63,7 +63,7 @@ class PosedFrames:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
+class CaseFigures:
     """Figures of a case, the credits that they carry, and sentences above them."""
 
     figures: Sequence[NamedFigure]
@@ -72,7 +72,7 @@ class Drawn:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Kept:
+class CaseFiles:
     """Files to write next to the page of a case: images that a method saw, by name, and what it returned."""
 
     images: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
@@ -80,7 +80,7 @@ class Kept:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class EstimatorRun:
     """One scenario and estimator of a stored run, to be looked at in space."""
 
     campaign: ResolvedCampaign
@@ -123,9 +123,9 @@ class Show:
         Whether a case of a campaign takes minutes to make again.
     """
 
-    draw: Callable[[Recomputed], Drawn | None] = lambda again: None
-    kept: Callable[[object], Kept] = lambda shown: Kept()
-    look: Callable[[Scene], Look] | None = None
+    draw: Callable[[Recomputed], CaseFigures | None] = lambda again: None
+    kept: Callable[[object], CaseFiles] = lambda shown: CaseFiles()
+    look: Callable[[EstimatorRun], Look] | None = None
     examples: Callable[[ResolvedCampaign, RunFolder], Iterator[NamedFigure]] = lambda campaign, folder: iter(())
     posed: Callable[[object, Case], PosedFrames | None] | None = None
     trajectory: Callable[[ResolvedCampaign, RunFolder, Case], Sequence[PosedFrame]] | None = None

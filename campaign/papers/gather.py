@@ -68,7 +68,7 @@ class FinishedRun:
 
 
 @dataclass(frozen=True, slots=True)
-class Gathered:
+class GatheredRuns:
     """What there is of some campaigns.
 
     Parameters
@@ -83,7 +83,7 @@ class Gathered:
     refused: tuple[str, ...]
 
 
-def gather_runs(runs: Sequence[Path], names: Sequence[str], draft: float = 1.0) -> Gathered:
+def gather_runs(runs: Sequence[Path], names: Sequence[str], draft: float = 1.0) -> GatheredRuns:
     """Find the newest finished run of each campaign among some folders; one that cannot be read gives way to an older.
 
     With a scale of ``draft`` below 1 a draft of that scale serves where there is no run that is meant.
@@ -98,7 +98,7 @@ def gather_runs(runs: Sequence[Path], names: Sequence[str], draft: float = 1.0) 
             if run is not None:
                 found[name] = run
                 break
-    return Gathered(found, tuple(dict.fromkeys(refused)))
+    return GatheredRuns(found, tuple(dict.fromkeys(refused)))
 
 
 def newest_finished(runs: Sequence[Path], name: str, draft: float = 1.0) -> FinishedRun | None:

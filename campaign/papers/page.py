@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
-from campaign.papers.gather import FinishedRun, Gathered, gather_runs, run_folders
+from campaign.papers.gather import FinishedRun, GatheredRuns, gather_runs, run_folders
 from campaign.runs.resolve import CATALOG, campaign_names
 from campaign.runs.start import RUNS
 from reports.figures.provenance import counted, stamp
@@ -83,7 +83,7 @@ def paper_campaigns(paper: Paper) -> list[str]:
     return [name for name in paper.campaigns if name in known]
 
 
-def gather(paper: Paper, runs: Path, draft: float = 1.0) -> Gathered:
+def gather(paper: Paper, runs: Path, draft: float = 1.0) -> GatheredRuns:
     """Find the newest finished run of each campaign of the paper, drafts of a scale where nothing else is there."""
     return gather_runs(run_folders(runs), paper_campaigns(paper), draft)
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from campaign.imaging.world import World
-from campaign.products.landmark_database import candidates_of
+from campaign.products.landmark_database import landmark_candidates
 from estimators.landmark.build import DatabaseOptions, LandmarkDatabaseBuild, build_database
 from estimators.landmark.clustering import PointCluster
 from estimators.landmark.database import LandmarkDatabase
@@ -24,7 +24,7 @@ _NORMAL_SHARE = 0.06
 
 def built_again(world: World, options: DatabaseOptions, jobs: int, variant: str) -> LandmarkDatabaseBuild:
     """Make a data base again, with what it was made of; its candidates come from the cache where they are in it."""
-    return build_database(candidates_of(world.scenario, options, jobs, variant).by_image, options)
+    return build_database(landmark_candidates(world.scenario, options, jobs, variant).by_image, options)
 
 
 def broadside_view(world: World, range_m: float) -> View:

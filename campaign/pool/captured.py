@@ -190,7 +190,7 @@ def _handlers() -> list[logging.StreamHandler[Any]]:
     return [one for one in known if isinstance(one, logging.StreamHandler) and "stream" in vars(one)]
 
 
-class Captured:
+class CapturedOutput:
     """Collects what one method says in one trial."""
 
     def __init__(self) -> None:

@@ -93,54 +93,54 @@ def in_order(
 def _spread(
     jobs: int, function: Callable[..., T], calls: Iterable[Call], renew_after: int, after_death: AfterDeath
 ) -> Iterator[T]:
-    hands = _rested().taken(jobs)
+    workers = _idle_workers().taken(jobs)
     waiting, again = enumerate(calls), deque[tuple[int, Call]]()
     results: dict[int, object] = {}
-    told = 0
+    next_index = 0
     try:
         while True:
-            for hand in hands:
-                hand.renew(renew_after)
-                while hand.has_room(renew_after) and (again or _started(hands, results) < _AHEAD * jobs):
+            for worker in workers:
+                worker.renew(renew_after)
+                while worker.has_room(renew_after) and (again or _started(workers, results) < _AHEAD * jobs):
                     item = again.popleft() if again else next(waiting, None)
                     if item is None:
                         break
-                    if not hand.give(item, function):
+                    if not worker.give(item, function):
                         again.appendleft(item)
                         break
-            if told in results:
-                yield cast("T", results.pop(told))
-                told += 1
-            elif any(hand.given for hand in hands):
-                wait([future for hand in hands for _, future in hand.given], return_when=FIRST_COMPLETED)
-                for hand in hands:
-                    results.update(hand.answers())
-                    again.extend(_made_good(hand, after_death))
+            if next_index in results:
+                yield cast("T", results.pop(next_index))
+                next_index += 1
+            elif any(worker.in_flight for worker in workers):
+                wait([future for worker in workers for _, future in worker.in_flight], return_when=FIRST_COMPLETED)
+                for worker in workers:
+                    results.update(worker.answers())
+                    again.extend(_replace_lost(worker, after_death))
             elif not again:
-                _rested().put_back(hands)
-                hands = []
+                _idle_workers().put_back(workers)
+                workers = []
                 return
     finally:
         # What was under way when the consumer stopped is not stored, which is as it should be.
-        for hand in hands:
-            hand.close(kill=True)
+        for worker in workers:
+            worker.close(kill=True)
 
 
-def _started(hands: Sequence[_Hand], results: dict[int, object]) -> int:
-    return len(results) + sum(len(hand.given) for hand in hands)
+def _started(workers: Sequence[_Worker], results: dict[int, object]) -> int:
+    return len(results) + sum(len(worker.in_flight) for worker in workers)
 
 
-def _made_good(hand: _Hand, after_death: AfterDeath) -> list[tuple[int, Call]]:
+def _replace_lost(worker: _Worker, after_death: AfterDeath) -> list[tuple[int, Call]]:
     """Replace a process that has ended; return the calls that it took with it as they are to be made again."""
-    lost = hand.lost()
+    lost = worker.lost()
     if not lost:
         return []
-    instead = after_death([call for _, call in lost], hand.note)
-    hand.note.unlink(missing_ok=True)  # the next process may end before any method is at work, which is not to blame
+    instead = after_death([call for _, call in lost], worker.note)
+    worker.note.unlink(missing_ok=True)  # the next process may end before any method is at work, which is not to blame
     return [(index, call) for (index, _), call in zip(lost, instead, strict=True)]
 
 
-class _Hand:
+class _Worker:
     """One worker process: started when there is work, replaced when it has ended.
 
     Parameters
@@ -154,14 +154,14 @@ class _Hand:
         descriptor, name = tempfile.mkstemp(prefix="boresight-worker-")
         os.close(descriptor)
         self.note = Path(name)
-        self.given: deque[tuple[tuple[int, Call], Future[tuple[float, object]]]] = deque()
+        self.in_flight: deque[tuple[tuple[int, Call], Future[tuple[float, object]]]] = deque()
         self._executor: ProcessPoolExecutor | None = None
-        self._made = 0
+        self._calls_made = 0
         self._last_s = math.inf
 
     def has_room(self, renew_after: int) -> bool:
         """Whether it can be given a call now."""
-        return len(self.given) < (2 if self._last_s < _SHORT_S else 1) and self._made < renew_after
+        return len(self.in_flight) < (2 if self._last_s < _SHORT_S else 1) and self._calls_made < renew_after
 
     def rest(self) -> None:
         """Forget how long its calls took: the next may be of another kind."""
@@ -169,22 +169,22 @@ class _Hand:
 
     def renew(self, renew_after: int) -> None:
         """Let a process that has worked enough end, so that the next call starts another."""
-        if self._made >= renew_after and not self.given:
+        if self._calls_made >= renew_after and not self.in_flight:
             self._end(kill=False)
 
     def give(self, item: tuple[int, Call], function: Callable[..., object]) -> bool:
-        """Give it a call; tell whether it took it, which it does not if it has just ended with others in hand."""
-        call = (_made, store_is_on(), self.note, function, item[1])
-        with _may_have_children(), _interrupts_held_back():
+        """Submit a call; return False if the process has just ended with other calls in flight."""
+        call = (_timed_call, store_is_on(), self.note, function, item[1])
+        with _allow_child_processes(), _sigint_deferred():
             try:
                 future = self._started().submit(*call)
             except BrokenProcessPool:
-                if self.given:
+                if self.in_flight:
                     return False
                 self._end(kill=True)
                 future = self._started().submit(*call)
-        self._made += 1
-        self.given.append((item, future))
+        self._calls_made += 1
+        self.in_flight.append((item, future))
         return True
 
     def _started(self) -> ProcessPoolExecutor:
@@ -192,15 +192,15 @@ class _Hand:
             # loky replaces a process that has grown by 300 MB since its first call, which is no news for a terminal.
             warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
             self._executor = ProcessPoolExecutor(
-                max_workers=1, timeout=_IDLE_S, initializer=_follow_parent, initargs=(os.getpid(), self.note),
+                max_workers=1, timeout=_IDLE_S, initializer=_end_with_parent, initargs=(os.getpid(), self.note),
                 env=gpu_of_worker(self.place),
             )  # fmt: skip
         return self._executor
 
     def answers(self) -> Iterator[tuple[int, object]]:
         """Yield what has come back; raise what a call has raised."""
-        while self.given and self.given[0][1].done() and not self._is_lost():
-            (index, _), future = self.given.popleft()
+        while self.in_flight and self.in_flight[0][1].done() and not self._is_lost():
+            (index, _), future = self.in_flight.popleft()
             self._last_s, answer = future.result()
             yield index, answer
 
@@ -208,14 +208,14 @@ class _Hand:
         """Return the calls of a process that has ended, and be ready for a new one; none while it lives."""
         if not self._is_lost():
             return []
-        lost = [item for item, _ in self.given]
-        self.given.clear()
+        lost = [item for item, _ in self.in_flight]
+        self.in_flight.clear()
         self._end(kill=True)
         return lost
 
     def _is_lost(self) -> bool:
         """Whether the process ended before it answered the first of its calls."""
-        first = self.given[0][1] if self.given else None
+        first = self.in_flight[0][1] if self.in_flight else None
         return first is not None and first.done() and isinstance(first.exception(), BrokenProcessPool)
 
     def close(self, kill: bool) -> None:
@@ -226,39 +226,39 @@ class _Hand:
     def _end(self, kill: bool) -> None:
         if self._executor is not None:
             self._executor.shutdown(wait=True, kill_workers=kill)
-        self._executor, self._made = None, 0
+        self._executor, self._calls_made = None, 0
 
 
-class _Rested:
+class _IdleWorkers:
     """Processes without work, kept for the next: to start one and open a world in it takes as long as many trials."""
 
     def __init__(self) -> None:
-        self._hands: list[_Hand] = []
-        atexit.register(self._forget)
+        self._workers: list[_Worker] = []
+        atexit.register(self._remove_notes)
 
-    def taken(self, count: int) -> list[_Hand]:
+    def taken(self, count: int) -> list[_Worker]:
         """Take so many."""
-        kept, self._hands = self._hands[:count], self._hands[count:]
-        places = (place for place in naturals() if place not in {hand.place for hand in kept})
-        return [*kept, *(_Hand(next(places)) for _ in range(count - len(kept)))]
+        kept, self._workers = self._workers[:count], self._workers[count:]
+        places = (place for place in naturals() if place not in {worker.place for worker in kept})
+        return [*kept, *(_Worker(next(places)) for _ in range(count - len(kept)))]
 
-    def put_back(self, hands: Sequence[_Hand]) -> None:
+    def put_back(self, workers: Sequence[_Worker]) -> None:
         """Keep some for later."""
-        for hand in hands:
-            hand.rest()
-        self._hands = sorted([*self._hands, *hands], key=lambda hand: hand.place)
+        for worker in workers:
+            worker.rest()
+        self._workers = sorted([*self._workers, *workers], key=lambda worker: worker.place)
 
-    def _forget(self) -> None:
-        for hand in self._hands:
-            hand.note.unlink(missing_ok=True)
+    def _remove_notes(self) -> None:
+        for worker in self._workers:
+            worker.note.unlink(missing_ok=True)
 
 
 @cache
-def _rested() -> _Rested:
-    return _Rested()
+def _idle_workers() -> _IdleWorkers:
+    return _IdleWorkers()
 
 
-def _made(images_kept: bool, note: Path, function: Callable[..., T], call: Call) -> tuple[float, T]:
+def _timed_call(images_kept: bool, note: Path, function: Callable[..., T], call: Call) -> tuple[float, T]:
     """Make a call in a worker, which may have started before the store of images was switched; time it, in s."""
     with store_switched(images_kept), guarding(note=note):
         start = time.perf_counter()
@@ -266,7 +266,7 @@ def _made(images_kept: bool, note: Path, function: Callable[..., T], call: Call)
         return time.perf_counter() - start, answer
 
 
-def _follow_parent(parent: int, note: Path) -> None:
+def _end_with_parent(parent: int, note: Path) -> None:
     """Ignore SIGINT, and end this worker soon after its parent.
 
     A worker that outlives a killed run would take cores from the next start of it, and nobody else is left then to
@@ -284,7 +284,7 @@ def _follow_parent(parent: int, note: Path) -> None:
 
 
 @contextmanager
-def _may_have_children() -> Iterator[None]:
+def _allow_child_processes() -> Iterator[None]:
     """Let a worker of Dask start a process: it may be a daemon, to which Python forbids that; ours end on their own."""
     this = multiprocessing.current_process()
     before = this.daemon
@@ -296,7 +296,7 @@ def _may_have_children() -> Iterator[None]:
 
 
 @contextmanager
-def _interrupts_held_back() -> Iterator[None]:
+def _sigint_deferred() -> Iterator[None]:
     """Let SIGINT wait while a process may start, and keep it from the child, which inherits the mask.
 
     A terminal sends Ctrl-C to all processes of its group, but the parent ends the workers. The mask alone would not

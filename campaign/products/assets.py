@@ -15,7 +15,13 @@ from typing import Protocol
 from campaign.draft import drafted
 from campaign.imaging.world import believed
 from campaign.products import crater_database, descriptors, landmark_database, maplets
-from campaign.products.databases import content_key, differs, of_database, with_knowledge, with_world
+from campaign.products.databases import (
+    content_key,
+    drawn_per_database,
+    with_database_craters,
+    with_database_knowledge,
+    with_database_seed,
+)
 from estimators.contract import ImageRenderer, NoProductError
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
 from scenarios.atomic import explain
@@ -113,7 +119,7 @@ class MissingProduct:
     reason: str
 
 
-class Shelf:
+class BuiltAssets:
     """Lends assets to estimators: camera, shape, renderers of meshes, and products kept in the run folder.
 
     All of it is made from what the spacecraft believes of the scenario, which is the truth wherever the section
@@ -122,7 +128,7 @@ class Shelf:
     Parameters
     ----------
     scenario
-        The scenario whose products are on the shelf, as it is in truth.
+        The scenario whose products are on the assets, as it is in truth.
     folder
         ``RUN/products``: each product in a folder of its own, so that a run stands alone.
     jobs
@@ -149,7 +155,7 @@ class Shelf:
     ) -> None:
         self._true_scenario = scenario
         self._database = database
-        self._scenario = believed(with_knowledge(with_world(scenario, database), database))
+        self._scenario = believed(with_database_knowledge(with_database_craters(scenario, database), database))
         self._folder = folder
         self._jobs = jobs
         self._variant = variant
@@ -158,14 +164,16 @@ class Shelf:
         self._lent: list[tuple[str, str]] = []
         self._has_lent_shape = False
 
-    def empty(self, database: int = 0) -> Shelf:
-        """Return the same shelf of a data base with nothing lent yet."""
-        return Shelf(self._true_scenario, self._folder, self._jobs, self._variant, self._tell, self._draft, database)
+    def empty(self, database: int = 0) -> BuiltAssets:
+        """Return the same assets of a data base with nothing lent yet."""
+        return BuiltAssets(
+            self._true_scenario, self._folder, self._jobs, self._variant, self._tell, self._draft, database
+        )
 
     @property
-    def has_lent_what_is_drawn(self) -> bool:
+    def depends_on_database(self) -> bool:
         """Tell whether what was lent would be another thing in another data base."""
-        drawn = differs(self._true_scenario)
+        drawn = drawn_per_database(self._true_scenario)
         return bool(self._lent) or "world" in drawn or ("knowledge" in drawn and self._has_lent_shape)
 
     @property
@@ -199,7 +207,7 @@ class Shelf:
             If the machine cannot make, store or read it.
         """
         maker = product_kind(kind)
-        wanted = of_database(drafted(maker.parse(options), self._draft), self._database)
+        wanted = with_database_seed(drafted(maker.parse(options), self._draft), self._database)
         folder = self._folder / f"{kind}-{product_key(self._scenario, kind, wanted, self._variant)}"
         if not folder.exists():
             self._fetch(kind, wanted, folder)
@@ -219,7 +227,7 @@ class Shelf:
             error.add_note((folder / _TRACE).read_text(encoding="utf-8"))
         return error
 
-    def lent_to(self, estimator: str) -> list[BuiltProduct]:
+    def products_of(self, estimator: str) -> list[BuiltProduct]:
         """List the products that were asked for so far, as those of an estimator."""
         name = self._scenario.spec.name
         return [BuiltProduct(kind, name, estimator, folder, self._database) for kind, folder in self._lent]

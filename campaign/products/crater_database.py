@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from campaign.imaging.world import open_world
-from campaign.products.database_images import DatabaseImage, database_images, over_images
+from campaign.products.database_images import DatabaseImage, database_images, map_images
 from estimators.contract import NoProductError
 from estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
 from estimators.craters.database.build import build_database, triangulate_landmarks
@@ -54,7 +54,7 @@ def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int,
     wanted, world = _checked(options), open_world(scenario, variant)
     if world.ground is None:
         raise NoProductError("it is made of the section craters, which is missing: add it, or leave the estimator out")
-    found = over_images(jobs, wanted.images, _of_images, scenario, wanted, variant)
+    found = map_images(jobs, wanted.images, _of_images, scenario, wanted, variant)
     images = [image for image, _ in found]
     matcher = crater_matcher_class(_MATCHER).from_options(
         {"height_sigma_m": wanted.height_sigma_m, "association": wanted.association.model_dump()}

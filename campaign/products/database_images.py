@@ -31,7 +31,7 @@ IN_THIS_PROCESS = 0
 _CHUNK_IMAGES = 10
 
 
-def over_images(jobs: int, images: int, function: Callable[..., list[T]], *arguments: object) -> list[T]:
+def map_images(jobs: int, images: int, function: Callable[..., list[T]], *arguments: object) -> list[T]:
     """Return what ``function(*arguments, numbers)`` makes of the images of each list of numbers, all in order.
 
     Parameters

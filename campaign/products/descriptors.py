@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from campaign.products.database_images import database_images, over_images
+from campaign.products.database_images import database_images, map_images
 from estimators.descriptors.database import (
     METHOD_VERSION,
     DescriptorDatabase,
@@ -38,7 +38,7 @@ def announcement(options: SpecModel) -> str:
 def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
     """Build the data base of ``scenario`` and store it in ``folder``."""
     options = _checked(options)
-    found = over_images(jobs, options.images, _of_images, scenario, options, variant)
+    found = map_images(jobs, options.images, _of_images, scenario, options, variant)
     views = tuple(features for features, _ in found)
     provenance = {"options": options.model_dump(mode="json"), "method_version": METHOD_VERSION}
     DescriptorDatabase(options.kind, views, provenance).save(folder)

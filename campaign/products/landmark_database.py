@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign.products.database_images import database_images, over_images
+from campaign.products.database_images import database_images, map_images
 from campaign.products.databases import content_key
 from estimators.landmark.build import (
     METHOD_VERSION,
@@ -26,14 +26,14 @@ from scenarios.spec.base import SpecModel
 KIND = "landmark-database"
 VERSION = 1
 
-CANDIDATES = "landmark-candidates"
+CANDIDATES_KIND = "landmark-candidates"
 CANDIDATES_VERSION = 1
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
+class LandmarkCandidates:
     """Candidate landmarks.
 
     Parameters
@@ -48,7 +48,9 @@ class Candidates:
     images_from_store: int | None
 
 
-def candidates_of(scenario: LoadedScenario, options: CandidateOptions, jobs: int, variant: str) -> Candidates:
+def landmark_candidates(
+    scenario: LoadedScenario, options: CandidateOptions, jobs: int, variant: str
+) -> LandmarkCandidates:
     """Return the candidates of ``scenario``, from the cache where they are in it.
 
     The images (`database_images`) are kept as well, so that other corners render nothing again.
@@ -68,15 +70,15 @@ def candidates_of(scenario: LoadedScenario, options: CandidateOptions, jobs: int
     stored: list[int] = []
 
     def build(folder: Path) -> None:
-        found = over_images(jobs, options.images, _candidates_of_images, scenario, options, variant)
+        found = map_images(jobs, options.images, _candidates_of_images, scenario, options, variant)
         stored.append(sum(from_store for _, from_store in found))
         np.save(folder / "points_m.npy", np.concatenate([np.empty((0, 3)), *(points for points, _ in found)]))
         np.save(folder / "counts.npy", np.array([len(points) for points, _ in found], dtype=np.int64))
 
-    key = content_key(scenario, CANDIDATES, options, [CANDIDATES_VERSION, METHOD_VERSION], variant)
-    folder = default_cache().folder(CANDIDATES, key, build)
+    key = content_key(scenario, CANDIDATES_KIND, options, [CANDIDATES_VERSION, METHOD_VERSION], variant)
+    folder = default_cache().folder(CANDIDATES_KIND, key, build)
     points_m, counts = (np.load(folder / name, allow_pickle=False) for name in ("points_m.npy", "counts.npy"))
-    return Candidates(tuple(np.split(points_m, np.cumsum(counts)[:-1])), stored[0] if stored else None)
+    return LandmarkCandidates(tuple(np.split(points_m, np.cumsum(counts)[:-1])), stored[0] if stored else None)
 
 
 def _candidates_of_images(
@@ -107,7 +109,7 @@ def announcement(options: SpecModel) -> str:
 def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
     """Build the data base of ``scenario`` from its candidates and store it in ``folder``."""
     options = _checked(options)
-    candidates = candidates_of(scenario, options, jobs, variant)
+    candidates = landmark_candidates(scenario, options, jobs, variant)
     database_from_candidates(candidates.by_image, options).save(folder)
     images = {"images": len(candidates.by_image)}
     if candidates.images_from_store is None:

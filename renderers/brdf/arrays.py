@@ -44,7 +44,7 @@ NUMPY = ArrayMath(
 COS_MIN = 1e-4
 
 
-def grazing_safe(cosine: Array, xp: ArrayMath) -> Array:
+def clipped_cosine(cosine: Array, xp: ArrayMath) -> Array:
     """Clip a cosine of incidence or emission to [COS_MIN, 1]."""
     return xp.minimum(xp.maximum(cosine, COS_MIN), 1.0)
 

@@ -12,7 +12,15 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any, Literal
 
-from renderers.brdf.arrays import Array, ArrayMath, azimuth_squares, grazing_safe, root, sine, smaller_and_larger_angle
+from renderers.brdf.arrays import (
+    Array,
+    ArrayMath,
+    azimuth_squares,
+    clipped_cosine,
+    root,
+    sine,
+    smaller_and_larger_angle,
+)
 from renderers.brdf.lunar_lambert import henyey_greenstein
 
 
@@ -67,7 +75,7 @@ def hapke(p: HapkeParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp: 
     xp
         The array library of the angles.
     """
-    cos_i, cos_e = grazing_safe(cos_i, xp), grazing_safe(cos_e, xp)
+    cos_i, cos_e = clipped_cosine(cos_i, xp), clipped_cosine(cos_e, xp)
     cos_a, cos_b = smaller_and_larger_angle(cos_i, cos_e, xp)
     azimuth = azimuth_squares(cos_i, cos_e, phase_rad, xp)
     mu_a, mu_b, shadowing = _rough_surface(p.theta_bar_rad, cos_a, cos_b, azimuth, xp)

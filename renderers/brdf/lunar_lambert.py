@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any
 
-from renderers.brdf.arrays import Array, ArrayMath, grazing_safe
+from renderers.brdf.arrays import Array, ArrayMath, clipped_cosine
 
 _TINY = 1e-12
 
@@ -62,7 +62,7 @@ def mcewen(p: McEwenParameters, cos_i: Array, cos_e: Array, phase_rad: Array, xp
         The array library of the angles.
     """
     weight = lunar_weight(p, phase_rad, xp)
-    lunar = 2.0 / (grazing_safe(cos_i, xp) + grazing_safe(cos_e, xp))
+    lunar = 2.0 / (clipped_cosine(cos_i, xp) + clipped_cosine(cos_e, xp))
     return p.albedo / pi * (weight * lunar + (1.0 - weight))
 
 
@@ -139,4 +139,4 @@ def lommel_seeliger(p: LommelSeeligerParameters, cos_i: Array, cos_e: Array, pha
         The array library of the angles.
     """
     scattered = p.w / (4.0 * pi) * henyey_greenstein(p.b, p.c, xp.cos(phase_rad), xp)
-    return scattered / (grazing_safe(cos_i, xp) + grazing_safe(cos_e, xp))
+    return scattered / (clipped_cosine(cos_i, xp) + clipped_cosine(cos_e, xp))

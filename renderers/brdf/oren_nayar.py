@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any, Literal
 
-from renderers.brdf.arrays import Array, ArrayMath, azimuth_squares, grazing_safe, sine, smaller_and_larger_angle
+from renderers.brdf.arrays import Array, ArrayMath, azimuth_squares, clipped_cosine, sine, smaller_and_larger_angle
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ def oren_nayar(p: OrenNayarParameters, cos_i: Array, cos_e: Array, phase_rad: Ar
     xp
         The array library of the angles.
     """
-    cos_i, cos_e = grazing_safe(cos_i, xp), grazing_safe(cos_e, xp)
+    cos_i, cos_e = clipped_cosine(cos_i, xp), clipped_cosine(cos_e, xp)
     cos_beta, cos_alpha = smaller_and_larger_angle(cos_i, cos_e, xp)
     model = _full if p.form == "full" else _qualitative
     return xp.maximum(model(p, cos_alpha, cos_beta, azimuth_squares(cos_i, cos_e, phase_rad, xp), xp), 0.0)

@@ -165,7 +165,7 @@ def keep_clear(images: ImageSet, outline_m: FloatArray, rectangles: Sequence[Rec
     BoresightError
         If no image remains.
     """
-    reasons = [reach(images.view(index), outline_m, rectangles) for index in range(len(images))]
+    reasons = [keep_clear_violation(images.view(index), outline_m, rectangles) for index in range(len(images))]
     kept = tuple(index for index, reason in enumerate(reasons) if not reason)
     left_out = tuple((name, reason) for name, reason in zip(images.names, reasons, strict=True) if reason)
     if not kept:
@@ -173,7 +173,7 @@ def keep_clear(images: ImageSet, outline_m: FloatArray, rectangles: Sequence[Rec
     return Selection(images, kept, (*images.left_out, *left_out))
 
 
-def reach(view: View, outline_m: FloatArray, rectangles: Sequence[Rectangle]) -> str:
+def keep_clear_violation(view: View, outline_m: FloatArray, rectangles: Sequence[Rectangle]) -> str:
     """Say into which part of the detector the body reaches; nothing where it stays clear of all.
 
     The body is taken for the hull of its outline as the camera sees it, which is never smaller.

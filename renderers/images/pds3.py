@@ -46,7 +46,7 @@ _PARSER_FAULTS = (
 )  # fmt: skip
 
 
-class _Parser(OmniParser):  # type: ignore[misc]
+class _LabelParser(OmniParser):  # type: ignore[misc]
     """Mends values that are missing as pvl does, but not for ever: ``A = 1 = 2`` within an object never ends there."""
 
     def __init__(self, decoder: OmniDecoder) -> None:
@@ -111,7 +111,7 @@ def parse_label(content: bytes, path: Path) -> Label:
         raise BoresightError(f"{path}: the label has no line END within its first {_LONGEST_LABEL >> 10} KiB")
     text = content[: end.end()].decode("latin-1")
     try:
-        values = pvl.loads(text, parser=_Parser(decoder=OmniDecoder(real_cls=Decimal)))
+        values = pvl.loads(text, parser=_LabelParser(decoder=OmniDecoder(real_cls=Decimal)))
     except _PARSER_FAULTS as error:
         reason = one_line(error)[:200] or type(error).__name__
         raise BoresightError(f"{path}: not a readable PDS3 label: {reason}") from error

@@ -61,7 +61,7 @@ class ImageMetadata:
     line_display: Literal["up", "down"] | None = None
 
 
-def metadata_of(values: Mapping[str, object], path: Path, exposure_unit_s: float = 1.0) -> ImageMetadata:
+def parse_metadata(values: Mapping[str, object], path: Path, exposure_unit_s: float = 1.0) -> ImageMetadata:
     """Find the metadata in the keywords of label and header.
 
     Parameters
@@ -139,7 +139,7 @@ def _exposure_s(values: Mapping[str, object], path: Path, unit_s: float) -> floa
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Product:
+class ImageProduct:
     """What is told about one image; its pixels are read when they are wanted.
 
     Parameters
@@ -161,7 +161,7 @@ class Product:
 
     def metadata(self, exposure_unit_s: float = 1.0) -> ImageMetadata:
         """Return the metadata; exposures without a unit are in units of ``exposure_unit_s``."""
-        return metadata_of(self.keywords, self.path, exposure_unit_s)
+        return parse_metadata(self.keywords, self.path, exposure_unit_s)
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -189,7 +189,7 @@ class Product:
         return finite_float32(read_pds3_pixels(self.label), self.path)
 
 
-def open_product(path: Path) -> Product:
+def open_product(path: Path) -> ImageProduct:
     """Open a label, a FITS file or a PDS3 image; a label beside a file, of the same name, is read with it.
 
     Raises
@@ -206,7 +206,7 @@ def open_product(path: Path) -> Product:
     is_fits = image.suffix.lower() in FITS_SUFFIXES
     header = read_fits_header(read_bytes(image), image) if is_fits else {}
     files = dict.fromkeys([image, *([] if label is None else [label.path])])
-    return Product(image, label, {**header, **({} if label is None else label.values)}, tuple(files))
+    return ImageProduct(image, label, {**header, **({} if label is None else label.values)}, tuple(files))
 
 
 def _label(path: Path) -> Label | None:

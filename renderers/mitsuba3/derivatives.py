@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from renderers.mitsuba3.rays import Window, ray_bundle
+from renderers.mitsuba3.rays import PixelWindow, ray_bundle
 from renderers.mitsuba3.variant import load_mitsuba
 from renderers.mitsuba3.wavefront import opaque
 from scenarios.errors import BoresightError
@@ -33,7 +33,7 @@ _MOTION_PX = 1.5
 _SKY_M = np.float32(1e30)
 
 
-def image_and_derivatives(tracer: WavefrontTracer, view: View, window: Window) -> tuple[Image, Image]:
+def image_and_derivatives(tracer: WavefrontTracer, view: View, window: PixelWindow) -> tuple[Image, Image]:
     """Radiance factor (height, width) of the pixels of a window, and its derivatives (6, height, width).
 
     The parameters are [rotation_rad, translation_m] of ``Pose.perturbed``, in camera axes, and the Sun stands still in
@@ -52,7 +52,7 @@ def image_and_derivatives(tracer: WavefrontTracer, view: View, window: Window) -
     if view.camera.distortion is not None:
         raise BoresightError("derivatives of images are worked out for a pinhole camera: take camera.pinhole")
     mi = load_mitsuba(tracer.variant)
-    grown = Window(
+    grown = PixelWindow(
         window.column - _MARGIN_PX,
         window.row - _MARGIN_PX,
         window.width + 2 * _MARGIN_PX,
@@ -70,7 +70,7 @@ def image_and_derivatives(tracer: WavefrontTracer, view: View, window: Window) -
 class _Samples:
     """The samples of a window: what they hit, and how they would move."""
 
-    def __init__(self, mi: Any, tracer: WavefrontTracer, view: View, window: Window) -> None:
+    def __init__(self, mi: Any, tracer: WavefrontTracer, view: View, window: PixelWindow) -> None:
         import drjit as dr
 
         self.mi, self.tracer, self.view, self.window = mi, tracer, view, window
@@ -166,7 +166,7 @@ class _Samples:
         return dr.select(albedo > 0.0, albedo * value, 0.0)
 
 
-def _filtered(mi: Any, samples: _Samples, tangents: tuple[Any, Any, Any], window: Window) -> Any:
+def _filtered(mi: Any, samples: _Samples, tangents: tuple[Any, Any, Any], window: PixelWindow) -> Any:
     """Combine the derivatives of the samples to those of the pixels, six runs.
 
     With weights K of the samples about a pixel that add up to S, I = sum(K f) / S has the derivative

@@ -22,7 +22,7 @@ _CHUNK = 200_000
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class PixelWindow:
     """A rectangle of whole pixels: its first column and row, its width and its height."""
 
     column: int
@@ -35,11 +35,11 @@ class Window:
         """Rows and columns of the window in an image array."""
         return slice(self.row, self.row + self.height), slice(self.column, self.column + self.width)
 
-    def strips(self, rows: int) -> Iterator[Window]:
+    def strips(self, rows: int) -> Iterator[PixelWindow]:
         """Parts of the window of at most ``rows`` rows, from the top."""
         end = self.row + self.height
         for row in range(self.row, end, rows):
-            yield Window(self.column, row, self.width, min(rows, end - row))
+            yield PixelWindow(self.column, row, self.width, min(rows, end - row))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +79,7 @@ def outline_points(mesh: TriangleMesh) -> FloatArray:
         return mesh.vertices_m
 
 
-def body_window(view: View, outline_m: FloatArray) -> Window | None:
+def body_window(view: View, outline_m: FloatArray) -> PixelWindow | None:
     """Smallest window that holds the body, given the points that bound it; None where it is out of sight."""
     camera = view.camera
     points_cam_m = view.T_cam_body.transform(outline_m)
@@ -87,13 +87,13 @@ def body_window(view: View, outline_m: FloatArray) -> Window | None:
     if not in_front.any():
         return None
     if not in_front.all():
-        return Window(0, 0, camera.width_px, camera.height_px)
+        return PixelWindow(0, 0, camera.width_px, camera.height_px)
     low_px, high_px = _bounds(camera, camera.pinhole.project(points_cam_m))
     size = (camera.width_px, camera.height_px)
     low = np.clip(np.floor(low_px), 0, size).astype(int)
     high = np.clip(np.ceil(high_px), 0, size).astype(int)
     width, height = (int(n) for n in high - low)
-    return Window(int(low[0]), int(low[1]), width, height) if width and height else None
+    return PixelWindow(int(low[0]), int(low[1]), width, height) if width and height else None
 
 
 def _bounds(camera: Camera, pinhole_px: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.brdf import brdf_value, phase_of_rays
-from renderers.mitsuba3.rays import Window, corner_weights, interpolate, ray_bundle
+from renderers.mitsuba3.rays import PixelWindow, corner_weights, interpolate, ray_bundle
 from renderers.mitsuba3.scene import SHAPE_ID, SUN_ID, build_shape
 from renderers.mitsuba3.variant import Variant, load_mitsuba
 from scenarios.geometry import Camera, TriangleMesh, View
@@ -51,7 +51,7 @@ class ScalarTracer:
         self._vertex_normals = vertex_normals
         self._scene = _coded_scene(load_mitsuba(variant), mesh)
 
-    def image(self, view: View, window: Window) -> NDArray[np.float32]:
+    def image(self, view: View, window: PixelWindow) -> NDArray[np.float32]:
         """Radiance factor (height, width) of the pixels of a window."""
         n = self._grid
         facets = self._lit_facets(view, window)
@@ -62,7 +62,7 @@ class ScalarTracer:
         pixels: FloatArray = value.reshape(window.height, n, window.width, n).mean(axis=(1, 3))
         return pixels.astype(np.float32)
 
-    def _lit_facets(self, view: View, window: Window) -> IndexArray:
+    def _lit_facets(self, view: View, window: PixelWindow) -> IndexArray:
         """Facet of every sample, in rows and columns of the finer film; -1 where the Sun does not shine on one."""
         if view.camera.distortion is not None:
             return self._lit_facets_one_by_one(view, window)
@@ -73,7 +73,7 @@ class ScalarTracer:
         facets[lit] = high * _BASE + low
         return facets
 
-    def _lit_facets_one_by_one(self, view: View, window: Window) -> IndexArray:
+    def _lit_facets_one_by_one(self, view: View, window: PixelWindow) -> IndexArray:
         """Do the same for a camera that is none of Mitsuba's, ray by ray: slow."""
         shape = (window.height * self._grid, window.width * self._grid)
         row, column = (index.ravel() for index in np.indices(shape))
@@ -99,7 +99,7 @@ class ScalarTracer:
             lit[k] = normal @ sun > 0.0 and not self._scene.ray_test(mi.Ray3f(list(start), list(sun)))
         return facets, lit
 
-    def _colours(self, view: View, window: Window) -> NDArray[np.float32]:
+    def _colours(self, view: View, window: PixelWindow) -> NDArray[np.float32]:
         """Colours (rows, columns, 3) of every sample, in rows and columns of the finer film; black where unlit."""
         mi = load_mitsuba(self._variant)
         stretch = _stretch(view)
@@ -133,7 +133,7 @@ class ScalarTracer:
         return value
 
 
-def _sample_positions(window: Window, grid: int, row: IndexArray, column: IndexArray) -> FloatArray:
+def _sample_positions(window: PixelWindow, grid: int, row: IndexArray, column: IndexArray) -> FloatArray:
     """Pixel positions (N, 2) of samples by their rows and columns on a film of grid x grid samples a pixel."""
     return np.stack([window.column + (column + 0.5) / grid, window.row + (row + 0.5) / grid], axis=1)
 
@@ -179,7 +179,7 @@ def _stretch(view: View) -> FloatArray | None:
     return rotation.T @ scale @ rotation
 
 
-def _sensor(mi: Any, view: View, window: Window, grid: int, radius_m: float) -> Any:
+def _sensor(mi: Any, view: View, window: PixelWindow, grid: int, radius_m: float) -> Any:
     camera, pose = view.camera, view.T_cam_body
     to_world = np.eye(4)
     # The body's origin keeps its image when the camera is moved by the stretch of its own y axis.
@@ -204,7 +204,7 @@ def _sensor(mi: Any, view: View, window: Window, grid: int, radius_m: float) -> 
     )
 
 
-def _film(camera: Camera, window: Window, grid: int) -> dict[str, object]:
+def _film(camera: Camera, window: PixelWindow, grid: int) -> dict[str, object]:
     return {
         "type": "hdrfilm",
         "width": camera.width_px * grid,

@@ -80,14 +80,14 @@ def mesh_on_device(variant: Variant, mesh: TriangleMesh) -> DeviceMesh:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class FacetScene:
     """Facets with corners (F, 3, 3), body frame, in a scene of their own."""
 
     scene: Any
     corners_m: SingleArray
 
     @classmethod
-    def of(cls, mi: Any, corners_m: SingleArray) -> Part:
+    def of(cls, mi: Any, corners_m: SingleArray) -> FacetScene:
         """Build the scene under the active variant."""
         properties = mi.Properties()
         properties["face_normals"] = True

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.brdf import brdf_value, phase_of_rays
-from renderers.mitsuba3.rays import Window, body_window, check_outside, grid_positions, outline_points, ray_bundle
+from renderers.mitsuba3.rays import PixelWindow, body_window, check_outside, grid_positions, outline_points, ray_bundle
 from renderers.mitsuba3.renderer import MitsubaRenderer
-from renderers.mitsuba3.scene import Part
+from renderers.mitsuba3.scene import FacetScene
 from renderers.mitsuba3.variant import Variant, choose_variant, load_mitsuba
 from renderers.mitsuba3.wavefront import drjit_math
 from scenarios.craters import CrateredSurface
@@ -144,16 +144,16 @@ class TiledRenderer:
         return 1.01 * float(np.linalg.norm(self.ground.corners_m, axis=1).max())
 
     @cached_property
-    def _under(self) -> Part:
+    def _under(self) -> FacetScene:
         under = self.ground.under
-        return Part.of(self._mi, under.vertices_m.astype(np.float32)[under.faces])
+        return FacetScene.of(self._mi, under.vertices_m.astype(np.float32)[under.faces])
 
-    def _parts(self, tiles: IndexArray, fan: Fan, rays: FloatArray) -> list[Part]:
+    def _parts(self, tiles: IndexArray, fan: Fan, rays: FloatArray) -> list[FacetScene]:
         """Give the coarse body, and the fine facets of tiles that rays (N, 3) of a fan may meet, where there are."""
         corners_m = facets_met(self.ground, tiles, fan, rays)
-        return [self._under, Part.of(self._mi, corners_m)] if len(corners_m) else [self._under]
+        return [self._under, FacetScene.of(self._mi, corners_m)] if len(corners_m) else [self._under]
 
-    def _window(self, view: View, window: Window) -> SingleArray:
+    def _window(self, view: View, window: PixelWindow) -> SingleArray:
         """Radiance factor (height, width) of the pixels of a window."""
         spp = self.samples_per_pixel
         rows, columns = np.indices((window.height, window.width))

@@ -40,7 +40,7 @@ if abs(distance[0] - 4.0) > 1e-4 or distance[1] != -1.0 or list(blocked) != [Tru
 print({_SAYS!r})
 """
 
-CHOSEN = "CUDA_VISIBLE_DEVICES"
+VISIBLE_GPUS = "CUDA_VISIBLE_DEVICES"
 """The variable by which NVIDIA's driver is told which GPUs a process may use."""
 
 
@@ -207,7 +207,7 @@ def nvidia_gpus() -> tuple[int, str]:
 
 def gpu_names() -> tuple[str, ...]:
     """Name the GPUs as the driver's variable does: those that it leaves to this process, or else all."""
-    chosen = os.environ.get(CHOSEN)
+    chosen = os.environ.get(VISIBLE_GPUS)
     if chosen is not None:
         return tuple(name.strip() for name in chosen.split(",") if name.strip())
     return tuple(str(number) for number in range(nvidia_gpus()[0]))
@@ -224,4 +224,4 @@ def gpu_of_worker(place: int) -> dict[str, str]:
         Number of the worker among those at work, from 0; with more workers than GPUs they take turns.
     """
     names = gpu_names()
-    return {CHOSEN: names[place % len(names)]} if len(names) > 1 else {}
+    return {VISIBLE_GPUS: names[place % len(names)]} if len(names) > 1 else {}

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.brdf import ArrayMath, brdf_value, phase_angle
-from renderers.mitsuba3.rays import RayBundle, Window, grid_positions, ray_bundle
+from renderers.mitsuba3.rays import PixelWindow, RayBundle, grid_positions, ray_bundle
 from renderers.mitsuba3.scene import mesh_on_device
 from renderers.mitsuba3.variant import Variant, load_mitsuba
 from scenarios.geometry import TriangleMesh, View
@@ -65,7 +65,7 @@ class WavefrontTracer:
         self.samples_per_pixel = samples_per_pixel
         self._grid_u, self._grid_v = (mi.Float(axis.astype(np.float32)) for axis in grid.T)
 
-    def image(self, view: View, window: Window) -> NDArray[np.float32]:
+    def image(self, view: View, window: PixelWindow) -> NDArray[np.float32]:
         """Radiance factor (height, width) of the pixels of a window."""
         import drjit as dr
 
@@ -91,7 +91,7 @@ class WavefrontTracer:
         facets = np.where(hit.is_valid().numpy(), hit.prim_index.numpy().astype(np.int64), -1)
         return facets, lit.numpy()
 
-    def camera_rays(self, mi: Any, rays: RayBundle, window: Window) -> tuple[Any, Any]:
+    def camera_rays(self, mi: Any, rays: RayBundle, window: PixelWindow) -> tuple[Any, Any]:
         """Origins and unit directions of all samples: pixel by pixel, the samples of a pixel together."""
         import drjit as dr
 

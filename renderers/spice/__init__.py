@@ -1,7 +1,16 @@
 """Pose, Sun and camera from SPICE kernels."""
 
-from renderers.spice.image_set import Actors, Sighting, SpiceImageSet, sight
+from renderers.spice.image_set import ApparentGeometry, SpiceImageSet, SpiceNames, apparent_geometry
 from renderers.spice.instruments import INSTRUMENTS, Instrument
-from renderers.spice.kernels import Constants, loaded
+from renderers.spice.kernels import Constants, loaded_kernels
 
-__all__ = ["INSTRUMENTS", "Actors", "Constants", "Instrument", "Sighting", "SpiceImageSet", "loaded", "sight"]
+__all__ = [
+    "INSTRUMENTS",
+    "ApparentGeometry",
+    "Constants",
+    "Instrument",
+    "SpiceImageSet",
+    "SpiceNames",
+    "apparent_geometry",
+    "loaded_kernels",
+]

@@ -12,9 +12,9 @@ import spiceypy
 from numpy.typing import NDArray
 
 from renderers.images.image_set import check_size, files_digest
-from renderers.images.product import Product, open_product
+from renderers.images.product import ImageProduct, open_product
 from renderers.spice.instruments import INSTRUMENTS, Instrument
-from renderers.spice.kernels import SPICE_ERRORS, complaint, loaded
+from renderers.spice.kernels import SPICE_ERRORS, loaded_kernels, spice_message
 from scenarios.data import find_data_file, find_data_folder
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, View
@@ -29,7 +29,7 @@ _M_PER_KM = 1e3
 
 
 @dataclass(frozen=True, slots=True)
-class Actors:
+class SpiceNames:
     """NAIF's names of those who take part: the spacecraft, its camera's frame, the body, the body's frame."""
 
     spacecraft: str
@@ -39,7 +39,7 @@ class Actors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class ApparentGeometry:
     """What the kernels tell about an instant.
 
     Parameters
@@ -54,7 +54,7 @@ class Sighting:
     sun_dir_body: FloatArray
 
 
-def sight(actors: Actors, et: float, aberration: Aberration = "LT+S") -> Sighting:
+def apparent_geometry(names: SpiceNames, et: float, aberration: Aberration = "LT+S") -> ApparentGeometry:
     """Return pose and Sun of an exposure; kernels are loaded.
 
     With ``LT+S`` the body is where it appears: where it was, and turned as it was, when the light left it (light time),
@@ -67,30 +67,30 @@ def sight(actors: Actors, et: float, aberration: Aberration = "LT+S") -> Sightin
 
     Parameters
     ----------
-    actors
+    names
         Who takes part.
     et
         Middle of the exposure, s past J2000 TDB.
     aberration
         Correction of the position of the body.
     """
-    position_km, light_s = spiceypy.spkpos(actors.target, et, "J2000", aberration, actors.spacecraft)
+    position_km, light_s = spiceypy.spkpos(names.target, et, "J2000", aberration, names.spacecraft)
     left_et = et - (0.0 if aberration == "NONE" else light_s)
-    R_cam_j2000 = np.array(spiceypy.pxform("J2000", actors.camera_frame, et))
-    R_body_j2000 = np.array(spiceypy.pxform("J2000", actors.target_frame, left_et))
-    sun_km, _ = spiceypy.spkpos("SUN", left_et, "J2000", "LT+S", actors.target)
+    R_cam_j2000 = np.array(spiceypy.pxform("J2000", names.camera_frame, et))
+    R_body_j2000 = np.array(spiceypy.pxform("J2000", names.target_frame, left_et))
+    sun_km, _ = spiceypy.spkpos("SUN", left_et, "J2000", "LT+S", names.target)
     sun_body = R_body_j2000 @ np.array(sun_km)
     pose = Pose(R_cam_j2000 @ R_body_j2000.T, _M_PER_KM * (R_cam_j2000 @ np.array(position_km)))
-    return Sighting(pose, sun_body / np.linalg.norm(sun_body))
+    return ApparentGeometry(pose, sun_body / np.linalg.norm(sun_body))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Frame:
     """One image with what label and kernels say."""
 
-    product: Product
+    product: ImageProduct
     et: float
-    sighting: Sighting
+    geometry: ApparentGeometry
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,9 +140,9 @@ class SpiceImageSet:
         kernels = [
             find_data_file(name, (folder, *search_dirs), "spice", "images.spice.kernels") for name in spice.kernels
         ]
-        with loaded(kernels):
+        with loaded_kernels(kernels):
             _check_camera(camera, instrument, spice)
-            judged = [_judge(product, instrument, spice) for product in products]
+            judged = [_frame_or_reason(product, instrument, spice) for product in products]
         frames = tuple(frame for frame in judged if isinstance(frame, _Frame))
         left_out = tuple(
             (product.path.name, reason)
@@ -176,8 +176,8 @@ class SpiceImageSet:
         """
         if prefix not in (None, self.truth):
             raise BoresightError(f"images: no poses {prefix!r} were read, only {self.truth}")
-        sighting = self.frames[index].sighting
-        return View(self.camera, sighting.T_cam_body, sighting.sun_dir_body)
+        geometry = self.frames[index].geometry
+        return View(self.camera, geometry.T_cam_body, geometry.sun_dir_body)
 
     def image(self, index: int) -> NDArray[np.float32]:
         """Read an image, (H, W) float32 in the units of its file, the top row first.
@@ -229,7 +229,7 @@ def _check_camera(camera: Camera, instrument: Instrument, spice: SpiceSpec) -> N
         )
 
 
-def _judge(product: Product, instrument: Instrument, spice: SpiceSpec) -> _Frame | str:
+def _frame_or_reason(product: ImageProduct, instrument: Instrument, spice: SpiceSpec) -> _Frame | str:
     """Work out the view of an image, or say why it cannot be used; kernels are loaded."""
     told = product.metadata(instrument.exposure_unit_s)
     known = instrument.camera(instrument.constants())
@@ -239,9 +239,9 @@ def _judge(product: Product, instrument: Instrument, spice: SpiceSpec) -> _Frame
         return f"its target is {told.target}, not {spice.target}"
     if product.size_px != (known.width_px, known.height_px):
         return f"it is {product.size_px[0]} x {product.size_px[1]} pixels, not the whole field"
-    actors = Actors(instrument.spacecraft, instrument.frame, spice.target, spice.target_frame)
+    names = SpiceNames(instrument.spacecraft, instrument.frame, spice.target, spice.target_frame)
     try:
         et = instrument.middle_et(product)
-        return _Frame(product, et, sight(actors, et, spice.aberration))
+        return _Frame(product, et, apparent_geometry(names, et, spice.aberration))
     except SPICE_ERRORS as error:
-        return f"SPICE: {complaint(error)}"
+        return f"SPICE: {spice_message(error)}"

@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 import spiceypy
 
-from renderers.images.product import ImageMetadata, Product
+from renderers.images.product import ImageMetadata, ImageProduct
 from renderers.spice.kernels import Constants
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, RadialDistortion
@@ -48,13 +48,13 @@ class Instrument:
     kernel_id: int
     exposure_unit_s: float
     camera: Callable[[Constants], Camera]
-    start_et: Callable[[Product, ImageMetadata], float]
+    start_et: Callable[[ImageProduct, ImageMetadata], float]
 
     def constants(self) -> Constants:
         """Return the instrument's constants in the loaded pool."""
         return Constants(self.kernel_id)
 
-    def middle_et(self, product: Product) -> float:
+    def middle_et(self, product: ImageProduct) -> float:
         """Return the middle of an exposure, s past J2000 TDB; kernels are loaded.
 
         Raises
@@ -87,7 +87,7 @@ def _amica(constants: Constants) -> Camera:
     return Camera(samples, lines, focal_px, focal_px, float(centre[0]), float(centre[1]), lens)
 
 
-def _amica_start_et(product: Product, told: ImageMetadata) -> float:
+def _amica_start_et(product: ImageProduct, told: ImageMetadata) -> float:
     """Take the clock of the FITS header: START_TIME is cut to whole seconds."""
     del told
     count = product.keywords.get("TI_0")
@@ -115,7 +115,7 @@ def _msi(constants: Constants) -> Camera:
     return Camera(_MSI_SAMPLES, _MSI_LINES, focal_px, focal_px * height, cx_px, cy_px, lens)
 
 
-def _start_time_et(product: Product, told: ImageMetadata) -> float:
+def _start_time_et(product: ImageProduct, told: ImageMetadata) -> float:
     if told.start_utc is None:
         raise BoresightError(f"{product.path}: neither label nor header gives the start of the exposure")
     return float(spiceypy.str2et(told.start_utc))

@@ -77,7 +77,7 @@ def _arrays(summaries: bytes, order: str, counts: tuple[int, int]) -> Iterator[t
 
 
 @contextmanager
-def loaded(paths: Sequence[Path]) -> Iterator[None]:
+def loaded_kernels(paths: Sequence[Path]) -> Iterator[None]:
     """Load kernels in the order given, where a later one overrides an earlier; unload them whatever happens.
 
     The pool is locked meanwhile: another thread waits, and another process has a pool of its own. What SPICE
@@ -96,7 +96,7 @@ def loaded(paths: Sequence[Path]) -> Iterator[None]:
                 done.append(path)
             yield
         except SPICE_ERRORS as error:
-            raise BoresightError(f"SPICE: {complaint(error)}") from error
+            raise BoresightError(f"SPICE: {spice_message(error)}") from error
         finally:
             for path in reversed(done):
                 spiceypy.unload(str(path))
@@ -116,10 +116,10 @@ def _load(path: Path) -> None:
     try:
         spiceypy.furnsh(str(path))
     except SpiceyError as error:
-        raise BoresightError(f"{path}: not a kernel that SPICE reads: {complaint(error)}") from error
+        raise BoresightError(f"{path}: not a kernel that SPICE reads: {spice_message(error)}") from error
 
 
-def complaint(error: Exception) -> str:
+def spice_message(error: Exception) -> str:
     """Return what SPICE has to say as one line."""
     parts = (getattr(error, "short", ""), getattr(error, "long", ""))
     said = " ".join(" ".join(str(part).split()) for part in parts if part)

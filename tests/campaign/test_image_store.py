@@ -21,7 +21,14 @@ from tiny_campaign import (
 )
 
 from campaign.cli import main
-from campaign.imaging.image_store import ImageStore, KeptImage, image_set_key, read_images, store_switched, write_images
+from campaign.imaging.image_store import (
+    ImageStore,
+    StoredImage,
+    image_set_key,
+    read_images,
+    store_switched,
+    write_images,
+)
 from campaign.store import RunFolder
 from renderers.mitsuba3 import choose_variant
 from scenarios.cache import default_cache
@@ -59,7 +66,7 @@ def test_every_bit_comes_back(tmp_path):
     strange = np.frombuffer(rng.bytes(4 * 33 * 57), np.float32).reshape(33, 57).copy()
     strange[0, :6] = [-0.0, 0.0, np.nan, np.inf, np.finfo(np.float32).smallest_subnormal, -1.5]
     images = {7: strange, 3: np.zeros((4, 5), np.float32), 5: np.ones((1, 9), np.float32)}
-    write_images(tmp_path / "a.parquet", {i: KeptImage(image, bytes([i])) for i, image in images.items()})
+    write_images(tmp_path / "a.parquet", {i: StoredImage(image, bytes([i])) for i, image in images.items()})
     found = read_images(tmp_path / "a.parquet")
     assert {i: kept.view for i, kept in found.items()} == {7: b"\7", 3: b"\3", 5: b"\5"}
     for i, image in images.items():

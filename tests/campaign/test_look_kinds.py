@@ -12,7 +12,7 @@ from browser import needs_chromium, opened
 from orbit_worlds import orbit_world
 
 from campaign.inspection.case import Case
-from campaign.inspection.look import nearer
+from campaign.inspection.look import camera_scale
 from campaign.kinds.crater_matching.show import pair_outcomes
 from campaign.kinds.crater_matching.trial import MatchedPair
 from campaign.kinds.orbit_determination.show import image_sets, landmark_errors, orbit_marks, sightings_of
@@ -109,10 +109,10 @@ def test_images_of_an_orbit_stand_where_the_turning_body_had_the_camera(world, s
 
 
 def test_a_far_camera_is_drawn_nearer_and_a_near_one_where_it_is():
-    factor, told = nearer(np.array([[0.0, 0.0, 1800.0], [0.0, 1800.0, 0.0]]), 100.0)
+    factor, told = camera_scale(np.array([[0.0, 0.0, 1800.0], [0.0, 1800.0, 0.0]]), 100.0)
     assert factor == pytest.approx(10.0)
-    assert "10 times nearer" in told
-    assert nearer(np.array([[150.0, 0.0, 0.0]]), 100.0) == (1.0, "")
+    assert "10 times camera_scale" in told
+    assert camera_scale(np.array([[150.0, 0.0, 0.0]]), 100.0) == (1.0, "")
 
 
 def test_craters_of_a_pair_are_counted_by_hand():

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from campaign.kinds.crater_matching.pairs import BY_GEOMETRY, Looks, PairSource, check_detectors, open_pairs
 from campaign.pool.guard import Call
-from campaign.products import MissingProduct, Shelf
+from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.checks import check_array, check_indices, check_reason
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
@@ -82,9 +82,9 @@ class CraterMatching:
         return known(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[MissingProduct]:
         """Refuse wrong options and a missing section; there is nothing to build."""
-        del shelf
+        del assets
         check_detectors(scenario, _section(scenario), _detectors(campaign))
         return missing(scenario, _matchers(campaign, scenario))
 

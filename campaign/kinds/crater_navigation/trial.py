@@ -31,7 +31,7 @@ from campaign.kinds.orbit_determination.trial import (
     scored_orbit,
 )
 from campaign.pool.guard import Call
-from campaign.products import MissingProduct, Shelf
+from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
@@ -105,9 +105,9 @@ class CraterNavigationTrials:
         return CraterNavigation.version + BatchFilter.version + sum(detectors) + sum(matchers)
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[MissingProduct]:
         """Refuse wrong options and missing sections; there is nothing to build."""
-        del shelf
+        del assets
         navigators = _navigators(campaign, scenario)
         section = checked_orbit_section(scenario)
         if section.imaging is None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from campaign.kinds.crater_navigation.sights import Address, DrawnSights, open_sights
 from campaign.kinds.crater_navigation.taken import NavigationTrial
 from campaign.kinds.orbit_determination.trial import checked_orbit_section, empty_row, open_orbit_world
-from campaign.products import BuiltProduct, Shelf
+from campaign.products import BuiltAssets, BuiltProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from estimators.craters.contract import GroundModel
@@ -113,9 +113,9 @@ class ImageSurvey:
         return PLANNER_VERSION
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[BuiltProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[BuiltProduct]:
         """Refuse options, and scenarios without planned images of drawn craters; there is nothing to build."""
-        del shelf
+        del assets
         for entry in campaign.spec.estimators:
             if entry.options:
                 raise BoresightError(f"estimators: {entry.label}: {next(iter(entry.options))}: there are no options")

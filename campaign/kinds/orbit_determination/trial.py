@@ -17,7 +17,7 @@ from campaign.kinds.orbit_determination.score import (
     residual_records,
 )
 from campaign.pool.guard import Call
-from campaign.products import MissingProduct, Shelf
+from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
@@ -65,9 +65,9 @@ class OrbitTrials:
         return orbit_estimator_class(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[MissingProduct]:
         """Refuse wrong options, and an orbit that begins in the body; there is nothing to build."""
-        del shelf
+        del assets
         estimators = _estimators(campaign, scenario)
         checked_orbit_section(scenario)
         return missing(scenario, estimators)

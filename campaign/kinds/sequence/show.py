@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from campaign.inspection.case import Case
 from campaign.inspection.look import MOST_FACES, coarsened, middle_and_worst
 from campaign.inspection.recompute import Recomputed, recompute
-from campaign.inspection.show import Drawn, Kept, PosedFrame, PosedFrames, Scene, Show, listed
+from campaign.inspection.show import CaseFigures, CaseFiles, EstimatorRun, PosedFrame, PosedFrames, Show, listed
 from campaign.kinds.sequence.score import known_from_true, orbit_frame
 from campaign.kinds.sequence.trial import FollowedSequence, SequenceTrials
 from campaign.resolved import ResolvedCampaign
@@ -38,7 +38,7 @@ from scenarios.tracks import TrackSequence
 FloatArray = NDArray[np.float64]
 
 
-def draw_sequence_case(again: Recomputed) -> Drawn | None:
+def draw_sequence_case(again: Recomputed) -> CaseFigures | None:
     """Draw the trial of an estimator of sequences up to its last frame."""
     shown, records, what = again.shown, again.records, str(again.case)
     if not isinstance(shown, FollowedSequence) or not isinstance(again.trials, SequenceTrials):
@@ -59,7 +59,7 @@ def draw_sequence_case(again: Recomputed) -> Drawn | None:
         "Estimators of sequences tell the covariance of the camera's position, and none of landmarks: those are drawn"
         " with their true errors.",
     ]
-    return Drawn(figures, notes=notes)
+    return CaseFigures(figures, notes=notes)
 
 
 def followed_of(
@@ -176,7 +176,7 @@ def _landmarks(truth: SequenceTruth, ends: dict[int, tuple[FloatArray, int]], wh
     )
 
 
-def look_at_sequences(scene: Scene) -> Look:
+def look_at_sequences(scene: EstimatorRun) -> Look:
     """Show the trial in the middle and the worst one, in the axes that the body has at each frame."""
     marks, cameras, ground = [], [], None
     for name, colour, case in middle_and_worst(scene):
@@ -226,10 +226,10 @@ def _paths(shown: FollowedSequence, case: Case, name: str, colour: str) -> list[
     return [truth, Cameras(f"estimate, {name} trial", colour, estimated, texts, joined=True)]
 
 
-def kept(shown: object) -> Kept:
+def kept(shown: object) -> CaseFiles:
     """Return the frames of an estimate; nothing of an estimator that raised."""
     if not isinstance(shown, FollowedSequence) or shown.estimate is None:
-        return Kept()
+        return CaseFiles()
     frames = [
         {
             "position_body_m": frame.position_m.tolist(),
@@ -239,7 +239,7 @@ def kept(shown: object) -> Kept:
         }
         for frame in shown.estimate.frames
     ]
-    return Kept({}, {"status": shown.estimate.status, "reason": shown.estimate.reason, "frames": frames})
+    return CaseFiles({}, {"status": shown.estimate.status, "reason": shown.estimate.reason, "frames": frames})
 
 
 def posed(shown: object, case: Case) -> PosedFrames | None:

@@ -19,7 +19,7 @@ from campaign.kinds.sequence.score import (
 )
 from campaign.kinds.sequence.tracks import ImageTracks, Seen, Watch
 from campaign.pool.guard import Call
-from campaign.products import MissingProduct, Shelf
+from campaign.products import BuiltAssets, MissingProduct
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness, add_records, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
@@ -91,9 +91,9 @@ class SequenceTrials:
         return sequence_estimator_class(name).version
 
     @classmethod
-    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, shelf: Shelf) -> list[MissingProduct]:
+    def prepare(cls, campaign: ResolvedCampaign, scenario: LoadedScenario, assets: BuiltAssets) -> list[MissingProduct]:
         """Refuse wrong options, and an orbit that leads into the body by known forces; there is nothing to build."""
-        del shelf
+        del assets
         estimators = _estimators(campaign, scenario)
         section, ground = _section(scenario), ground_of(scenario)
         if section.orbit.model == "propagated":
