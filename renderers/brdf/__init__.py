@@ -1,4 +1,4 @@
-"""The reflectance models: each formula written once, for NumPy arrays and Dr.Jit arrays alike."""
+"""Reflectance models, each formula written once for both NumPy and Dr.Jit arrays."""
 
 from renderers.brdf.arrays import NUMPY, ArrayMath, phase_angle, phase_of_rays
 from renderers.brdf.hapke import HapkeParameters, hapke

@@ -1,4 +1,4 @@
-"""Sets of real images in the place of rendered ones, and the readers of what missions publish."""
+"""Sets of real images that replace rendered ones, and readers of the formats in which missions publish images."""
 
 from renderers.images.image_set import ImageSet, keep_clear, keep_clear_violation
 from renderers.images.pixels import read_image

@@ -1,4 +1,4 @@
-"""What every set of real images can do, whatever it takes its poses from."""
+"""Sets of real images: their protocol, their digest, and the selection of images by regions that must stay clear."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ Rectangle = tuple[float, float, float, float]
 
 
 class ImageSet(Protocol):
-    """Real images, each with its time, its Sun and one or more poses."""
+    """Real images, each with an epoch, a direction to the Sun and one or more poses."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the images in order."""
+        """Names of the images, in order."""
         ...
 
     @property
     def left_out(self) -> tuple[tuple[str, str], ...]:
-        """Images that cannot be used, each with the reason."""
+        """Names of images that cannot be used, each with the reason."""
         ...
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Every file that results depend on: kernels first, in their order, if there are any."""
+        """Every file that results depend on: SPICE kernels first, in loading order, if there are any."""
         ...
 
     def __len__(self) -> int: ...
 
     def time_s(self, index: int) -> float:
-        """Return the epoch of an image."""
+        """Epoch of an image, s."""
         ...
 
     def view(self, index: int, prefix: str | None = None) -> View:
-        """Return the view of an image by one of its poses; the one that is scored against by default."""
+        """View of an image with the pose named ``prefix``, by default the reference pose for scoring."""
         ...
 
     def image(self, index: int) -> NDArray[np.float32]:
@@ -53,16 +53,16 @@ class ImageSet(Protocol):
         ...
 
     def content_digest(self) -> str:
-        """Digest (hexadecimal SHA-256) of every file that results depend on."""
+        """Hexadecimal SHA-256 of every file that results depend on."""
         ...
 
     def check_images(self) -> None:
-        """Read every image once, so that a damaged one is found before a campaign starts."""
+        """Read every image, so that a damaged one is found before a campaign starts."""
         ...
 
 
 def files_digest(paths: Iterable[Path]) -> str:
-    """Digest (hexadecimal SHA-256) of the content of files, in their order.
+    """Hexadecimal SHA-256 of the contents of files, in order.
 
     Raises
     ------
@@ -81,13 +81,13 @@ def files_digest(paths: Iterable[Path]) -> str:
 
 @lru_cache(maxsize=4096)
 def _file_digest(path: Path, size: int, mtime_ns: int) -> bytes:
-    """Digest a file once as long as it stays the same: campaigns ask for it at every block of trials."""
+    """Digest a file; cached while size and time stamp stay the same, as campaigns need it at every block of trials."""
     del size, mtime_ns
     return hashlib.sha256(path.read_bytes()).digest()
 
 
 def check_size(image: NDArray[np.float32], camera: Camera, path: Path) -> None:
-    """Refuse an image that is not of the camera's size."""
+    """Raise BoresightError if an image is not of the camera's size."""
     height, width = image.shape
     if (width, height) != (camera.width_px, camera.height_px):
         raise BoresightError(
@@ -97,16 +97,16 @@ def check_size(image: NDArray[np.float32], camera: Camera, path: Path) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selection:
-    """Some images of a set, in its order.
+    """Subset of an image set, in its order; an `ImageSet` too.
 
     Parameters
     ----------
     images
         The set.
     kept
-        Indices of those that are used.
+        Indices of the used images.
     left_out
-        The others, each with the reason.
+        Names of the other images, each with the reason.
     """
 
     images: ImageSet
@@ -118,20 +118,20 @@ class Selection:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the images that are used."""
+        """Names of the used images."""
         return tuple(self.images.names[index] for index in self.kept)
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Every file of the whole set: which images are left out depends on all of them."""
+        """Every file of the whole set, as the selection depends on all of them."""
         return self.images.files
 
     def time_s(self, index: int) -> float:
-        """Return the epoch of an image."""
+        """Epoch of an image, s."""
         return self.images.time_s(self.kept[index])
 
     def view(self, index: int, prefix: str | None = None) -> View:
-        """Return the view of an image."""
+        """View of an image."""
         return self.images.view(self.kept[index], prefix)
 
     def image(self, index: int) -> NDArray[np.float32]:
@@ -143,22 +143,22 @@ class Selection:
         return self.images.content_digest()
 
     def check_images(self) -> None:
-        """Read every image that is used once."""
+        """Read every used image."""
         for index in range(len(self)):
             self.image(index)
 
 
 def keep_clear(images: ImageSet, outline_m: FloatArray, rectangles: Sequence[Rectangle]) -> Selection:
-    """Leave out the images in which the body reaches into a part of the detector.
+    """Leave out the images in which the body overlaps given rectangles of the detector.
 
     Parameters
     ----------
     images
         The set.
     outline_m
-        (N, 3) points of the body frame whose hull holds the body.
+        (N, 3) points of the body frame whose convex hull contains the body.
     rectangles
-        Left, top, right and bottom of each part in pixels.
+        Left, top, right and bottom of each rectangle, px.
 
     Raises
     ------
@@ -174,9 +174,9 @@ def keep_clear(images: ImageSet, outline_m: FloatArray, rectangles: Sequence[Rec
 
 
 def keep_clear_violation(view: View, outline_m: FloatArray, rectangles: Sequence[Rectangle]) -> str:
-    """Say into which part of the detector the body reaches; nothing where it stays clear of all.
+    """Describe the first rectangle of the detector that the body overlaps; '' if it overlaps none.
 
-    The body is taken for the hull of its outline as the camera sees it, which is never smaller.
+    The test uses the convex hull of the projected outline, which contains the image of the body.
     """
     uv = view.camera.project(view.T_cam_body.transform(outline_m))
     seen = uv[np.isfinite(uv).all(axis=1)].astype(np.float32)

@@ -1,4 +1,4 @@
-"""One grey image file as an array."""
+"""Readers of single grey image files: PNG, TIFF and FITS."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _NUMBER = {1: "B", 3: "H", 4: "I", 16: "Q"}
 
 _COUNT = re.compile(rb"(Z?NAXIS[0-9]*|TFIELDS) *= *([0-9]+)")
 _MOST_AXES, _LONGEST_AXIS = 999, 1 << 31
-# What astropy raises for damaged headers and data beside its own.
+# Exceptions that astropy raises for damaged headers and data, apart from its own.
 _FAULTS = (
     ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, OSError, RecursionError,
     RuntimeError, TypeError, ValueError, struct.error, zlib.error,
@@ -66,7 +66,7 @@ def read_fits_header(content: bytes, path: Path) -> dict[str, object]:
 
 
 def _check_axes(content: bytes, path: Path) -> None:
-    """Refuse headers that promise too much: astropy counts axes and fields, and a packed image unfolds to any size."""
+    """Refuse headers with excessive sizes, for which astropy would loop or allocate without bound."""
     packed = 1
     for card in _COUNT.finditer(content):
         name, value = card.group(1), int(card.group(2)[:30])
@@ -78,18 +78,18 @@ def _check_axes(content: bytes, path: Path) -> None:
 
 
 def _keywords(header: fits.Header) -> dict[str, object]:
-    """List the values of a header, of a keyword that is there twice the first.
+    """Values of a header by keyword; the first where a keyword is repeated.
 
-    It is not asked for them by name, as astropy takes a damaged name that holds an asterisk for a pattern.
+    Not looked up by name, as astropy takes a damaged name with an asterisk for a pattern.
     """
     return dict(reversed(list(header.items())))
 
 
 def _fits(content: bytes, path: Path) -> tuple[NDArray[np.generic], dict[str, object]]:
-    """Read from memory, as astropy leaves a damaged file open."""
-    # Imported here: astropy takes an eighth of the start-up, and most runs read no FITS file.
+    """Read the first image and the keywords from memory, as astropy leaves a damaged file open."""
+    # Imported here, as astropy takes an eighth of the start-up time and most runs read no FITS file.
     from astropy.io import fits
-    from astropy.io.fits.hdu.compressed._compression import CfitsioException  # has no base of its own
+    from astropy.io.fits.hdu.compressed._compression import CfitsioException  # derives from Exception directly
 
     _check_axes(content, path)
     try:
@@ -107,7 +107,7 @@ def _fits(content: bytes, path: Path) -> tuple[NDArray[np.generic], dict[str, ob
 
 
 def bitmap_size(content: bytes) -> tuple[int, int, int]:
-    """Return width, height and channels as the header states them; (0, 0, 1) where there is no such header.
+    """Return width, height and channels stated in a PNG or TIFF header; (0, 0, 1) where there is none.
 
     TIFF: the first directory, classic or BigTIFF (TIFF 6.0, section 2).
     """
@@ -122,7 +122,7 @@ def bitmap_size(content: bytes) -> tuple[int, int, int]:
 
 
 def is_cut_short(content: bytes) -> bool:
-    """Tell whether a chunk of a PNG is longer than what is left of the file; others are never."""
+    """Return whether a chunk of a PNG extends beyond the end of the file; False for other formats."""
     place = len(_PNG)
     while content.startswith(_PNG) and place + 12 <= len(content):
         length, kind = struct.unpack_from(">I4s", content, place)
@@ -158,7 +158,7 @@ def read_image(path: Path) -> NDArray[np.float32]:
     Raises
     ------
     BoresightError
-        If the file is missing, damaged, of another format, in colour, or holds values that are not finite.
+        If the file is missing, damaged, of another format or in colour, or contains values that are not finite.
     """
     suffix = path.suffix.lower()
     if suffix not in (*BITMAP_SUFFIXES, *FITS_SUFFIXES):
@@ -171,7 +171,7 @@ def read_image(path: Path) -> NDArray[np.float32]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Read a file whole.
+    """Read a whole file.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def finite_float32(image: NDArray[np.generic], path: Path) -> NDArray[np.float32]:
-    """Return an image as float32.
+    """Convert an image to float32.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def _bitmap(content: bytes, path: Path) -> NDArray[np.generic]:
         raise BoresightError(
             f"{path}: {width} x {height} pixels of {channels} channels are more than the {MOST_PIXELS} that are read"
         )
-    if is_cut_short(content):  # OpenCV takes memory for as much as a chunk says that it holds
+    if is_cut_short(content):  # OpenCV allocates the size that a chunk states
         raise BoresightError(f"{path}: not a readable {path.suffix[1:].upper()} image: it is cut short")
     try:
         with _quiet():
@@ -223,7 +223,7 @@ def _bitmap(content: bytes, path: Path) -> NDArray[np.generic]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep OpenCV from printing beside the one line that is said here."""
+    """Silence OpenCV's log, as an error is reported as one line."""
     before = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         yield

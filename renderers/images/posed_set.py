@@ -1,4 +1,17 @@
-"""A folder of real images with a table of poses, in the place of a renderer."""
+"""Image set from a folder of images and a CSV table of their poses.
+
+Columns of the table, in any order; others are not read:
+
+================================== ==================================================================
+file                               file name in the folder of the set, unique
+time_s                             epoch of the exposure, s
+PREFIX_qw, _qx, _qy, _qz           quaternion (w, x, y, z) from body to camera axes
+PREFIX_tx_m, _ty_m, _tz_m          origin of the body in camera axes, m: x_cam = R(q) x_body + t
+sun_body_x, _y, _z                 direction to the Sun in the body frame, normalised here
+================================== ==================================================================
+
+A table may contain poses under several prefixes (``ref``, ``label``). Camera axes: x right, y down, z forward.
+"""
 
 from __future__ import annotations
 
@@ -27,18 +40,18 @@ _SUN = ("sun_body_x", "sun_body_y", "sun_body_z")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseTable:
-    """A checked table.
+    """Content of a checked table of poses.
 
     Parameters
     ----------
     files
-        (N) file names.
+        N file names.
     times_s
-        (N,) epochs.
+        (N,) epochs, s.
     sun_dirs_body
         (N, 3) unit vectors towards the Sun.
     poses
-        For each prefix N poses T_cam_body.
+        N poses T_cam_body for each prefix.
     """
 
     files: tuple[str, ...]
@@ -49,6 +62,8 @@ class PoseTable:
 
 @dataclass(frozen=True, slots=True)
 class _Row:
+    """Cells of one line of the table by column, and its place (FILE:LINE) for errors."""
+
     place: str
     cells: Mapping[str, str | None]
 
@@ -76,8 +91,8 @@ def read_table(path: Path, prefixes: Sequence[str]) -> PoseTable:
     Raises
     ------
     BoresightError
-        If the table is missing, is no CSV, lacks a column or rows, or holds a wrong value: one line with the
-        file, the line and the column.
+        If the table is missing or no CSV, has no rows, lacks a column or contains a wrong value; the message names
+        file, line and column.
     """
     rows = _read_rows(path, prefixes)
     return PoseTable(
@@ -128,7 +143,7 @@ def _check_columns(path: Path, columns: Sequence[str], prefixes: Sequence[str]) 
 
 
 def _files(rows: Sequence[_Row]) -> list[str]:
-    """Return the file names. Each image counts once: a name that comes twice would weigh twice in every median."""
+    """Return the file names, refusing repeated ones, which would count twice in every statistic."""
     first: dict[str, str] = {}
     for row in rows:
         name = (row.cells["file"] or "").strip()
@@ -174,9 +189,9 @@ def _pose(row: _Row, prefix: str) -> Pose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedImageSet:
-    """Real images, each with its time, its Sun and one or more poses.
+    """Image set whose epochs, directions to the Sun and poses come from a table.
 
-    ``version`` is part of every result's key: raise it when pixels or views change.
+    ``version`` enters the digest of every run: raise it when pixels or views change.
     """
 
     name: ClassVar[str] = "posed-images"
@@ -190,21 +205,21 @@ class PosedImageSet:
 
     @classmethod
     def open(cls, spec: ImageSetSpec, camera: Camera, search_dirs: Sequence[Path] = ()) -> Self:
-        """Read and check the table, and that every image is there; the images themselves are read later.
+        """Read and check the table, and check that every image exists; the images are read later.
 
         Parameters
         ----------
         spec
             The images section of a scenario.
         camera
-            The camera that took them.
+            The camera of the images.
         search_dirs
-            Folders where a relative ``folder`` is looked for before ``$BORESIGHT_DATA/images`` and ``$BORESIGHT_DATA``.
+            Folders searched for a relative ``folder`` before ``$BORESIGHT_DATA/images`` and ``$BORESIGHT_DATA``.
 
         Raises
         ------
         BoresightError
-            If the table or an image is missing, or the table is wrong.
+            If the table or an image is missing, or the table contains an error.
         """
         path = find_data_file(f"{spec.folder}/{spec.table}", search_dirs, "images", "images.folder")
         folder = path.parent
@@ -228,11 +243,11 @@ class PosedImageSet:
         return (self.folder / self.spec.table, *(self.folder / name for name in self.names))
 
     def time_s(self, index: int) -> float:
-        """Return the epoch of an image."""
+        """Epoch of an image, s."""
         return float(self.table.times_s[index])
 
     def view(self, index: int, prefix: str | None = None) -> View:
-        """Return the view of an image by the pose under ``prefix``; the one that is scored against by default.
+        """View of an image with the pose under ``prefix``, by default the reference pose ``truth``.
 
         Raises
         ------
@@ -258,7 +273,7 @@ class PosedImageSet:
         return image[::-1].copy() if self.spec.first_row == "bottom" else image
 
     def content_digest(self) -> str:
-        """Digest (hexadecimal SHA-256) of the table and of every image: what results depend on.
+        """Hexadecimal SHA-256 of the table and every image.
 
         Raises
         ------
@@ -268,7 +283,7 @@ class PosedImageSet:
         return files_digest(self.files)
 
     def check_images(self) -> None:
-        """Read every image once, so that a damaged one is found before a campaign starts.
+        """Read every image, so that a damaged one is found before a campaign starts.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""An image as a mission publishes it: a FITS file, a PDS3 image, or either of them with a detached label."""
+"""Published mission images and their metadata: FITS files and PDS3 images, with attached or detached labels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from scenarios.limits import LARGEST_NUMBER
 
 _UNKNOWN = ("", "N/A", "NA", "UNK", "UNKNOWN", "NULL")
 _SECONDS = {"S": 1.0, "SECOND": 1.0, "SECONDS": 1.0, "SEC": 1.0, "MS": 1e-3, "MILLISECOND": 1e-3, "MILLISECONDS": 1e-3}
-# PDS3 keywords first, then those of FITS, in the order in which they are believed.
+# Keywords in order of precedence: those of PDS3, then those of FITS.
 _KEYWORDS = {
     "spacecraft": ("INSTRUMENT_HOST_NAME", "SPACECRAFT_NAME", "INSTRUMENT_HOST_ID", "TELESCOP"),
     "instrument": ("INSTRUMENT_ID", "INSTRUME", "INSTRUMENT_NAME"),
@@ -34,21 +34,21 @@ _EXPOSURE = ("EXPOSURE_DURATION", "EXPTIME", "EXPOSURE")
 
 @dataclass(frozen=True, slots=True)
 class ImageMetadata:
-    """What label and header say; None where they are silent.
+    """Metadata from label and FITS header; None where neither gives it.
 
     Parameters
     ----------
     start_utc
         Start of the exposure, UTC, ISO 8601 without zone.
     exposure_s
-        Length of the exposure.
+        Exposure time.
     spacecraft, instrument, filter, target
-        As the mission names them.
+        Names as the mission writes them.
     unit
-        Of the pixels: ``I/F``, ``DN``, ...
+        Unit of the pixels: ``I/F``, ``DN``, ...
     line_display
-        Which way the stored lines run on a display (LINE_DISPLAY_DIRECTION). It says how the mission likes to look at
-        the image, which may be as in a mirror; where the lines run in the camera is the instrument's own.
+        Direction of the stored lines on a display (LINE_DISPLAY_DIRECTION). It may show the image mirrored: the
+        direction of the lines in the camera is a property of the instrument.
     """
 
     start_utc: str | None = None
@@ -62,21 +62,21 @@ class ImageMetadata:
 
 
 def parse_metadata(values: Mapping[str, object], path: Path, exposure_unit_s: float = 1.0) -> ImageMetadata:
-    """Find the metadata in the keywords of label and header.
+    """Extract the metadata from the keywords of label and header.
 
     Parameters
     ----------
     values
-        Keywords and values; a label's objects as mappings.
+        Values by keyword; objects of a label are mappings.
     path
-        The file, for errors.
+        The file, for error messages.
     exposure_unit_s
-        Seconds in the unit of an exposure that is given without one.
+        Unit, in seconds, of an exposure time without a unit.
 
     Raises
     ------
     BoresightError
-        If a time or an exposure is not what it should be.
+        If a time or an exposure time is invalid.
     """
     flat = {**_inside(values, "IMAGE"), **values}
     words = {name: _text(flat, keywords) for name, keywords in _KEYWORDS.items()}
@@ -95,7 +95,7 @@ def _inside(values: Mapping[str, object], name: str) -> Mapping[str, object]:
 
 
 def _first(values: Mapping[str, object], keywords: tuple[str, ...]) -> object:
-    """Return the first keyword that holds something."""
+    """Return the value of the first keyword that has a known one, else None."""
     found = (values.get(keyword) for keyword in keywords)
     return next((value for value in found if value is not None and str(value).strip().upper() not in _UNKNOWN), None)
 
@@ -140,18 +140,18 @@ def _exposure_s(values: Mapping[str, object], path: Path, unit_s: float) -> floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageProduct:
-    """What is told about one image; its pixels are read when they are wanted.
+    """A published image; its pixels are read on demand.
 
     Parameters
     ----------
     path
-        The file that holds the pixels.
+        File of the pixels.
     label
-        The PDS3 label, or None for a FITS file by itself.
+        The PDS3 label; None for a FITS file without one.
     keywords
         Keywords of the FITS header, overridden by those of the label.
     files
-        Every file that the product consists of.
+        Every file of the product.
     """
 
     path: Path
@@ -160,12 +160,12 @@ class ImageProduct:
     files: tuple[Path, ...]
 
     def metadata(self, exposure_unit_s: float = 1.0) -> ImageMetadata:
-        """Return the metadata; exposures without a unit are in units of ``exposure_unit_s``."""
+        """Return the metadata; exposure times without a unit are in units of ``exposure_unit_s``."""
         return parse_metadata(self.keywords, self.path, exposure_unit_s)
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Samples and lines as label or header state them; 0 where they do not."""
+        """Samples and lines stated by label or header; 0 where neither states them."""
         image = self.label.part("IMAGE") if self.label is not None else {}
         sizes = [
             image.get("LINE_SAMPLES", self.keywords.get("NAXIS1")),
@@ -175,7 +175,7 @@ class ImageProduct:
         return samples, lines
 
     def pixels(self) -> NDArray[np.float32]:
-        """Read the pixels, (lines, samples), in the order of the file and scaled as it says.
+        """Read the pixels, (lines, samples), in the order of the file, with its scaling applied.
 
         Raises
         ------
@@ -190,7 +190,7 @@ class ImageProduct:
 
 
 def open_product(path: Path) -> ImageProduct:
-    """Open a label, a FITS file or a PDS3 image; a label beside a file, of the same name, is read with it.
+    """Open a label, a FITS file or a PDS3 image, with a detached label of the same name if there is one.
 
     Raises
     ------
@@ -210,7 +210,7 @@ def open_product(path: Path) -> ImageProduct:
 
 
 def _label(path: Path) -> Label | None:
-    """Parse the label that is in a file or beside it; only a FITS file may do without."""
+    """Parse the attached or detached label of a file; only a FITS file may have none."""
     content = read_bytes(path)
     if has_label(content) or path.suffix.lower() in LABEL_SUFFIXES:
         return parse_label(content, path)

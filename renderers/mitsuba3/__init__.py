@@ -1,4 +1,4 @@
-"""Rendering with Mitsuba 3: images, shadows and de-projection, on a GPU, with LLVM or without either."""
+"""Rendering with Mitsuba 3 (images, shadows, de-projection) by its CUDA, LLVM or scalar variant."""
 
 from renderers.mitsuba3.bsdf import register_bsdfs
 from renderers.mitsuba3.llvm import LlvmSearch, find_llvm

@@ -1,4 +1,4 @@
-"""A Mitsuba scene of one body, built from arrays."""
+"""Mitsuba meshes and scenes of one body, built from arrays."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def build_shape(mi: Any, mesh: TriangleMesh, bsdf: Any = None) -> Any:
     mi
         The library ``mitsuba``.
     mesh
-        The body; Mitsuba's coordinates are body coordinates in metres, in single precision.
+        The body. Mitsuba's coordinates are body coordinates, m, in single precision.
     bsdf
-        A Mitsuba BSDF; Mitsuba's default one where it is None.
+        A Mitsuba BSDF; None for Mitsuba's default.
     """
     properties = mi.Properties()
     properties["face_normals"] = True
@@ -51,7 +51,7 @@ def build_shape(mi: Any, mesh: TriangleMesh, bsdf: Any = None) -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceMesh:
-    """A mesh as a variant holds it: its scene, unit normals (3 F,), vertices of facets (3 F,), albedo (V,) or None."""
+    """Mesh in arrays of a variant: scene, normals (3 F,), vertex indices of facets (3 F,), albedo (V,) or None."""
 
     scene: Any
     facet_normals: Any
@@ -63,9 +63,9 @@ _held: MutableMapping[TriangleMesh, dict[str, DeviceMesh]] = WeakKeyDictionary()
 
 
 def mesh_on_device(variant: Variant, mesh: TriangleMesh) -> DeviceMesh:
-    """Give a mesh to a variant, once for all reflectances, as long as the mesh is in use.
+    """Convert a mesh for a variant, cached as long as the mesh exists and shared by all reflectance models.
 
-    The tree of a body of some million facets takes longer than many images.
+    Building the tree of a body of millions of facets takes longer than rendering many images.
     """
     by_variant = _held.setdefault(mesh, {})
     if variant.name not in by_variant:
@@ -81,7 +81,7 @@ def mesh_on_device(variant: Variant, mesh: TriangleMesh) -> DeviceMesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FacetScene:
-    """Facets with corners (F, 3, 3), body frame, in a scene of their own."""
+    """Scene of loose facets with corners (F, 3, 3), body frame, m."""
 
     scene: Any
     corners_m: SingleArray
@@ -99,18 +99,18 @@ class FacetScene:
         return cls(mi.load_dict({"type": "scene", "part": shape}), corners_m)
 
     def first_hits(self, mi: Any, origins_m: FloatArray, directions: FloatArray) -> tuple[SingleArray, IndexArray]:
-        """Distances (N,), inf where nothing is met, and facets (N,) of the first hits of rays (N, 3)."""
+        """Distances (N,), m, inf for a miss, and facets (N,) of the first hits of rays (N, 3)."""
         hit = self.scene.ray_intersect_preliminary(_rays(mi, origins_m, directions), coherent=True)
         met = hit.is_valid().numpy()
         return np.where(met, hit.t.numpy(), np.inf).astype(np.float32), np.where(met, hit.prim_index.numpy(), 0)
 
     def blocks(self, mi: Any, origins_m: FloatArray, directions: FloatArray) -> BoolArray:
-        """(N,): whether it stands on rays (N, 3)."""
+        """(N,) whether a facet blocks each of the rays (N, 3)."""
         blocked: BoolArray = self.scene.ray_test(_rays(mi, origins_m, directions), coherent=True).numpy()
         return blocked
 
     def normals(self, facets: IndexArray) -> SingleArray:
-        """Work out unit normals (N, 3) of facets (N,); 0 of one without area."""
+        """Compute unit normals (N, 3) of facets (N,); 0 for a facet without area."""
         found = np.zeros((len(facets), 3), dtype=np.float32)
         facet_normals(found, self.corners_m, facets)
         return found

@@ -1,4 +1,4 @@
-"""Pose, Sun and camera from SPICE kernels."""
+"""Poses, directions to the Sun and camera models from SPICE kernels."""
 
 from renderers.spice.image_set import ApparentGeometry, SpiceImageSet, SpiceNames, apparent_geometry
 from renderers.spice.instruments import INSTRUMENTS, Instrument
