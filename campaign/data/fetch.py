@@ -1,4 +1,4 @@
-"""Downloads of registered data sets: resumed where they broke off, checked, and whole or not there at all."""
+"""Downloads of registered data sets, resumable, verified by checksums and stored atomically."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from scenarios.data.datasets import FILE_NAME, DataSetSpec, FileSpec
 from scenarios.errors import BoresightError
 from scenarios.reading import read_json
 
-_LEDGER = ".boresight-fetched.json"
+_CHECKSUM_FILE = ".boresight-fetched.json"
 _REGISTERED, _FIRST, _NOTHING = "registration", "first fetch", "nothing"
 
 TIMEOUT_S = 30.0
@@ -35,22 +35,22 @@ Progress = Callable[[str, int, int | None], None]
 
 
 class _BrokenOffError(requests.exceptions.RequestException):
-    """Fewer bytes came than the server had promised."""
+    """The server sent fewer bytes than announced."""
 
 
 class ResumingDownloader:
-    """Downloads into ``part`` first, and goes on there if an earlier call broke off.
+    """Downloader into a partial file, which resumes an interrupted download.
 
-    The server is asked to go on only if the file is still the one that was begun (If-Range).
+    It is resumed only if the file on the server is unchanged (HTTP header If-Range).
 
     Parameters
     ----------
     part
-        Where to write; beside it lies what tells the version of the file.
+        The partial file; its version on the server is stored in a second file with the suffix ``-of``.
     size_bytes
-        Size of the file, or None where it is not known.
+        Size of the file, or None if it is unknown.
     progress
-        Told the name, the bytes that are here and those of the whole file, None where they are not known.
+        Called with the name, the bytes received and the size of the file (None if unknown).
     """
 
     def __init__(self, part: Path, size_bytes: int | None, progress: Progress) -> None:
@@ -60,14 +60,14 @@ class ResumingDownloader:
         self._progress = progress
 
     def __call__(self, url: str, output_file: str, _pooch: object) -> None:
-        """Download for pooch, which checks the checksum and moves the file to its place."""
+        """Download a file for pooch, which then verifies the checksum and moves the file to its destination."""
         tag = self._tag.read_text(encoding="utf-8") if self._tag.is_file() else ""
         have = self._part.stat().st_size if tag and self._part.is_file() else 0
         headers = {"Range": f"bytes={have}-", "If-Range": tag} if have else {}
-        headers["Accept-Encoding"] = "identity"  # else lengths and ranges are those of compressed bytes
+        headers["Accept-Encoding"] = "identity"  # otherwise lengths and ranges refer to compressed data
         with requests.get(url, headers=headers, stream=True, timeout=TIMEOUT_S) as answer:
             if answer.status_code == requests.codes.requested_range_not_satisfiable:
-                self._forget()
+                self._delete_part()
                 return self(url, output_file, _pooch)
             answer.raise_for_status()
             start = _start(answer)
@@ -105,13 +105,13 @@ class ResumingDownloader:
         if total is not None and done != total:
             raise _BrokenOffError(f"{done} of {total} bytes came")
 
-    def _forget(self) -> None:
+    def _delete_part(self) -> None:
         self._part.unlink(missing_ok=True)
         self._tag.unlink(missing_ok=True)
 
 
 def _start(answer: requests.Response) -> int:
-    """Return the place in the file at which an answer starts."""
+    """Return the position in the file at which a response starts."""
     if answer.status_code != requests.codes.partial_content:
         return 0
     match = re.match(r"bytes (\d+)-", answer.headers.get("Content-Range", ""))
@@ -119,19 +119,19 @@ def _start(answer: requests.Response) -> int:
 
 
 def _total(answer: requests.Response, start: int) -> int | None:
-    """Return the size of the whole file, as far as the server tells."""
+    """Return the size of the whole file, or None if the server does not state it."""
     length = answer.headers.get("Content-Length", "")
     return start + int(length) if length.isdigit() else None
 
 
 def _version_tag(answer: requests.Response) -> str:
-    """Return what tells this version of a file from another; empty where the server does not tell."""
+    """Return an identifier of the file's version (ETag or modification time); '' if the server sends none."""
     tag = answer.headers.get("ETag", "")
     return tag if tag and not tag.startswith("W/") else answer.headers.get("Last-Modified", "")
 
 
 def network_fault(url: str, error: requests.exceptions.RequestException) -> str:
-    """Say in one line what went wrong on the net."""
+    """Describe a network error in one line."""
     if isinstance(error, requests.exceptions.HTTPError) and error.response is not None:
         return f"{url}: the server says {error.response.status_code} {error.response.reason}"
     reason = "no connection"
@@ -143,7 +143,7 @@ def network_fault(url: str, error: requests.exceptions.RequestException) -> str:
 
 
 def disk_fault(path: Path, error: OSError) -> str:
-    """Say in one line why a file could not be kept."""
+    """Describe in one line why a file could not be written."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"{path}: the disk is full: free some space; the same command goes on where this one stopped"
     return f"{path}: {error.strerror or error}: set {DATA_VARIABLE} to a folder that can be written"
@@ -151,19 +151,19 @@ def disk_fault(path: Path, error: OSError) -> str:
 
 @dataclass(frozen=True, slots=True)
 class FetchedFile:
-    """A file that is now there.
+    """A file of a data set, downloaded or already present.
 
     Parameters
     ----------
     path
-        Where it lies.
+        Its path.
     sha256
         Its checksum.
     how
-        ``there`` already, or ``fetched`` now.
+        ``there`` if it was present, ``fetched`` if it was downloaded.
     trust
-        Whose checksum it was held against: ``registration``, ``first fetch``, or ``nothing``, because this is the first
-        fetch, whose checksum is kept and holds from now on.
+        Source of the checksum that it was compared with: ``registration``, ``first fetch``, or ``nothing`` if this is
+        the first download, whose checksum is stored for later ones.
     """
 
     path: Path
@@ -173,7 +173,7 @@ class FetchedFile:
 
 
 def fetch(dataset: DataSetSpec, root: Path, progress: Progress) -> Iterator[FetchedFile]:
-    """Fetch what is not there yet of a data set.
+    """Download the missing files of a data set, and verify those present.
 
     Parameters
     ----------
@@ -182,29 +182,29 @@ def fetch(dataset: DataSetSpec, root: Path, progress: Progress) -> Iterator[Fetc
     root
         The data folder.
     progress
-        Told the file, the bytes that are here and those of the whole file, None where they are not known.
+        Called with the file name, the bytes received and the size of the file (None if unknown).
 
     Raises
     ------
     BoresightError
-        If the network, the server or the disk fails, or a file is not what it should be. What is whole stays; a part
-        of a file stays under another name, from which the next call goes on.
+        If the network, the server or the disk fails, or a checksum differs. Complete files remain, and a partial file
+        from which the next call resumes.
     """
     folder = root / dataset.folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BoresightError(disk_fault(folder, error)) from error
-    ledger = _Ledger(folder / _LEDGER)
+    checksums = _ChecksumFile(folder / _CHECKSUM_FILE)
     for file in _files(dataset):
-        yield _fetch_file(file, folder, ledger, progress)
+        yield _fetch_file(file, folder, checksums, progress)
 
 
 def state(dataset: DataSetSpec, root: Path) -> str:
-    """Say how much of a data set is there, by the names of its files."""
+    """Describe how many files of a data set are present, by their names."""
     folder = root / dataset.folder
     if dataset.files is None:
-        known = _Ledger(folder / _LEDGER).names()
+        known = _ChecksumFile(folder / _CHECKSUM_FILE).names()
         there = sum((folder / name).is_file() for name in known)
         return f"{there} files" if there else "not there"
     there = sum((folder / file.file_name).is_file() for file in dataset.files)
@@ -213,9 +213,9 @@ def state(dataset: DataSetSpec, root: Path) -> str:
     )
 
 
-def _fetch_file(file: FileSpec, folder: Path, ledger: _Ledger, progress: Progress) -> FetchedFile:
+def _fetch_file(file: FileSpec, folder: Path, checksums: _ChecksumFile, progress: Progress) -> FetchedFile:
     path = folder / file.file_name
-    known, trust = (file.sha256, _REGISTERED) if file.sha256 else (ledger.sha256(path.name), _FIRST)
+    known, trust = (file.sha256, _REGISTERED) if file.sha256 else (checksums.sha256(path.name), _FIRST)
     if path.is_file():
         found = _sha256(path)
         if known is not None and found != known:
@@ -224,7 +224,7 @@ def _fetch_file(file: FileSpec, folder: Path, ledger: _Ledger, progress: Progres
                 " fetch it anew"
             )
         if known is None:
-            ledger.add(file, path, found)
+            checksums.add(file, path, found)
         return FetchedFile(path, found, "there", trust if known else _NOTHING)
     getter = ResumingDownloader(path.with_name(f"{path.name}.part"), file.size_bytes, progress)
     pooch.get_logger().setLevel(logging.ERROR)
@@ -240,12 +240,12 @@ def _fetch_file(file: FileSpec, folder: Path, ledger: _Ledger, progress: Progres
     except OSError as error:
         raise BoresightError(disk_fault(path, error)) from error
     found = _sha256(path)
-    ledger.add(file, path, found)
+    checksums.add(file, path, found)
     return FetchedFile(path, found, "fetched", trust if known else _NOTHING)
 
 
-class _Ledger:
-    """Keeps what was fetched into a folder, with the checksums that hold from the first fetch on."""
+class _ChecksumFile:
+    """JSON file in the folder of a data set with the checksums of the first downloads."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -275,7 +275,7 @@ class _Ledger:
 
 
 def _files(dataset: DataSetSpec) -> list[FileSpec]:
-    """List the files of a data set, asking the server where it says a folder."""
+    """Return the files of a data set, from the server's listing if it is registered as a folder."""
     if dataset.files is not None:
         return list(dataset.files)
     listing = dataset.listing
@@ -299,14 +299,14 @@ def _files(dataset: DataSetSpec) -> list[FileSpec]:
 
 
 class _Links(HTMLParser):
-    """Collects the links of a page."""
+    """Parser that collects the link targets of a page."""
 
     def __init__(self) -> None:
         super().__init__()
         self.found: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Keep the target of a link."""
+        """Store the target of a link."""
         self.found += [value for name, value in attrs if tag == "a" and name == "href" and value]
 
 

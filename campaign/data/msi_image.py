@@ -1,4 +1,4 @@
-"""An image of NEAR's MSI as detectors take it: pose and Sun from its header, square pixels, no distortion."""
+"""Images of NEAR's MSI for crater detectors: pose and Sun from the header, square pixels, no distortion."""
 
 from __future__ import annotations
 
@@ -28,12 +28,15 @@ KERNELS = tuple(
     for name in ("naif0012.tls", "pck00009.tpc", "eros_fixed.tf", "msi15.ti", "msiAddendum002.ti", "near_171.tsc")
 )
 _QUATERNION, _CRAFT, _TARGET = (19, 20, 21, 22), (23, 24, 25), (27, 28, 29)
-_POSE_SIGMA = (np.array([1e-4] * 3), np.array([40.0, 40.0, 200.0]))  # rad, m: the header's pose is a pixel or so off
+_POSE_SIGMA = (
+    np.array([1e-4] * 3),
+    np.array([40.0, 40.0, 200.0]),
+)  # rad, m: the header's pose has an error of about a pixel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MsiImage:
-    """A frame, its camera with square pixels, and where the header says that camera and Sun stood."""
+    """Frame with square pixels, and its view by the pose and Sun of the header."""
 
     name: str
     frame: Frame
@@ -41,12 +44,12 @@ class MsiImage:
 
 
 def open_msi(path: Path | None = None, search_dirs: Sequence[Path] = ()) -> MsiImage:
-    """Open an image by its label or FITS file; without one, the image under ``$BORESIGHT_DATA``.
+    """Open an image by its label or FITS file, by default the one in ``$BORESIGHT_DATA``.
 
     Raises
     ------
     BoresightError
-        If a file is missing, the header tells no pose, or the image is of no size that MSI's have.
+        If a file is missing, the header has no pose, or the size of the image is not one of MSI's.
     """
     product = open_product(path or find_data_file(IMAGE, search_dirs, ".", "image"))
     kernels = [find_data_file(name, search_dirs, "spice", "kernels") for name in KERNELS]
@@ -60,7 +63,7 @@ def open_msi(path: Path | None = None, search_dirs: Sequence[Path] = ()) -> MsiI
     rotation = R_cam_craft @ spiceypy.q2m(_numbers(product, _QUATERNION)) @ R_body_j2000.T
     craft, target = _numbers(product, _CRAFT), _numbers(product, _TARGET)
     pose = Pose(rotation, -rotation @ (1e3 * R_body_j2000 @ (craft - target)))
-    # SUN_SC_POSITION_VECTOR runs from the Sun to the spacecraft; the header's place of Eros is from the Sun as well.
+    # SUN_SC_POSITION_VECTOR is from the Sun to the spacecraft; the header's position of Eros is from the Sun too.
     sun = -R_body_j2000 @ target
     sun = sun / np.linalg.norm(sun)
     pixels = product.pixels()
@@ -71,7 +74,7 @@ def open_msi(path: Path | None = None, search_dirs: Sequence[Path] = ()) -> MsiI
 
 
 def _numbers(product: ImageProduct, keys: Sequence[int]) -> FloatArray:
-    """Read keywords of the header; some products write their numbers as texts."""
+    """Read numeric keywords of the header; some products write them as text."""
     values = [product.keywords.get(f"NEAR-{key:03d}") for key in keys]
     try:
         numbers = np.array([float(str(value)) for value in values])
@@ -87,7 +90,7 @@ def _numbers(product: ImageProduct, keys: Sequence[int]) -> FloatArray:
 def camera_of_lines(camera: Camera, shape: tuple[int, ...], path: Path) -> Camera:
     """Return the camera of an image (lines, samples): the detector's, or the same with its lines resampled to squares.
 
-    MSI's pixels are 1.7 times as high as wide; products of 412 lines have square ones, and the lens as it was.
+    MSI's pixels are 1.7 times as high as wide; products of 412 lines have square pixels, with distortion.
 
     Raises
     ------
@@ -105,7 +108,7 @@ def camera_of_lines(camera: Camera, shape: tuple[int, ...], path: Path) -> Camer
 
 
 def square_pixels(image: NDArray[np.float32], camera: Camera) -> tuple[NDArray[np.float32], Camera]:
-    """Resample an image once, by cubic splines, to square pixels of the ideal camera of the same field."""
+    """Resample an image once, by cubic splines, to square pixels of a pinhole camera of the same field of view."""
     height = round(camera.height_px * camera.fx_px / camera.fy_px)
     ratio = height / camera.height_px
     square = Camera(camera.width_px, height, camera.fx_px, camera.fy_px * ratio, camera.cx_px, camera.cy_px * ratio)

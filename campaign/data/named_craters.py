@@ -1,4 +1,4 @@
-"""Named craters of Eros: where the gazetteer and the plate model put them in an image."""
+"""Named craters of Eros in a real image: predicted by gazetteer and shape model, and compared with detections."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 GAZETTEER = "craters/eros_named_craters_iau.csv"
-_FAR = 3.0  # lengths of the body from which lines of sight come down on a crater
-_EDGE_ON = 0.1  # cosine of emission below which a rim's image is a line
+_FAR = 3.0  # body radii from which rays are cast down onto a crater
+_EDGE_ON = 0.1  # cosine of emission below which a rim is seen edge-on
 
 EROS = BodySpec(shape="eros022540.tab", unit="km", expected_diameter_m=(1e4, 5e4))
 _NEAR, _ALIKE = 0.5, 0.5  # of the radius and of the log ratio of radii: gazetteer and pose are no better than that
@@ -38,7 +38,7 @@ _NEAR, _ALIKE = 0.5, 0.5  # of the radius and of the log ratio of radii: gazette
 
 @dataclass(frozen=True, slots=True)
 class NamedCrater:
-    """One entry: planetocentric latitude, east longitude, diameter."""
+    """Entry of the gazetteer: planetocentric latitude, east longitude, diameter."""
 
     name: str
     latitude_rad: float
@@ -54,7 +54,7 @@ class NamedCrater:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedCraters:
-    """Named craters that an image should show, with the images of their rims as plane circles."""
+    """Named craters expected in an image, with the ellipses of their rims as plane circles."""
 
     names: tuple[str, ...]
     ellipses: Ellipses
@@ -62,12 +62,12 @@ class PredictedCraters:
 
 
 def read_gazetteer(search_dirs: Sequence[Path] = ()) -> tuple[NamedCrater, ...]:
-    """Read the table under ``$BORESIGHT_DATA``.
+    """Read the gazetteer in ``$BORESIGHT_DATA``.
 
     Raises
     ------
     BoresightError
-        If it is missing or a row is not one.
+        If it is missing or a row is invalid.
     """
     path = find_data_file(GAZETTEER, search_dirs, ".", "craters")
     try:
@@ -92,9 +92,9 @@ def _crater(row: Mapping[str, str | None], place: str) -> NamedCrater:
 
 
 def predict(craters: Sequence[NamedCrater], mesh: TriangleMesh, view: View) -> PredictedCraters:
-    """Put craters on the outermost surface in their direction and project those in sight of the camera.
+    """Place craters on the outermost surface in their direction, and project those visible to the camera.
 
-    A rim lies in the mean plane of the facets within its radius.
+    The rim is a circle in the mean plane of the facets within its radius.
     """
     ground = MeshGround(mesh)
     down = -np.array([crater.direction for crater in craters])
@@ -115,7 +115,7 @@ def predict(craters: Sequence[NamedCrater], mesh: TriangleMesh, view: View) -> P
 
 
 def _plane(mesh: TriangleMesh, point_m: FloatArray, radius_m: float, normal: FloatArray) -> FloatArray:
-    """Return the mean normal of facets within a radius; the given one where there is no facet's middle."""
+    """Return the mean normal of the facets within a radius; the given normal if there are none."""
     near = np.linalg.norm(mesh.corners_m.mean(axis=1) - point_m, axis=1) < radius_m
     total = mesh.area_vectors_m2[near].sum(axis=0) if near.any() else normal
     return np.asarray(total / np.linalg.norm(total), dtype=np.float64)
@@ -123,14 +123,14 @@ def _plane(mesh: TriangleMesh, point_m: FloatArray, radius_m: float, normal: Flo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RealDetection:
-    """What was found in a real image, and what was expected.
+    """Detections in a real image, and the craters expected in it.
 
     Parameters
     ----------
     nearest
-        (k,) row of the detection that is taken for each named crater; -1 where none is near enough and alike.
+        (k,) index of the detection matched with each named crater; -1 if none is similar in position and radius.
     stages
-        Of the classic detector; None of others.
+        Intermediate results of the classic detector; None for others.
     """
 
     image: MsiImage
@@ -140,7 +140,7 @@ class RealDetection:
     stages: DetectionStages | None
 
     def summary(self) -> list[str]:
-        """One line for each named crater that the image should show."""
+        """Return one line for each expected crater."""
         lines = []
         for k, name in enumerate(self.predicted.names):
             u, v = self.predicted.ellipses.centre_px[k]
@@ -156,7 +156,7 @@ class RealDetection:
 
 
 def detect_real(detector: CraterDetector, path: Path | None = None) -> RealDetection:
-    """Open an image of NEAR's MSI, detect, and look for the named craters.
+    """Open an image of NEAR's MSI, detect craters, and match them with the named ones.
 
     Raises
     ------
@@ -183,9 +183,9 @@ def _nearest(found: CraterDetections, predicted: PredictedCraters) -> NDArray[np
 
 
 def write_real(found: RealDetection, folder: Path) -> list[Path]:
-    """Write the figures and a table of the detections; return the paths."""
+    """Write figures and a table of the detections; return the paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    picture = np.sqrt(np.maximum(found.image.frame.image, 0.0))  # for the eye: what is dim shows too
+    picture = np.sqrt(np.maximum(found.image.frame.image, 0.0))  # brightens dark regions for display
     figure = draw_detections(
         picture, found.detections.ellipses, found.predicted.ellipses, found.predicted.names,
         f"{found.image.name}: detected craters, and named craters where gazetteer, shape and header put them (dashed)",
@@ -201,7 +201,7 @@ def write_real(found: RealDetection, folder: Path) -> list[Path]:
 
 
 def _table(found: RealDetection) -> str:
-    """Rows of the detections, the most confident first, with the named crater that each is taken for."""
+    """CSV of the detections by decreasing confidence, with the named crater matched with each."""
     names = {int(row): name for row, name in zip(found.nearest, found.predicted.names, strict=True) if row >= 0}
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")

@@ -1,4 +1,11 @@
-"""Poses of a stored run, true and estimated, with what was seen of which landmark: what trajectories are made of."""
+"""Camera poses of stored runs, as COLMAP text models and as TUM trajectories.
+
+COLMAP (``cameras.txt``, ``images.txt``, ``points3D.txt``) has the conventions used here: x right, y down, z forward,
+the centre of the first pixel at (0.5, 0.5), and the rotation from world to camera with the scalar first. Identifiers
+begin at 1. A line of a TUM file, which evo reads, is ``timestamp tx ty tz qx qy qz qw``: seconds, camera position in the
+world, m, and the rotation from camera to world axes with the scalar last. Numbers have 17 digits, which preserves
+every bit.
+"""
 
 from __future__ import annotations
 
@@ -31,17 +38,17 @@ _Track = list[tuple[int, int, float]]
 
 
 def posed(campaign: ResolvedCampaign, folder: RunFolder, cases: Iterable[Case]) -> Iterator[tuple[str, PosedFrames]]:
-    """Recompute cases and give their poses in the body's axes: a model of each sequence, or one of all single images.
+    """Recompute cases and yield their poses in body axes: one model for each sequence, or one for all single images.
 
     Yields
     ------
     name, frames
-        Name of the model, after its scenario and estimator, and of a sequence its trial.
+        Name of the model, from scenario and estimator (and trial, for a sequence), and its frames.
 
     Raises
     ------
     BoresightError
-        If what is recomputed is not what is stored.
+        If recomputed and stored rows differ.
     """
     show = _showing(campaign)
     together: dict[tuple[str, str], list[PosedFrames]] = {}
@@ -58,7 +65,7 @@ def posed(campaign: ResolvedCampaign, folder: RunFolder, cases: Iterable[Case]) 
 
 
 def check_posed(campaign: ResolvedCampaign) -> None:
-    """Refuse a campaign whose trials have no camera poses.
+    """Raise an error if the trials of a campaign have no camera poses.
 
     Raises
     ------
@@ -83,7 +90,7 @@ def _same(again: Recomputed) -> Recomputed:
 
 
 def stored_images(rows: pd.DataFrame) -> Iterator[tuple[str, list[PosedFrame]]] | None:
-    """Return the trajectories of single images as their rows hold them; None where they hold no poses."""
+    """Yield the trajectories of single images from their stored rows; None if the rows have no poses."""
     solved = rows[rows["status"] == "ok"]
     if rows["true_qw"].isna().any() or solved["qw"].isna().any():
         return None
@@ -101,7 +108,7 @@ def stored_images(rows: pd.DataFrame) -> Iterator[tuple[str, list[PosedFrame]]] 
 
 
 def _image_of(row: Mapping[Hashable, Any]) -> tuple[str, float]:
-    """Name of the image of a row, and its epoch: the trial where images have none."""
+    """Name and epoch of the image of a row; for rendered images the epoch is the trial number."""
     name, trial = str(row["image"] or ""), int(row["trial"])
     return (name, float(row["time_s"])) if name else (f"{trial:07d}.tiff", float(trial))
 
@@ -109,7 +116,7 @@ def _image_of(row: Mapping[Hashable, Any]) -> tuple[str, float]:
 def trajectories(
     campaign: ResolvedCampaign, folder: RunFolder, cases: Iterable[Case]
 ) -> Iterator[tuple[str, Sequence[PosedFrame]]]:
-    """Give the trajectory of each case: of sequences in inertial space, without an estimator working again."""
+    """Yield the trajectory of each case; those of sequences are inertial and need no estimator to run again."""
     show = _showing(campaign)
     if show.trajectory is None:
         for name, found in posed(campaign, folder, cases):
@@ -120,7 +127,7 @@ def trajectories(
 
 
 def write_model(posed: PosedFrames, folder: Path) -> list[Path]:
-    """Write a model with the estimated poses and landmarks; a landmark is there if an image with a pose saw it."""
+    """Write a COLMAP model of the estimated poses, and of the landmarks observed in images with a pose."""
     tracks: dict[int, _Track] = {}
     lines = ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", "# POINTS2D[] as (X, Y, POINT3D_ID)"]
     for image, frame in enumerate(posed.frames, start=1):
@@ -144,7 +151,7 @@ def _camera(camera: Camera) -> str:
 
 
 def _image(image: int, frame: PosedFrame, posed: PosedFrames, tracks: dict[int, _Track]) -> list[str]:
-    """Write the two lines of an image, and note down in ``tracks`` which landmarks it sees and how well they fit."""
+    """Return the two lines of an image, and add its observations and reprojection errors to ``tracks``."""
     pose, points = frame.estimated, []
     for row, (number, uv_px) in enumerate(zip(frame.landmarks.tolist(), frame.uv_px, strict=True)):
         place = posed.places_m.get(number)
@@ -157,7 +164,7 @@ def _image(image: int, frame: PosedFrame, posed: PosedFrames, tracks: dict[int, 
 
 
 def _point(number: int, place_m: FloatArray, track: _Track) -> str:
-    """Write a landmark with the mean of its reprojection errors; one behind a camera has none and counts as 0."""
+    """Return the line of a landmark with its mean reprojection error; 0 if it is behind every camera."""
     errors = [error for _, _, error in track if np.isfinite(error)]
     error = float(np.mean(errors)) if errors else 0.0
     seen = " ".join(f"{image} {row}" for image, row, _ in track)

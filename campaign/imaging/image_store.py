@@ -1,8 +1,8 @@
-"""Rendered images kept between runs: what changes no pixel renders nothing again.
+"""Rendered images of a scenario, stored in the cache between runs.
 
-The store holds radiance factors, before the detector: exposing one again costs little and has a random stream of its
-own, so that a changed detector reads the same images. It lives in the cache, which bounds its size; damaged or missing
-images are rendered. Images from the store are those of the renderer, bit for bit.
+The store contains radiance factors before the detector, which is fast and has a random stream of its own, so that a
+changed detector reads the same images. The cache bounds its size; missing or damaged images are rendered again. Images
+from the store equal rendered ones bit for bit.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ KIND = "images"
 SWITCH = "BORESIGHT_IMAGE_STORE"
 _FORMAT = 1
 _FILE = "images.parquet"
-# A chunk is read and written whole: as many images as a block of trials, but no more pixels than this.
+# A chunk is read and written as a whole: as many images as a block of trials, but at most this many pixels.
 _CHUNK_IMAGES = 10
 _CHUNK_PIXELS = 1 << 25
 
@@ -62,19 +62,19 @@ _SCHEMA = pa.schema(
 )
 
 _MOST_BYTES = 5 * MOST_PIXELS
-"""Values of 4 bytes and a bit in the map for each pixel, and some room for indices and fingerprints."""
+"""Largest uncompressed file: 4 bytes and one bit for each pixel, and room for indices and fingerprints."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredImage:
-    """An image (H, W) float32 with the fingerprint of its view."""
+    """Image (H, W) float32 with the fingerprint of its view."""
 
     image: Image
     view: bytes
 
 
 def write_images(path: Path, images: Mapping[int, StoredImage]) -> None:
-    """Write images by their index; every bit comes back, negative zeros and NaN included."""
+    """Write images by index, without loss of any bit, including negative zeros and NaN."""
     rows = []
     for index, kept in sorted(images.items()):
         pixels = np.ascontiguousarray(kept.image, dtype=np.float32)
@@ -94,11 +94,11 @@ def write_images(path: Path, images: Mapping[int, StoredImage]) -> None:
 
 
 def read_images(path: Path) -> dict[int, StoredImage]:
-    """Read all images of a file; they are read-only.
+    """Read all images of a file as read-only arrays.
 
     Raises
     ------
-    ValueError, KeyError, TypeError, OSError or one of pyarrow's
+    ValueError, KeyError, TypeError, OSError, or an error of pyarrow
         If the file is damaged.
     """
     images: dict[int, StoredImage] = {}
@@ -114,7 +114,7 @@ def read_images(path: Path) -> dict[int, StoredImage]:
 
 
 def _stored(path: Path) -> pa.Table:
-    """Read the rows of a file, before any image is unfolded: all of them are no larger than the largest is."""
+    """Read the rows of a file, checking the sizes before any image is decompressed."""
     with pq.ParquetFile(path) as file:
         about = file.metadata
         unfolded = sum(about.row_group(number).total_byte_size for number in range(about.num_row_groups))
@@ -132,13 +132,13 @@ def _pixels(size: Mapping[str, int]) -> int:
 
 
 def store_is_on() -> bool:
-    """Whether images are kept: $BORESIGHT_IMAGE_STORE is not ``off``."""
+    """Return whether the store is in use: $BORESIGHT_IMAGE_STORE is not ``off``."""
     return os.environ.get(SWITCH) != "off"
 
 
 @contextmanager
 def store_switched(on: bool) -> Iterator[None]:
-    """Keep and take images, or not."""
+    """Switch the store on or off inside the context, for child processes too."""
     before = os.environ.get(SWITCH)
     os.environ[SWITCH] = "on" if on else "off"
     try:
@@ -150,7 +150,7 @@ def store_switched(on: bool) -> Iterator[None]:
 
 
 def image_set_key(scenario: LoadedScenario, variant: str, stream: Stream, laws: Sequence[SpecModel]) -> str:
-    """Return the content hash of all that decides a set of rendered images, but for each image's own view.
+    """Return the hash of everything that determines a set of rendered images, except the view of each image.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def image_set_key(scenario: LoadedScenario, variant: str, stream: Stream, laws: 
     variant
         The Mitsuba variant.
     stream, laws
-        What the views are drawn from: keeps sets of different views apart.
+        Random stream and distributions of the views, to distinguish sets of different views.
     """
     spec = scenario.spec
     versions = package_versions()
@@ -177,7 +177,7 @@ def image_set_key(scenario: LoadedScenario, variant: str, stream: Stream, laws: 
 
 
 def fingerprint(view: View) -> bytes:
-    """Hash camera, pose and Sun of a view, to the last bit."""
+    """Hash camera, pose and Sun of a view, exactly."""
     numbers = (view.T_cam_body.rotation, view.T_cam_body.translation_m, view.sun_dir_body)
     parts = [repr(view.camera).encode(), *(np.ascontiguousarray(n, dtype=np.float64).tobytes() for n in numbers)]
     return hashlib.sha256(b"|".join(parts)).digest()[:16]
@@ -185,14 +185,14 @@ def fingerprint(view: View) -> bytes:
 
 @dataclass(slots=True, eq=False)
 class ImageStore:
-    """One set of images, numbered from 0 under each seed; a process holds one chunk of it at a time.
+    """Stored images of one set, numbered from 0 for each seed; a process loads one chunk at a time.
 
     Parameters
     ----------
     key
-        Of the set, from ``image_set_key``.
+        Hash of the set, from ``image_set_key``.
     chunk_images
-        Images of a chunk.
+        Images per chunk.
     """
 
     key: str
@@ -204,15 +204,15 @@ class ImageStore:
 
     @classmethod
     def open(cls, scenario: LoadedScenario, variant: str, stream: Stream, *laws: SpecModel) -> ImageStore:
-        """Open the set of images of a scenario whose views are drawn from a stream by some laws; reads nothing yet."""
+        """Open the images of a scenario with views drawn from a stream by given distributions, without reading yet."""
         camera = scenario.spec.camera
         chunk_images = min(_CHUNK_IMAGES, max(1, _CHUNK_PIXELS // (camera.width_px * camera.height_px)))
         return cls(image_set_key(scenario, variant, stream, laws), chunk_images)
 
     def image(self, seed: int, index: int, view: View, render: Callable[[View], Image]) -> tuple[Image, bool]:
-        """Return an image, rendered if it is not in the store, and whether it came from there.
+        """Return an image, rendered if it is not stored, and whether it came from the store.
 
-        What is rendered is kept when its chunk is left, and on ``flush``.
+        Rendered images are written when another chunk is needed, and by ``flush``.
         """
         chunk = f"{self.key}-{seed:x}-{index // self.chunk_images:07d}"
         if chunk != self._chunk:
@@ -229,7 +229,7 @@ class ImageStore:
         return image, False
 
     def flush(self) -> None:
-        """Keep what was rendered since the last time, and hold nothing in memory."""
+        """Write the images rendered since the last call, and release the memory."""
         images, cache = self._images, _cache()
         if self._fresh and self._writable and cache is not None:
             self._writable = cache.put(KIND, self._chunk, lambda folder: write_images(folder / _FILE, images))
@@ -247,7 +247,7 @@ def _read(chunk: str) -> dict[int, StoredImage]:
 
 
 def read_chunk(path: Path) -> dict[int, StoredImage]:
-    """Read a chunk; nothing where it is damaged, or where another process has thrown it out this moment."""
+    """Read a chunk; empty if it is damaged, or if another process has just removed it from the cache."""
     try:
         return read_images(path)
     except PARQUET_FAULTS:
@@ -255,7 +255,7 @@ def read_chunk(path: Path) -> dict[int, StoredImage]:
 
 
 def open_renderer(scenario: LoadedScenario, variant: str) -> BodyRenderer:
-    """Build the renderer of a scenario's true body, with its craters if it has some."""
+    """Create the renderer of a scenario's true body, including its craters."""
     spec = scenario.spec
     samples, chosen = spec.rendering.samples_per_pixel, choose_variant(variant)
     if spec.craters is not None:
@@ -267,7 +267,7 @@ def open_renderer(scenario: LoadedScenario, variant: str) -> BodyRenderer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Imager:
-    """The camera of a scenario; ``detector`` is None where images stay radiance factors."""
+    """Renderer, store and detector of a scenario's camera; without a detector, images are radiance factors."""
 
     renderer: BodyRenderer
     detector: Detector | None
@@ -277,7 +277,7 @@ class Imager:
     def open(
         cls, scenario: LoadedScenario, variant: str, renderer: BodyRenderer, stream: Stream, *laws: SpecModel
     ) -> Imager:
-        """Make ready to image views that are drawn from a stream by some laws."""
+        """Open the camera of a scenario for views drawn from a stream by given distributions."""
         detector = None if scenario.spec.detector is None else Detector(scenario.spec.detector)
         return cls(renderer, detector, ImageStore.open(scenario, variant, stream, *laws))
 
@@ -289,18 +289,18 @@ class Imager:
         view
             Camera, pose and Sun.
         seed, index
-            Of the image in the store.
+            Seed and number of the image in the store.
         noise
-            Of the detector.
+            Random generator of the detector.
 
         Returns
         -------
         image, from_store
-            (H, W), and whether it was rendered in an earlier run.
+            (H, W) float32, and whether the image came from the store.
         """
         radiance, from_store = self.store.image(seed, index, view, self.renderer.render)
         return (radiance if self.detector is None else self.detector.expose(radiance, noise)), from_store
 
     def flush(self) -> None:
-        """Keep what was rendered."""
+        """Write the rendered images to the store."""
         self.store.flush()

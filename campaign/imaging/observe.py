@@ -1,4 +1,4 @@
-"""Observations for estimators: the image, the Sun in the camera and a degraded pose."""
+"""Observations for estimators: image, direction to the Sun in camera axes, prior pose and sensor readings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def altimeter_reading(world: World, view: View, rng: np.random.Generator) -> Ran
 
     Returns
     -------
-    The reading; None where the scenario has no altimeter, or the boresight misses the body.
+    The reading; None if the scenario has no altimeter or the boresight misses the body.
     """
     altimeter = world.scenario.spec.sensors.altimeter
     if altimeter is None:
@@ -36,9 +36,9 @@ def altimeter_reading(world: World, view: View, rng: np.random.Generator) -> Ran
 
 
 def observe(world: World, sight: TrialImage, seed: int, trial: int) -> Observation:
-    """Make what an estimator may see of a sight.
+    """Create the observation of a trial: what an estimator may use of it.
 
-    The image of a lens is resampled to the pinhole that the spacecraft takes it for, once for all estimators.
+    An image with distortion is resampled, once for all estimators, to the pinhole camera that the spacecraft assumes.
     """
     spec = world.scenario.spec
     true = sight.view.T_cam_body

@@ -1,4 +1,4 @@
-"""One scenario made real in this process: body, renderer, detector or image set."""
+"""Simulated or real world of a scenario in this process: body, renderer, and the source of its images."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ _MOST_DRAWS = 1000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialImage:
-    """What a camera saw in one trial, with the truth of it: for experiments only, never for an estimator.
+    """Image of one trial with its true view. Only experiments may use it, never an estimator.
 
     Parameters
     ----------
     image
         (H, W) float32.
     view
-        The true view (for real images the reference pose).
+        The true view; for real images that of the reference pose.
     further
-        Other poses to score against, by name.
+        Views of other poses to score against, by name.
     image_name
-        File name of a real image, or ''.
+        File name of a real image, else ''.
     time_s
-        Epoch of a real image, or 0.
+        Epoch of a real image, else 0.
     from_store
         Whether the image was rendered in an earlier run.
     """
@@ -55,24 +55,24 @@ class TrialImage:
 
 
 class ImageSource(Protocol):
-    """Where the images of an experiment come from."""
+    """Source of the images of an experiment."""
 
     def trial_image(self, seed: int, trial: int) -> TrialImage:
-        """Produce the image and the truth of one trial."""
+        """Return image and true view of one trial."""
         ...
 
     def view(self, seed: int, trial: int) -> View:
-        """Tell the true view of one trial without its image."""
+        """Return the true view of one trial without its image."""
         ...
 
     def flush(self) -> None:
-        """Keep what was rendered, at the end of a block of trials."""
+        """Write rendered images to the store, at the end of a block of trials."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedImageSource:
-    """Images rendered from views drawn at random, or taken from the store of those."""
+    """Source of images of random views, rendered or read from the store."""
 
     scenario: LoadedScenario
     camera: Camera
@@ -86,11 +86,11 @@ class RenderedImageSource:
         return TrialImage(image, view, {}, from_store=from_store)
 
     def flush(self) -> None:
-        """Keep what was rendered."""
+        """Write rendered images to the store."""
         self.imager.flush()
 
     def view(self, seed: int, trial: int) -> View:
-        """Draw views until one has the body clear of the parts of the detector that are to stay clear."""
+        """Draw views until the body is clear of the rectangles of the detector that must stay clear."""
         rng, viewpoint = generator(seed, Stream.TRUTH, trial), self.scenario.spec.viewpoint
         clear = () if viewpoint is None else viewpoint.keep_clear_px
         for _ in range(_MOST_DRAWS):
@@ -108,7 +108,7 @@ class RenderedImageSource:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RealImageSource:
-    """Real images: trial t looks at image t modulo their number, so that few trials cover many images."""
+    """Source of real images: trial t has image t modulo their number, so that few trials cover many images."""
 
     images: ImageSet
     truth: str
@@ -132,17 +132,17 @@ class RealImageSource:
         )
 
     def view(self, seed: int, trial: int) -> View:
-        """Tell the reference pose of the trial's image."""
+        """Return the view of the reference pose of the trial's image."""
         del seed
         return self.images.view(trial % len(self.images), self.truth)
 
     def flush(self) -> None:
-        """Do nothing: real images are on the disk already."""
+        """Do nothing, as real images are files already."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """A scenario with everything that it takes to see it; ``ground`` is the surface of a cratered body."""
+    """A scenario with its body, renderer and image source; ``ground`` is the surface of a cratered body."""
 
     scenario: LoadedScenario
     camera: Camera
@@ -153,14 +153,14 @@ class World:
 
 
 def believed(scenario: LoadedScenario) -> LoadedScenario:
-    """Return a scenario as the spacecraft knows it."""
+    """Return a scenario as the spacecraft believes it to be."""
     return replace(scenario, spec=believed_spec(scenario.spec))
 
 
 def trial_limit(scenario: LoadedScenario) -> int | None:
-    """Return how many trials a scenario's real images are good for; None where images are rendered.
+    """Return the number of trials that a scenario's real images allow; None if images are rendered.
 
-    Every image is read once on the way, so that a damaged one is found before a campaign starts.
+    Every image is read once, so that a damaged one is found before a campaign starts.
     """
     spec = scenario.spec
     if spec.images is None:
@@ -171,7 +171,7 @@ def trial_limit(scenario: LoadedScenario) -> int | None:
 
 
 def check_craters(scenario: LoadedScenario) -> None:
-    """Refuse a cratered body that this machine has no room for, before a campaign starts."""
+    """Refuse a cratered body too large for this machine's memory, before a campaign starts."""
     spec = scenario.spec
     if spec.craters is None:
         return
@@ -183,9 +183,9 @@ def check_craters(scenario: LoadedScenario) -> None:
 
 
 def check_bodies(scenario: LoadedScenario) -> None:
-    """Refuse a body that cannot be read, the true one and the believed one, and views from inside it.
+    """Refuse a true or believed body that cannot be read, and views from inside the body.
 
-    Whatever is made of them would fail, and that would be taken for the fault of the method that asks for it.
+    Otherwise everything built from them would fail, and the failure would be attributed to the method that needs it.
     """
     spec = scenario.spec
     mesh = load_body(spec.body, scenario.search_dirs).mesh
@@ -195,7 +195,7 @@ def check_bodies(scenario: LoadedScenario) -> None:
 
 
 def typical_range_m(scenario: LoadedScenario) -> float:
-    """Return the range of a scenario's views: of its viewpoint, or the median over its real images."""
+    """Range of a scenario's views, m: that of its viewpoint, or the median over its real images."""
     spec = scenario.spec
     if spec.viewpoint is not None:
         return spec.viewpoint.range_m
@@ -204,8 +204,8 @@ def typical_range_m(scenario: LoadedScenario) -> float:
 
 
 def open_world(scenario: LoadedScenario, variant: str) -> World:
-    """Build a scenario's world once per process; scenes do not pickle, so every worker has its own."""
-    # A file that changed under the same name is another world.
+    """Open a scenario's world, cached per process: scenes cannot be pickled, so every worker builds its own."""
+    # The digests are part of the cache's key, as a file may change under the same name.
     return _built(scenario, variant, shape_digest(scenario.spec, scenario.search_dirs), images_digest(scenario))
 
 
@@ -231,7 +231,7 @@ def _built(scenario: LoadedScenario, variant: str, *_content: str) -> World:
 
 
 def _check_range(scenario: LoadedScenario, mesh: TriangleMesh, viewpoint: ViewpointSpec) -> None:
-    """Refuse a range at which some of the drawn views would be from inside the body, before the first of them."""
+    """Refuse a range at which a drawn view could be inside the body."""
     x, y, z = mesh.vertices_m.T
     latitudes_deg = np.degrees(np.arctan2(z, np.hypot(x, y)))
     south_deg, north_deg = viewpoint.latitude_deg.uniform

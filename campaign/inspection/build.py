@@ -1,4 +1,4 @@
-"""Inspect cases of a stored run: recompute, compare, keep, draw, and write a page for each."""
+"""Pages of inspected cases: recompute a case, compare it with the stored one, write its data and draw it."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from reports.schema.tables import TABLES, schema
 from scenarios.atomic import write_atomically, write_text
 
 _SHORT = ("stages", "references", "diagnostics", "orbits", "crater_matches")
-"""Tables that are a few rows a case; the longer ones are kept as Parquet beside the page."""
+"""Tables with few rows per case, shown on its page; longer ones are only written as Parquet."""
 
 
 def worst_figures(campaign: ResolvedCampaign, folder: RunFolder, count: int) -> Iterator[NamedFigure]:
-    """Draw the first picture of each of the worst cases; none where one alone takes minutes to make again."""
+    """Draw the first figure of each of the worst cases; none if recomputing a case takes minutes."""
     show = show_of(campaign.spec.experiment)
     if count == 0 or (show is not None and show.long(campaign)):
         return
@@ -50,7 +50,7 @@ def worst_figures(campaign: ResolvedCampaign, folder: RunFolder, count: int) -> 
 
 
 def keep(again: Recomputed, show: Show | None, folder: Path) -> list[Path]:
-    """Write the tables of a case as Parquet, what its estimator saw as TIFF, and what it returned as JSON."""
+    """Write the tables of a case as Parquet, its images as TIFF, and the estimate as JSON."""
     kept = [_table(name, records, folder) for name, records in again.records.items() if records]
     shown = CaseFiles() if show is None else show.kept(again.shown)
     for name, image in shown.images.items():
@@ -71,7 +71,7 @@ def _table(name: str, records: Sequence[Record], folder: Path) -> Path:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inspected:
-    """A case that was inspected, and where its page is."""
+    """An inspected case with its row, its comparison with the stored one, and its page."""
 
     case: Case
     row: Record
@@ -80,12 +80,12 @@ class Inspected:
 
 
 def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out: Path) -> Inspected:
-    """Recompute one case, write all of it into a folder of its own below ``out``, and draw its stages.
+    """Recompute one case, write its data to a folder below ``out``, and draw its stages.
 
     Raises
     ------
     BoresightError
-        If its world cannot be made again, or a file cannot be written.
+        If its world cannot be rebuilt, or a file cannot be written.
     """
     again = recompute(campaign, folder, case)
     place = out / case.stem
@@ -107,7 +107,7 @@ def inspect_case(campaign: ResolvedCampaign, folder: RunFolder, case: Case, out:
 
 
 def draw_case(again: Recomputed, show: Show | None, kind: str) -> CaseFigures:
-    """Draw the stages of a case, as far as they came; where there is nothing to draw, a note says so."""
+    """Draw the completed stages of a case, or return a note that there is nothing to draw."""
     drawn = None if show is None else show.draw(again)
     if drawn is not None:
         return drawn
@@ -116,7 +116,7 @@ def draw_case(again: Recomputed, show: Show | None, kind: str) -> CaseFigures:
 
 
 def _facts(again: Recomputed, folder: RunFolder, campaign: ResolvedCampaign) -> list[tuple[str, str]]:
-    """Say what the case is, as names and values."""
+    """Describe a case by names and values."""
     manifest: dict[str, Any] = folder.read_manifest() or {}
     row = again.row
     facts = [
@@ -132,7 +132,7 @@ def _facts(again: Recomputed, folder: RunFolder, campaign: ResolvedCampaign) -> 
 
 
 def _row_grid(row: Record) -> Grid:
-    """List what the row of a case holds, with what each number means."""
+    """Table of the values of a case's row and their meaning."""
     meanings = {column.name: column.meaning for column in TABLES["rows"]}
     key = ("trial", "scenario", "estimator", "status", "reason", "image")
     cells = [
@@ -142,7 +142,7 @@ def _row_grid(row: Record) -> Grid:
 
 
 def _grids(again: Recomputed) -> list[Grid]:
-    """Print the short tables of a case."""
+    """Return the short tables of a case for its page."""
     grids = []
     for name in (name for name in _SHORT if again.records.get(name)):
         records = again.records[name]
@@ -165,6 +165,6 @@ def _command(folder: RunFolder, case: Case) -> str:
 
 
 def order_of(cases: Sequence[Case]) -> list[Case]:
-    """Sort cases so that those of one scenario follow each other: its world is built once."""
+    """Sort cases by scenario, so that each world is built once."""
     scenarios = list(dict.fromkeys(case.scenario for case in cases))
     return sorted(cases, key=lambda case: scenarios.index(case.scenario))

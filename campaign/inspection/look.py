@@ -1,4 +1,4 @@
-"""What is to be seen of a run in space: the body, landmarks by how they are recognised, good and bad cameras."""
+"""Three-dimensional view of a run: coarse body, landmarks by their rate of recognition, cameras by outcome."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ IndexArray = NDArray[np.int64]
 
 
 def look_of(campaign: ResolvedCampaign, folder: RunFolder, run: RunData, choice: Choice) -> Look:
-    """Collect what is to be seen of one scenario and estimator.
+    """Collect the view of one scenario and estimator.
 
     Raises
     ------
     BoresightError
-        If several scenarios or estimators are left to choose from, or the kind of trial has no places in space.
+        If the choice leaves several scenarios or estimators, or the kind of trial has no such view.
     """
     scenario, label = _one(run, choice)
     kind = campaign.spec.experiment
@@ -44,7 +44,7 @@ def look_of(campaign: ResolvedCampaign, folder: RunFolder, run: RunData, choice:
 
 
 def _one(run: RunData, choice: Choice) -> list[str]:
-    """Choose the one scenario and estimator: the named one, or the only one that is no control."""
+    """Return one scenario and one estimator: those named, or the only ones apart from `CONTROLS`."""
     chosen = []
     for column, wanted, left_out in (("scenario", choice.scenario, ()), ("estimator", choice.estimator, CONTROLS)):
         there = list(dict.fromkeys(run.rows[column].astype(str)))
@@ -60,18 +60,18 @@ def _one(run: RunData, choice: Choice) -> list[str]:
 def camera_sets(
     rows: pd.DataFrame, badness: FloatArray, told: Callable[[float], str], places: Callable[[int], FloatArray]
 ) -> list[Cameras]:
-    """Divide the cameras of trials into good ones, bad ones (above the median badness) and those without an estimate.
+    """Group the cameras of trials: good, bad (``badness`` above the median), and without an estimate.
 
     Parameters
     ----------
     rows
         Rows of the run, one for each trial.
     badness
-        (n,) how bad each is, in the order of the rows.
+        (n,) error measure of each trial, in the order of the rows.
     told
-        Says a badness in words.
+        Formats an error measure.
     places
-        (n, 3) cameras of a trial.
+        Returns the camera positions (n, 3) of a trial.
     """
     values = pd.Series(badness, index=rows.index)
     solved = rows["status"] == "ok"
@@ -91,9 +91,9 @@ def camera_sets(
 
 
 def camera_scale(places_m: FloatArray, radius_m: float) -> tuple[float, str]:
-    """Return by which factor (n, 3) cameras are drawn nearer than they are, and a line that says so.
+    """Return the factor by which cameras (n, 3) are drawn nearer than they are, and a sentence about it.
 
-    From 2 km a body of 300 m is a dot: cameras in the middle are drawn at 1.8 radii of the body.
+    At 2 km a body of 300 m would be a dot: cameras at the median range are drawn at 1.8 radii of the body.
     """
     middle = float(np.median(np.linalg.norm(places_m, axis=1))) if len(places_m) else 0.0
     factor = max(middle / (_NEAR * radius_m), 1.0)
@@ -104,12 +104,12 @@ def camera_scale(places_m: FloatArray, radius_m: float) -> tuple[float, str]:
 
 
 def finite_or_dash(value: float, unit: str) -> str:
-    """Print a number with its unit, or a dash where there is none."""
+    """Format a number with its unit, or a dash for NaN."""
     return "-" if np.isnan(value) else f"{value:.3g} {unit}"
 
 
 def middle_and_worst(scene: EstimatorRun) -> Iterable[tuple[str, str, Case]]:
-    """Yield the trial in the middle and the worst one with their names and colours; one that is both, once."""
+    """Return the median and the worst trial with names and colours; once if they are the same."""
     every = len(select(scene.run.rows, scene.scenario, scene.label))
     ranked, _ = worst_cases(scene.run, every, Choice(scene.scenario, scene.label), None)
     cases = list(dict.fromkeys([ranked[len(ranked) // 2], ranked[0]]))
@@ -134,7 +134,7 @@ def crater_look(
     mesh: TriangleMesh,
     trials: tuple[dict[int, FloatArray], str, pd.Series | None],
 ) -> Look:
-    """Put a look together: ``trials`` are the cameras of each, what its faults are called, and how many it has."""
+    """Compose the view of craters; ``trials`` are cameras by trial, the name of faults, and their number by row."""
     views, called, faults = trials
     body = coarsened(mesh, MOST_FACES)
     factor, told = camera_scale(np.concatenate(list(views.values())), body.radius_m)
@@ -146,14 +146,14 @@ def crater_look(
 
 
 def places_of(centre_m: FloatArray, numbers: IndexArray, outcomes: pd.DataFrame) -> FloatArray:
-    """Find the middles of the craters that index ``outcomes``."""
+    """Return the centres of the craters that index ``outcomes``."""
     return pd.DataFrame(centre_m, index=numbers).loc[outcomes.index].to_numpy(dtype=np.float64)
 
 
 def coarsened(mesh: TriangleMesh, most_faces: int) -> TriangleMesh:
     """Merge the vertices of each cube of a grid into their mean until no more than ``most_faces`` facets are left.
 
-    Facets whose corners come together vanish. That is rough, and good enough for the eye; nothing is measured on it.
+    Degenerate facets are removed. The result is only for display.
     """
     if len(mesh.faces) <= most_faces:
         return mesh

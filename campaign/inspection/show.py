@@ -1,4 +1,4 @@
-"""The displays of a kind of trial: pictures and files of a case, a run in space, poses to export."""
+"""Displays of a kind of trial: figures and files of a case, a three-dimensional view of a run, poses for export."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ class PosedFrame:
     Parameters
     ----------
     name
-        Of its file.
+        Name of its file.
     time_s
-        Epoch; the number of the trial where images have none.
+        Epoch, s; the trial number for images without an epoch.
     true, estimated
-        T_cam_world. The world is the body of single images, and of sequences inertial space in a trajectory and the
-        body, as the spacecraft knows its axes, in a model.
+        T_cam_world. The world frame is the body frame for single images; for sequences it is inertial in a trajectory
+        and the believed body frame in a model.
     landmarks, uv_px
-        (n,) and (n, 2): which landmarks were seen in it, and where.
+        (n,) numbers of the observed landmarks, and (n, 2) their positions.
     """
 
     name: str
@@ -55,7 +55,7 @@ class PosedFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedFrames:
-    """Frames of one camera in the order of time, and the estimated place of each landmark, world axes, m."""
+    """Frames of one camera in order of time, and estimated positions of landmarks by number, world axes, m."""
 
     camera: Camera
     frames: Sequence[PosedFrame]
@@ -64,7 +64,7 @@ class PosedFrames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CaseFigures:
-    """Figures of a case, the credits that they carry, and sentences above them."""
+    """Figures of a case, their credits, and the notes above them."""
 
     figures: Sequence[NamedFigure]
     credits: Sequence[str] = ()
@@ -73,7 +73,7 @@ class CaseFigures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CaseFiles:
-    """Files to write next to the page of a case: images that a method saw, by name, and what it returned."""
+    """Files for the page of a case: images used by the method, by name, and its estimate."""
 
     images: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     estimate: Mapping[str, object] | None = None
@@ -81,7 +81,7 @@ class CaseFiles:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimatorRun:
-    """One scenario and estimator of a stored run, to be looked at in space."""
+    """One scenario and one estimator (``label``) of a stored run."""
 
     campaign: ResolvedCampaign
     folder: RunFolder
@@ -95,32 +95,32 @@ class EstimatorRun:
         return f"{self.scenario} / {self.label}"
 
     def opened(self, kind: type[T]) -> T:
-        """Open the trials of the scenario, with the first data base, which are of a class that their kind knows."""
+        """Open the trials of the scenario with the first data base; ``kind`` is their class."""
         return opened(self.campaign, self.scenario, self.folder.path, kind)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Show:
-    """The displays of a kind of trial; None for one that it lacks.
+    """Displays of a kind of trial; None for those that it lacks.
 
     Parameters
     ----------
     draw
-        Draws a recomputed case, None where its witness was shown nothing.
+        Draws a recomputed case; returns None if it has no intermediate results.
     kept
-        Returns what is kept of what a witness was shown.
+        Returns the files to write from the intermediate results of a case.
     look
-        Collects what is to be seen of a run in space.
+        Collects the three-dimensional view of a run.
     examples
         Draws typical trials for the report of a run.
     posed
-        Returns the camera poses of a recomputed case in the body's axes.
+        Returns the camera poses of a recomputed case in body axes.
     trajectory
-        Returns the trajectory of a stored case without an estimator working again; None where ``posed`` gives it.
+        Returns the trajectory of a stored case without running an estimator; None if ``posed`` gives it.
     pooled
-        Whether the poses of all trials are of one body at rest and make one model.
+        Whether the poses of all trials refer to the same fixed body, and form one model.
     long
-        Whether a case of a campaign takes minutes to make again.
+        Whether recomputing a case of a campaign takes minutes.
     """
 
     draw: Callable[[Recomputed], CaseFigures | None] = lambda again: None
@@ -144,11 +144,11 @@ def listed(matrix: NDArray[np.float64] | None) -> object:
 
 
 def plain(value: float | str) -> object:
-    """Return a number or a text that JSON can hold."""
+    """Return a number or a text for JSON."""
     return value if isinstance(value, str) else float(value)
 
 
 def show_of(kind: str) -> Show | None:
-    """Look up what a kind of trial shows; None of one that holds numbers alone."""
+    """Return the displays of a kind of trial; None if it has none."""
     module = f"{module_of(kind)}.show"
     return None if find_spec(module) is None else cast("Show", import_module(module).SHOW)

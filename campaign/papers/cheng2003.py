@@ -1,4 +1,4 @@
-"""The figures of Cheng et al. (2003), each drawn from the newest finished runs of its campaigns."""
+"""Figures and tables of Cheng et al. (2003), from the newest finished runs of its campaigns."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _figure_6(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
 
 
 def _matched(run: FinishedRun) -> Iterator[NamedFigure]:
-    """Draw a pair for the paper's way of matching by invariants, and one for the hybrid of all."""
+    """Draw one image pair matched by the paper's invariants, and one by the hybrid method."""
     campaign, data = run.campaign(), run.content.run
     scenario = campaign.scenarios[0].spec.name
     for label in (label for method in _MATCHERS for label in run.labels(method)[:1]):
@@ -59,7 +59,7 @@ def _matched(run: FinishedRun) -> Iterator[NamedFigure]:
 
 
 def _survey(wanted: int) -> Draw:
-    """Draw one of the histograms of an arc of planned images."""
+    """Return the drawing function of one histogram of an arc of planned images."""
 
     def draw(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
         del jobs
@@ -93,7 +93,7 @@ def _figure_10(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
 
 
 def _grids(run: FinishedRun) -> list[Grid]:
-    """Return what a run tells beside the published numbers."""
+    """Return the tables of a run that accompany the published numbers."""
     name = str(run.manifest["name"])
     told = [grid for grid in report_grids(run.content) if grid.title.startswith(_TABLES)]
     return [replace(grid, title=f"{name}: {grid.title}") for grid in told[: _TABLES_OF.get(name)]]

@@ -1,4 +1,4 @@
-"""The page of a paper, put together from what has been run."""
+"""Definition of a paper (campaigns, figures, methods), and the page composed from its finished runs."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from scenarios.load import load_campaign
 
 Runs = Mapping[str, FinishedRun]
 Draw = Callable[[Runs, int | None], Iterator[NamedFigure]]
-"""Draws runs; what it builds again takes so many workers, None for one for each core, or GPU."""
+"""Draws figures of runs; rebuilds use the given number of workers, None for one for each core or GPU."""
 
 
 @dataclass(frozen=True, slots=True)
 class PaperFigure:
-    """A figure of the paper: its number, the campaigns of which it needs one, and how it is drawn.
+    """A figure of a paper: its number, the campaigns it can be drawn from, and the drawing function.
 
-    Each run of them gives drawings of its own, unless one drawing shows them all ``together``.
+    Each run is drawn separately, unless one drawing shows all of them ``together``.
     """
 
     number: str
@@ -41,7 +41,7 @@ class PaperFigure:
     together: bool = False
 
     def named(self, figure: NamedFigure, suffix: str = "") -> NamedFigure:
-        """Give a figure the paper's number."""
+        """Return a figure with the paper's number in file name and caption."""
         return replace(
             figure, stem=f"figure_{self.number:0>2}{suffix}", caption=f"Figure {self.number}. {figure.caption}"
         )
@@ -49,20 +49,20 @@ class PaperFigure:
 
 @dataclass(frozen=True, slots=True)
 class Paper:
-    """All that its page is made of.
+    """Definition of a paper's page.
 
     Parameters
     ----------
     title
         Heading of the page.
     campaigns
-        Names of its campaigns, in the order of its sections; those that are not in the catalogue are left out.
+        Names of its campaigns, in the order of its sections; those missing from the catalogue are ignored.
     methods
-        Names of what the paper itself describes; other estimators of a run are not held against it.
+        Names of the methods of the paper; other estimators of a run are not compared with it.
     figures
         Its figures.
     grids
-        Further tables of a run.
+        Returns further tables of a run.
     """
 
     title: str
@@ -84,14 +84,14 @@ def paper_campaigns(paper: Paper) -> list[str]:
 
 
 def gather(paper: Paper, runs: Path, draft: float = 1.0) -> GatheredRuns:
-    """Find the newest finished run of each campaign of the paper, drafts of a scale where nothing else is there."""
+    """Find the newest finished run of each campaign of the paper, or drafts of a scale if there is no full run."""
     return gather_runs(run_folders(runs), paper_campaigns(paper), draft)
 
 
 def paper_page(paper: Paper, runs: Path, jobs: int | None = None, draft: float = 1.0) -> PaperPage:
-    """Draw all figures and set all numbers of the paper beside ours, as far as they have been run.
+    """Draw all figures and compare all numbers of the paper, as far as its campaigns have been run.
 
-    What is built again for a figure takes ``jobs`` workers; None for one for each core, or GPU.
+    Rebuilds for figures use ``jobs`` workers; None for one for each core or GPU.
     """
     gathered = gather(paper, runs, draft)
     found = gathered.found
@@ -127,9 +127,10 @@ def paper_page(paper: Paper, runs: Path, jobs: int | None = None, draft: float =
 
 
 def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | None) -> list[NamedFigure]:
-    """Draw one figure of the paper; the first of its campaigns gives it its number, further ones stand beside it.
+    """Draw one figure of the paper for each of its campaigns that has been run.
 
-    A drawing whose stem begins with an underscore says itself what is put behind the number.
+    The first drawing is named by the number, further ones also by campaign, or by their stem if it begins with an
+    underscore.
 
     Raises
     ------
@@ -154,12 +155,12 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | Non
 
 
 def _command(name: str, runs: Path) -> str:
-    """Write the command that leaves a run of a campaign where it is looked for."""
+    """Return the command that runs a campaign into the searched folder."""
     return shlex.join(["boresight", "run", name, *([] if runs == RUNS else ["--out", str(runs / name)])])
 
 
 def _tables(lines: Sequence[PaperLine], found: Mapping[str, FinishedRun]) -> tuple[list[NamedFigure], list[str]]:
-    """Draw the tables of the paper of which something has been run, and say of the others what they need."""
+    """Draw the tables of the paper that have finished runs, and describe what the others need."""
     tables, missing = [], []
     for number, own in lines_by_table(lines).items():
         campaigns = dict.fromkeys(line.campaign for line in own)

@@ -1,4 +1,4 @@
-"""Things that are built once from a scenario's shape and lent to estimators: landmark data bases."""
+"""Products that are built once from a scenario and used by estimators, such as landmark data bases."""
 
 from campaign.products import landmark_database
 from campaign.products.assets import BuiltAssets, BuiltProduct, MissingProduct, product_key

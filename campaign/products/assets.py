@@ -1,4 +1,4 @@
-"""Where estimators find the products of a scenario, and where those are built."""
+"""Assets of estimators: camera, shape, renderers, and products that are built once and stored in the run folder."""
 
 from __future__ import annotations
 
@@ -32,44 +32,44 @@ from scenarios.geometry import Camera, TriangleMesh
 from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
 
-_UNMADE = "unmade.txt"
-"""The file that says, in place of a product, why it cannot be made."""
+_FAILURE = "unmade.txt"
+"""File with the reason why a product cannot be built, in place of the product."""
 
 _TRACE = "traceback.txt"
-"""Beside it the trace, where making the product failed for another reason than that the scenario has none."""
+"""File with the traceback, if the build failed by an unexpected exception."""
 
 
 class ProductKind(Protocol):
-    """What a module of this folder offers.
+    """Functions of a module of this folder that builds one kind of product.
 
-    A product is built once from what the spacecraft believes of a scenario, stored in a folder, kept by the hash of
-    everything that it depends on, and lent to estimators.
+    A product is built once from the believed scenario, stored in a folder, cached by the hash of everything that it
+    depends on, and used by estimators.
     """
 
     def parse(self, options: Mapping[str, object]) -> SpecModel:
-        """Validate the options that an estimator asks with."""
+        """Validate the options given by an estimator."""
         ...
 
     def versions(self) -> list[int]:
-        """List the versions of all code that the product depends on, beside the renderer's."""
+        """Return the versions of all code that the product depends on, except the renderer."""
         ...
 
     def announcement(self, options: SpecModel) -> str:
-        """Say what takes time in a build."""
+        """Describe the effort of a build."""
         ...
 
     def build(
         self, scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str
     ) -> Mapping[str, object] | None:
-        """Build the product into an empty folder; return what is to be said of the building, if anything."""
+        """Build the product into an empty folder; return facts about the build to report, if any."""
         ...
 
     def load(self, folder: Path) -> object:
-        """Read it back."""
+        """Read a stored product."""
         ...
 
     def about(self, folder: Path) -> dict[str, object]:
-        """Describe it for the manifest, in plain values."""
+        """Describe a stored product for the manifest, in plain values."""
         ...
 
 
@@ -92,15 +92,15 @@ def product_kind(name: str) -> ProductKind:
 
 
 def product_key(scenario: LoadedScenario, kind: str, options: SpecModel, variant: str) -> str:
-    """Return the content hash of a product: whatever would change it changes the key."""
+    """Return the hash of everything that determines a product."""
     return content_key(scenario, kind, options, product_kind(kind).versions(), variant)
 
 
 @dataclass(frozen=True, slots=True)
 class BuiltProduct:
-    """A product that an estimator asked for.
+    """A product used by an estimator.
 
-    Its kind, for whom it is, its folder below ``RUN/products``, and the number of the data base that it belongs to.
+    Its kind, scenario and estimator, its folder below ``RUN/products``, and the number of its data base.
     """
 
     kind: str
@@ -112,7 +112,7 @@ class BuiltProduct:
 
 @dataclass(frozen=True, slots=True)
 class MissingProduct:
-    """A product that cannot be made: in which scenario, for whom, and why."""
+    """A product that cannot be built: its scenario and estimator, and the reason."""
 
     scenario: str
     estimator: str
@@ -120,25 +120,24 @@ class MissingProduct:
 
 
 class BuiltAssets:
-    """Lends assets to estimators: camera, shape, renderers of meshes, and products kept in the run folder.
+    """Assets of the estimators of a scenario: camera, shape, renderers of meshes, and products in the run folder.
 
-    All of it is made from what the spacecraft believes of the scenario, which is the truth wherever the section
-    ``onboard`` says nothing else.
+    All of them come from the believed scenario, which equals the truth except for the section ``onboard``.
 
     Parameters
     ----------
     scenario
-        The scenario whose products are on the assets, as it is in truth.
+        The true scenario.
     folder
-        ``RUN/products``: each product in a folder of its own, so that a run stands alone.
+        ``RUN/products``, with one folder for each product, so that a run is self-contained.
     jobs
-        Workers to build with; 0 where nothing may be built (in a worker).
+        Number of workers for builds; 0 where nothing may be built (in a worker).
     variant
         The Mitsuba variant.
     tell
-        Told before something is built.
+        Called with a message before and after each build.
     draft
-        Share of the images that data bases are made of, see `campaign.draft`.
+        Fraction of the images of data bases, see `campaign.draft`.
     database
         Number of the data base, see `campaign.products.databases`.
     """
@@ -161,33 +160,33 @@ class BuiltAssets:
         self._variant = variant
         self._tell = tell
         self._draft = draft
-        self._lent: list[tuple[str, str]] = []
-        self._has_lent_shape = False
+        self._used: list[tuple[str, str]] = []
+        self._uses_shape = False
 
     def empty(self, database: int = 0) -> BuiltAssets:
-        """Return the same assets of a data base with nothing lent yet."""
+        """Return the same assets for a data base, with no product used yet."""
         return BuiltAssets(
             self._true_scenario, self._folder, self._jobs, self._variant, self._tell, self._draft, database
         )
 
     @property
     def depends_on_database(self) -> bool:
-        """Tell whether what was lent would be another thing in another data base."""
+        """Whether the assets used so far differ between data bases."""
         drawn = drawn_per_database(self._true_scenario)
-        return bool(self._lent) or "world" in drawn or ("knowledge" in drawn and self._has_lent_shape)
+        return bool(self._used) or "world" in drawn or ("knowledge" in drawn and self._uses_shape)
 
     @property
     def camera(self) -> Camera:
-        """The pinhole that the spacecraft calculates with: the images that estimators see have been resampled to it."""
+        """Pinhole camera that the spacecraft assumes, to which the images of estimators are resampled."""
         return self._scenario.spec.camera.camera().pinhole
 
     def shape(self) -> TriangleMesh:
-        """Return the full shape that the spacecraft carries."""
-        self._has_lent_shape = True
+        """Return the full believed shape."""
+        self._uses_shape = True
         return load_body(self._scenario.spec.body, self._scenario.search_dirs).mesh
 
     def mesh_renderer(self, mesh: TriangleMesh, samples_per_pixel: int = 1) -> ImageRenderer:
-        """Return a renderer of ``mesh`` in the BRDF that the spacecraft believes in."""
+        """Return a renderer of ``mesh`` with the believed BRDF."""
         return MitsubaRenderer(
             mesh,
             self._scenario.spec.brdf,
@@ -197,42 +196,42 @@ class BuiltAssets:
         )
 
     def product(self, kind: str, options: Mapping[str, object]) -> object:
-        """Return a product, built first where that is allowed.
+        """Return a product, building it if it is missing and builds are allowed.
 
         Raises
         ------
         NoProductError
-            If it cannot be made of the scenario; that is kept in place of the product.
+            If it cannot be built from the scenario; the reason is stored in place of the product.
         MachineError
-            If the machine cannot make, store or read it.
+            If the machine cannot build, store or read it.
         """
         maker = product_kind(kind)
         wanted = with_database_seed(drafted(maker.parse(options), self._draft), self._database)
         folder = self._folder / f"{kind}-{product_key(self._scenario, kind, wanted, self._variant)}"
         if not folder.exists():
-            self._fetch(kind, wanted, folder)
-        if (folder / _UNMADE).exists():
-            raise self._unmade(kind, folder)
-        self._lent.append((kind, folder.name))
+            self._build(kind, wanted, folder)
+        if (folder / _FAILURE).exists():
+            raise self._stored_failure(kind, folder)
+        self._used.append((kind, folder.name))
         try:
             return maker.load(folder)
         except BoresightError as error:
             raise MachineError(str(error)) from error
 
-    def _unmade(self, kind: str, folder: Path) -> NoProductError:
-        """Read why a product cannot be made."""
-        reason = (folder / _UNMADE).read_text(encoding="utf-8")
-        error = NoProductError(f"the {_words(kind)} of {self._scenario.spec.name} cannot be made: {reason}")
+    def _stored_failure(self, kind: str, folder: Path) -> NoProductError:
+        """Read the stored reason why a product cannot be built."""
+        reason = (folder / _FAILURE).read_text(encoding="utf-8")
+        error = NoProductError(f"the {_in_words(kind)} of {self._scenario.spec.name} cannot be made: {reason}")
         if (folder / _TRACE).exists():
             error.add_note((folder / _TRACE).read_text(encoding="utf-8"))
         return error
 
     def products_of(self, estimator: str) -> list[BuiltProduct]:
-        """List the products that were asked for so far, as those of an estimator."""
+        """Return the products used so far, attributed to an estimator."""
         name = self._scenario.spec.name
-        return [BuiltProduct(kind, name, estimator, folder, self._database) for kind, folder in self._lent]
+        return [BuiltProduct(kind, name, estimator, folder, self._database) for kind, folder in self._used]
 
-    def _fetch(self, kind: str, options: SpecModel, folder: Path) -> None:
+    def _build(self, kind: str, options: SpecModel, folder: Path) -> None:
         if self._jobs == 0:
             raise MachineError(f"{folder}: the product is missing from the run folder: run the campaign again")
         maker, started = product_kind(kind), time.perf_counter()
@@ -241,11 +240,11 @@ class BuiltAssets:
             if self._tell is not None:
                 name = self._scenario.spec.name
                 which = f", number {self._database}" if self._database else ""
-                self._tell(f"building the {_words(kind)} of {name}{which}: {maker.announcement(options)}")
+                self._tell(f"building the {_in_words(kind)} of {name}{which}: {maker.announcement(options)}")
             try:
                 facts = maker.build(self._scenario, options, place, self._jobs, self._variant) or {}
             except NoProductError as error:
-                (place / _UNMADE).write_text(str(error), encoding="utf-8")
+                (place / _FAILURE).write_text(str(error), encoding="utf-8")
                 return
             seconds = {"seconds": time.perf_counter() - started}
             (place / "built.json").write_text(json.dumps({**seconds, **facts}), encoding="utf-8")
@@ -256,50 +255,50 @@ class BuiltAssets:
             cached = default_cache().folder(kind, folder.name.rsplit("-", 1)[1], build)
         except (KeyboardInterrupt, MachineError):
             raise
-        except BaseException as error:  # noqa: BLE001  one product less must not end the run
-            _raise_of_machine(folder, error)
-            # Not in the cache: a later run may have the memory, or the version, that this one lacks.
-            _place_unmade(folder, error, options)
+        except BaseException as error:  # noqa: BLE001  a failed product must not end the run
+            _raise_machine_error(folder, error)
+            # Not cached: a later run may have more memory, or a corrected version of the code.
+            _store_failure(folder, error, options)
             return
-        _place(cached, folder)
+        _copy_into_run(cached, folder)
 
 
-def _words(kind: str) -> str:
+def _in_words(kind: str) -> str:
     return kind.replace("-", " ")
 
 
-def _raise_of_machine(folder: Path, error: BaseException) -> None:
-    """Raise a fault of the machine as one: a full disk makes a product fail that the same command can make later."""
+def _raise_machine_error(folder: Path, error: BaseException) -> None:
+    """Raise `MachineError` for a fault of the machine, such as a full disk: the same command can succeed later."""
     if isinstance(error, OSError):
         raise MachineError(explain(error.filename or folder, error)) from error
     if isinstance(error, BoresightError) and isinstance(error.__cause__, OSError):
         raise MachineError(str(error)) from error
 
 
-def _place(cached: Path, folder: Path) -> None:
-    """Copy a product into the run."""
+def _copy_into_run(cached: Path, folder: Path) -> None:
+    """Copy a cached product into the run folder."""
 
     def copy(place: Path) -> None:
         for file in sorted(cached.iterdir()):
             shutil.copy2(file, place)
 
-    _fill(folder, copy)
+    _write_folder(folder, copy)
 
 
-def _place_unmade(folder: Path, error: BaseException, options: SpecModel) -> None:
-    """Keep in the run why a product could not be made."""
+def _store_failure(folder: Path, error: BaseException, options: SpecModel) -> None:
+    """Store in the run folder why a product could not be built."""
     given = options.model_dump_json(exclude_defaults=True)
     asked = "the defaults" if given == "{}" else f"{given}, others the defaults"
 
     def write(place: Path) -> None:
-        (place / _UNMADE).write_text(f"{text_of(error)}; its options are {asked}", encoding="utf-8")
+        (place / _FAILURE).write_text(f"{text_of(error)}; its options are {asked}", encoding="utf-8")
         (place / _TRACE).write_text("".join(traceback.format_exception(error)), encoding="utf-8", errors="replace")
 
-    _fill(folder, write)
+    _write_folder(folder, write)
 
 
-def _fill(folder: Path, fill: Callable[[Path], None]) -> None:
-    """Let a folder of the run be filled, whole or not at all."""
+def _write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
+    """Write a folder of the run atomically."""
     temporary = folder.with_name(f".{folder.name}.tmp")
     try:
         shutil.rmtree(temporary, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""The crater data base of a scenario: rendered images, detection, matching, numbering, triangulation."""
+"""Crater data base of a scenario: image rendering, crater detection, matching, numbering, triangulation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ KIND = PRODUCT
 VERSION = 2
 
 _MATCHER = "vote"
-# Images of a data base have poses from orbit determination over all of them: far better than a pixel.
+# Poses of the images are assumed to come from orbit determination over all of them: rad and m, far below a pixel.
 _POSE_SIGMAS = np.array([1e-7, 1e-7, 1e-7, 1.0, 1.0, 1.0])
 
 
@@ -36,20 +36,20 @@ def parse(options: Mapping[str, object]) -> CraterDatabaseOptions:
 
 
 def versions() -> list[int]:
-    """List the versions of all code that a data base depends on, beside the renderer's."""
+    """Return the versions of all code that a data base depends on, except the renderer."""
     detectors = [crater_detector_class(name).version for name in crater_detector_names()]
     return [VERSION, crater_matcher_class(_MATCHER).version, *detectors]
 
 
 def announcement(options: SpecModel) -> str:
-    """Say what takes time in a build."""
+    """Describe the effort of a build."""
     return f"{_checked(options).images} images"
 
 
 def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
     """Build the data base of ``scenario`` as the spacecraft knows it, and store it in ``folder``.
 
-    The images see the body's craters, which only the camera knows of; the poses they were taken from are known.
+    The images show the body's true craters, which are not part of the believed shape; their poses are known exactly.
     """
     wanted, world = _checked(options), open_world(scenario, variant)
     if world.ground is None:
@@ -84,7 +84,7 @@ def about(folder: Path) -> dict[str, object]:
 def _of_images(
     scenario: LoadedScenario, wanted: CraterDatabaseOptions, variant: str, images: Sequence[int]
 ) -> list[tuple[CraterImage, bool]]:
-    """Look for craters in some images; whether each image came from the store."""
+    """Detect craters in some images; also return whether each image came from the store."""
     finder = crater_detector_class(wanted.detector).from_options({})
     pictured = database_images(scenario, images, wanted.phase_deg, wanted.seed, variant)
     return [
@@ -94,13 +94,13 @@ def _of_images(
 
 
 def _searched(number: int, pictured: DatabaseImage, finder: CraterDetector, most_detections: int) -> CraterImage:
-    """Look for craters in an image of the data base."""
+    """Detect craters in an image of the data base."""
     view, camera = pictured.view, pictured.view.camera
     pose = view.T_cam_body
     frame = Frame(pictured.pixels, pose.rotate(view.sun_dir_body), pose, np.diag(_POSE_SIGMAS**2), float(number))
     try:
         found = finder.detect(frame, camera)
-    except BoresightError:  # a black image has no craters: the data base goes without it
+    except BoresightError:  # a black image has no craters
         return CraterImage(number, frame, camera, CraterDetections.none())
     kept = slice(0, most_detections)
     return CraterImage(number, frame, camera, CraterDetections(found.ellipses[kept], found.confidence[kept]))

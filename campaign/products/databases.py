@@ -1,6 +1,7 @@
-"""Several data bases of one campaign: what is drawn once in a run, and not in each trial, is drawn for each of them.
+"""Identity of data bases: their content hash, and the seeds of several data bases in one campaign.
 
-Data base 0 is that of a campaign with a single one, bit for bit.
+What is drawn once per run rather than in each trial (craters, errors of the believed shape) is drawn once for each data
+base. Data base 0 is, bit for bit, that of a campaign with a single one.
 """
 
 from __future__ import annotations
@@ -21,20 +22,20 @@ from scenarios.spec.onboard import OnboardSpec
 Options = TypeVar("Options", bound=SpecModel)
 
 SEED_STEP = 10_000
-"""Between the seeds of two data bases, so that none meets a seed near by that something else was made with."""
+"""Difference of the seeds of two data bases, large enough to avoid nearby seeds in other uses."""
 
 
 def content_key(scenario: LoadedScenario, kind: str, options: SpecModel, versions: Sequence[int], variant: str) -> str:
-    """Return the hash of everything that decides a thing of a kind: whatever would change it changes the key.
+    """Return the hash of everything that determines a product.
 
     Parameters
     ----------
     scenario
         As the spacecraft believes it to be.
     kind, options
-        What is built, and how.
+        Kind of product, and its options.
     versions
-        Of all code that it depends on, beside the renderer's.
+        Versions of all code that it depends on, except the renderer.
     variant
         The Mitsuba variant.
     """
@@ -53,13 +54,13 @@ def content_key(scenario: LoadedScenario, kind: str, options: SpecModel, version
 
 
 def drawn_per_database(scenario: LoadedScenario) -> frozenset[str]:
-    """Name what of a scenario is drawn for a data base: ``world`` (its craters), ``knowledge`` (the shape on board)."""
+    """Return what is drawn per data base: ``world`` (the craters), ``knowledge`` (errors of the believed shape)."""
     found = {"world"} if scenario.spec.craters is not None else set()
     return frozenset(found | ({"knowledge"} if _drawn_onboard(scenario.spec.onboard) else set()))
 
 
 def with_database_craters(scenario: LoadedScenario, database: int) -> LoadedScenario:
-    """Return a scenario with the craters of a data base: its trials see them, and it is made of them."""
+    """Return a scenario with the craters of a data base, which its images and its trials show."""
     craters = scenario.spec.craters
     if database == 0 or craters is None:
         return scenario
@@ -67,7 +68,7 @@ def with_database_craters(scenario: LoadedScenario, database: int) -> LoadedScen
 
 
 def with_database_knowledge(scenario: LoadedScenario, database: int) -> LoadedScenario:
-    """Return a scenario with the errors of the shape on board that a data base has."""
+    """Return a scenario with the errors of the believed shape of a data base."""
     drawn = _drawn_onboard(scenario.spec.onboard)
     if database == 0 or not drawn:
         return scenario
@@ -76,14 +77,14 @@ def with_database_knowledge(scenario: LoadedScenario, database: int) -> LoadedSc
 
 
 def with_database_seed(options: Options, database: int) -> Options:
-    """Return options with the seed of a data base; a seed that is left out counts as 0."""
+    """Return options with the seed of a data base; a missing seed counts as 0."""
     if database == 0:
         return options
-    seed: int = getattr(options, "seed") or 0  # noqa: B009  not every model has one, but all that are given here
+    seed: int = getattr(options, "seed") or 0  # noqa: B009  the type has no seed, but all models used here do
     return options.model_copy(update={"seed": seed + SEED_STEP * database})
 
 
 def _drawn_onboard(onboard: OnboardSpec) -> dict[str, SpecModel]:
-    """Return the sections of the knowledge on board that chance decides, but not in each trial: they have a seed."""
+    """Return the sections of ``onboard`` that are drawn once per data base: those with a seed."""
     sections = {name: getattr(onboard, name) for name in OnboardSpec.model_fields}
     return {name: section for name, section in sections.items() if hasattr(section, "seed")}

@@ -1,4 +1,4 @@
-"""Descriptors of a scenario: features of rendered images, taken back to the body."""
+"""Descriptor data base of a scenario: features of rendered images, de-projected onto the body."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def parse(options: Mapping[str, object]) -> DescriptorOptions:
 
 
 def versions() -> list[int]:
-    """List the versions of all code that a data base depends on, beside the renderer's."""
+    """Return the versions of all code that a data base depends on, except the renderer."""
     return [METHOD_VERSION]
 
 
 def announcement(options: SpecModel) -> str:
-    """Say what takes time in a build."""
+    """Describe the effort of a build."""
     options = _checked(options)
     return f"{options.kind}, {options.images} images"
 

@@ -1,4 +1,4 @@
-"""The landmark data base of a scenario: render, detect corners, de-project, cluster, triangulate."""
+"""Landmark data base of a scenario: render images, detect corners, de-project, cluster, triangulate."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkCandidates:
-    """Candidate landmarks.
+    """Candidate landmarks: de-projected corners of rendered images.
 
     Parameters
     ----------
     by_image
         (C, 3) points for each image, body frame, m.
     images_from_store
-        How many of the images were not rendered for it; None where the candidates themselves were kept.
+        Number of images that came from the store; None if the candidates came from the cache.
     """
 
     by_image: tuple[FloatArray, ...]
@@ -51,18 +51,18 @@ class LandmarkCandidates:
 def landmark_candidates(
     scenario: LoadedScenario, options: CandidateOptions, jobs: int, variant: str
 ) -> LandmarkCandidates:
-    """Return the candidates of ``scenario``, from the cache where they are in it.
+    """Return the candidates of ``scenario``, from the cache if they are there.
 
-    The images (`database_images`) are kept as well, so that other corners render nothing again.
+    The images (`database_images`) are stored as well, so that other corner options render nothing again.
 
     Parameters
     ----------
     scenario
         As the spacecraft believes it to be.
     options
-        Images and corners; further fields of a derived model have no part in it.
+        Options of images and corners; further fields of a derived model are ignored.
     jobs
-        Workers, or ``spread.IN_THIS_PROCESS``.
+        Number of workers, or ``IN_THIS_PROCESS``.
     variant
         The Mitsuba variant.
     """
@@ -97,12 +97,12 @@ def parse(options: Mapping[str, object]) -> DatabaseOptions:
 
 
 def versions() -> list[int]:
-    """List the versions of all code that a data base depends on, beside the renderer's."""
+    """Return the versions of all code that a data base depends on, except the renderer."""
     return [VERSION, METHOD_VERSION]
 
 
 def announcement(options: SpecModel) -> str:
-    """Say what takes time in a build."""
+    """Describe the effort of a build."""
     return f"{_checked(options).images} images"
 
 

@@ -1,4 +1,4 @@
-"""The maplets of a scenario: cut out of the shape that the spacecraft carries."""
+"""Maplets of a scenario, extracted from the shape that the spacecraft believes in."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ def parse(options: Mapping[str, object]) -> MapletOptions:
 
 
 def versions() -> list[int]:
-    """List the versions of all code that a data base depends on, beside the renderer's."""
+    """Return the versions of all code that a data base depends on, except the renderer."""
     return [METHOD_VERSION]
 
 
 def announcement(options: SpecModel) -> str:
-    """Say what takes time in a build."""
+    """Describe the effort of a build."""
     side = _checked(options).side
     return f"{side} x {side} heights each"
 
 
 def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> None:
-    """Cut maplets out of the scenario's shape, as the spacecraft knows it, and store them in ``folder``."""
+    """Extract maplets from the scenario's believed shape and store them in ``folder``."""
     del jobs, variant
     mesh = load_body(scenario.spec.body, scenario.search_dirs).mesh
     build_maplets(mesh, _checked(options)).save(folder)

@@ -74,13 +74,13 @@ def phase_angle(sum_squared: Array, difference_squared: Array, xp: ArrayMath) ->
     """Phase angle, rad, from the squared norms of the sum and of the difference of two unit vectors.
 
     The vectors are the direction to the light and the *negative* direction to the viewer, so that the sum vanishes at
-    opposition. Half angles keep their digits near 0 and pi, where the arc cosine of a dot product loses them.
+    opposition. Half angles keep their digits near 0 and pi, where arc cosines lose them.
     """
     return 2.0 * xp.atan2(root(sum_squared, xp), root(difference_squared, xp))
 
 
 def phase_of_rays(sun: Array, directions: Array) -> Array:
-    """Phase angles (N,), rad, between the unit direction to the Sun (3,) and unit rays (N, 3) from the viewer (NumPy)."""
+    """Phase angles (N,), rad, of the unit direction to the Sun (3,) and unit rays (N, 3) from the viewer (NumPy)."""
     return phase_angle(((sun + directions) ** 2).sum(axis=1), ((sun - directions) ** 2).sum(axis=1), NUMPY)
 
 
@@ -98,9 +98,9 @@ def azimuth_squares(cos_i: Array, cos_e: Array, phase_rad: Array, xp: ArrayMath)
     """Return sin^2(psi / 2) and cos^2(psi / 2) of the azimuth psi between the planes of incidence and emission.
 
     They follow from the spherical law of haversines, ``sin^2(g/2) = sin^2((i - e)/2) + sin i sin e sin^2(psi/2)`` and
-    ``cos^2(g/2) = cos^2((i + e)/2) + sin i sin e cos^2(psi/2)``. The smaller of the two squares is computed and the other
-    is 1 minus it, which is accurate in single precision; the law of cosines is not. Where one of the directions is the
-    normal the azimuth is undefined and any value gives the same reflectance: 1/2 is returned for both.
+    ``cos^2(g/2) = cos^2((i + e)/2) + sin i sin e cos^2(psi/2)``. The smaller of the two squares is computed and the
+    other is 1 minus it, which is accurate in single precision; the law of cosines is not. Where one of the directions
+    is the normal, the azimuth is undefined and any value gives the same reflectance: 1/2 is returned for both.
     """
     sin_i, sin_e = sine(cos_i, xp), sine(cos_e, xp)
     i, e = xp.atan2(sin_i, cos_i), xp.atan2(sin_e, cos_e)

@@ -48,8 +48,8 @@ class RayBundle:
 
     Positions of a camera with distortion are first converted to those of its pinhole. The origin of a ray is
     ``origin_m + u origin_u_m + v origin_v_m`` and its direction, to be normalised,
-    ``direction + u direction_u + v direction_v``; all (3,), body frame. Rays start just in front of the body rather than
-    at the camera, so that single precision resolves the body at any range; the constants are in double precision.
+    ``direction + u direction_u + v direction_v``; all (3,), body frame. Rays start just in front of the body, so that
+    single precision resolves it at any range; the constants are in double precision.
     """
 
     origin_m: FloatArray
