@@ -2,8 +2,8 @@
 
 COLMAP (``cameras.txt``, ``images.txt``, ``points3D.txt``) has the conventions used here: x right, y down, z forward,
 the centre of the first pixel at (0.5, 0.5), and the rotation from world to camera with the scalar first. Identifiers
-begin at 1. A line of a TUM file, which evo reads, is ``timestamp tx ty tz qx qy qz qw``: seconds, camera position in the
-world, m, and the rotation from camera to world axes with the scalar last. Numbers have 17 digits, which preserves
+begin at 1. A line of a TUM file, which evo reads, is ``timestamp tx ty tz qx qy qz qw``: seconds, camera position in
+the world, m, and the rotation from camera to world axes with the scalar last. Numbers have 17 digits, which preserves
 every bit.
 """
 

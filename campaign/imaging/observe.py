@@ -35,25 +35,25 @@ def altimeter_reading(world: World, view: View, rng: np.random.Generator) -> Ran
     return RangeReading(range_m + float(rng.normal(0.0, altimeter.sigma_m)), altimeter.sigma_m)
 
 
-def observe(world: World, sight: TrialImage, seed: int, trial: int) -> Observation:
+def observe(world: World, trial_image: TrialImage, seed: int, trial: int) -> Observation:
     """Create the observation of a trial: what an estimator may use of it.
 
     An image with distortion is resampled, once for all estimators, to the pinhole camera that the spacecraft assumes.
     """
     spec = world.scenario.spec
-    true = sight.view.T_cam_body
+    true = trial_image.view.T_cam_body
     prior = degrade(true, spec.pose_error, world.camera, generator(seed, Stream.POSE_ERROR, trial))
     knowledge = generator(seed, Stream.KNOWLEDGE, trial)
     prior = believed_attitude(prior, spec.onboard, knowledge)
     range_m = float(np.linalg.norm(prior.translation_m))
     camera = believed_camera(spec)
     frame = Frame(
-        image=_read_only(rectify(sight.image, camera)),
-        sun_dir_cam=_read_only(believed_sun(true.rotate(sight.view.sun_dir_body), spec.onboard, knowledge)),
+        image=_read_only(rectify(trial_image.image, camera)),
+        sun_dir_cam=_read_only(believed_sun(true.rotate(trial_image.view.sun_dir_body), spec.onboard, knowledge)),
         prior_T_cam_body=prior,
         prior_covariance=_read_only(prior_covariance(spec.pose_error, range_m, world.camera)),
-        time_s=sight.time_s,
-        altimeter=altimeter_reading(world, sight.view, generator(seed, Stream.ALTIMETER, trial)),
+        time_s=trial_image.time_s,
+        altimeter=altimeter_reading(world, trial_image.view, generator(seed, Stream.ALTIMETER, trial)),
     )
     return Observation(camera.pinhole, frame)
 

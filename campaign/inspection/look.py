@@ -58,7 +58,7 @@ def _one(run: RunData, choice: Choice) -> list[str]:
 
 
 def camera_sets(
-    rows: pd.DataFrame, badness: FloatArray, told: Callable[[float], str], places: Callable[[int], FloatArray]
+    rows: pd.DataFrame, badness: FloatArray, describe: Callable[[float], str], places: Callable[[int], FloatArray]
 ) -> list[Cameras]:
     """Group the cameras of trials: good, bad (``badness`` above the median), and without an estimate.
 
@@ -68,7 +68,7 @@ def camera_sets(
         Rows of the run, one for each trial.
     badness
         (n,) error measure of each trial, in the order of the rows.
-    told
+    describe
         Formats an error measure.
     places
         Returns the camera positions (n, 3) of a trial.
@@ -83,7 +83,7 @@ def camera_sets(
         keys = rows.loc[which, ["trial", "status", "reason"]].itertuples(index=False, name=None)
         for (trial, status, reason), value in zip(keys, values[which], strict=True):
             points.append(np.reshape(places(int(trial)), (-1, 3)))
-            text = f"trial {trial}<br>" + (told(value) if status == "ok" else f"{status}: {reason}")
+            text = f"trial {trial}<br>" + (describe(value) if status == "ok" else f"{status}: {reason}")
             texts += [text] * len(points[-1])
         if texts:
             found.append(Cameras(name, colour, np.concatenate(points), texts))
@@ -137,10 +137,10 @@ def crater_look(
     """Compose the view of craters; ``trials`` are cameras by trial, the name of faults, and their number by row."""
     views, called, faults = trials
     body = coarsened(mesh, MOST_FACES)
-    factor, told = camera_scale(np.concatenate(list(views.values())), body.radius_m)
+    factor, scale_note = camera_scale(np.concatenate(list(views.values())), body.radius_m)
     badness = np.full(len(rows), np.nan) if faults is None else faults[rows.index].to_numpy(dtype=np.float64)
     middle = float(np.nanmedian(badness)) if np.isfinite(badness).any() else 0.0
-    note = f"{len(rows)} trials. Good and bad: at most, or more than, the median of {middle:g} {called}.{told}"
+    note = f"{len(rows)} trials. Good and bad: at most, or more than, the median of {middle:g} {called}.{scale_note}"
     cameras = camera_sets(rows, badness, lambda value: f"{value:.0f} {called}", lambda trial: views[trial] / factor)
     return Look(scene.title, note, body.vertices_m, body.faces, marks, cameras)
 

@@ -95,8 +95,8 @@ def _figure_10(runs: Runs, jobs: int | None) -> Iterator[NamedFigure]:
 def _grids(run: FinishedRun) -> list[Grid]:
     """Return the tables of a run that accompany the published numbers."""
     name = str(run.manifest["name"])
-    told = [grid for grid in report_grids(run.content) if grid.title.startswith(_TABLES)]
-    return [replace(grid, title=f"{name}: {grid.title}") for grid in told[: _TABLES_OF.get(name)]]
+    grids = [grid for grid in report_grids(run.content) if grid.title.startswith(_TABLES)]
+    return [replace(grid, title=f"{name}: {grid.title}") for grid in grids[: _TABLES_OF.get(name)]]
 
 
 _ORDER = ("detection", "matching", "matching-images", "invariants", "survey", "orbit", "endtoend")

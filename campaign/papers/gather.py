@@ -155,10 +155,10 @@ def _left_out(path: Path, error: BoresightError) -> str:
 def _may_be_of(path: Path, name: str) -> bool:
     """Return whether an unreadable run may be of a campaign, by its manifest or the name of its folder."""
     try:
-        told = plain_json(path / "manifest.json")
+        content = plain_json(path / "manifest.json")
     except (OSError, ValueError):
-        told = None
-    own = told.get("name") if isinstance(told, dict) else None
+        content = None
+    own = content.get("name") if isinstance(content, dict) else None
     if isinstance(own, str):
         return own == name
     known = [one for one in campaign_names() if path.name.startswith(f"{one}-")]

@@ -146,8 +146,8 @@ def drawn(figure: PaperFigure, found: Mapping[str, FinishedRun], jobs: int | Non
         for drawing in figure.draw(group, jobs):
             shown = [run.content.run for run in group.values()]
             stamp(drawing.figure, shown)
-            beside = f"_{next(iter(group))}" if named else ""
-            suffix = drawing.stem if drawing.stem.startswith("_") else beside
+            campaign = f"_{next(iter(group))}" if named else ""
+            suffix = drawing.stem if drawing.stem.startswith("_") else campaign
             named.append(figure.named(counted(drawing, shown), suffix))
     if not named:
         raise BoresightError(f"there is nothing to draw in the runs of {', '.join(runs)}")

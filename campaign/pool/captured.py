@@ -227,8 +227,8 @@ class CapturedOutput:
 
     def records(self) -> dict[str, list[dict[str, object]]]:
         """Return the table ``said`` without its key columns; empty if there was no output."""
-        told = {name: stream.text() for name, stream in self._streams.items()}
-        said: list[dict[str, object]] = [{"stream": name, "text": text} for name, text in told.items() if text]
+        texts = {name: stream.text() for name, stream in self._streams.items()}
+        said: list[dict[str, object]] = [{"stream": name, "text": text} for name, text in texts.items() if text]
         return {"said": said} if said else {}
 
 

@@ -134,7 +134,7 @@ class BuiltAssets:
         Number of workers for builds; 0 where nothing may be built (in a worker).
     variant
         The Mitsuba variant.
-    tell
+    report
         Called with a message before and after each build.
     draft
         Fraction of the images of data bases, see `campaign.draft`.
@@ -148,7 +148,7 @@ class BuiltAssets:
         folder: Path,
         jobs: int,
         variant: str,
-        tell: Callable[[str], None] | None = None,
+        report: Callable[[str], None] | None = None,
         draft: float = 1.0,
         database: int = 0,
     ) -> None:
@@ -158,15 +158,15 @@ class BuiltAssets:
         self._folder = folder
         self._jobs = jobs
         self._variant = variant
-        self._tell = tell
+        self._report = report
         self._draft = draft
         self._used: list[tuple[str, str]] = []
         self._uses_shape = False
 
-    def empty(self, database: int = 0) -> BuiltAssets:
+    def for_database(self, database: int = 0) -> BuiltAssets:
         """Return the same assets for a data base, with no product used yet."""
         return BuiltAssets(
-            self._true_scenario, self._folder, self._jobs, self._variant, self._tell, self._draft, database
+            self._true_scenario, self._folder, self._jobs, self._variant, self._report, self._draft, database
         )
 
     @property
@@ -205,8 +205,8 @@ class BuiltAssets:
         MachineError
             If the machine cannot build, store or read it.
         """
-        maker = product_kind(kind)
-        wanted = with_database_seed(drafted(maker.parse(options), self._draft), self._database)
+        product = product_kind(kind)
+        wanted = with_database_seed(drafted(product.parse(options), self._draft), self._database)
         folder = self._folder / f"{kind}-{product_key(self._scenario, kind, wanted, self._variant)}"
         if not folder.exists():
             self._build(kind, wanted, folder)
@@ -214,7 +214,7 @@ class BuiltAssets:
             raise self._stored_failure(kind, folder)
         self._used.append((kind, folder.name))
         try:
-            return maker.load(folder)
+            return product.load(folder)
         except BoresightError as error:
             raise MachineError(str(error)) from error
 
@@ -234,22 +234,22 @@ class BuiltAssets:
     def _build(self, kind: str, options: SpecModel, folder: Path) -> None:
         if self._jobs == 0:
             raise MachineError(f"{folder}: the product is missing from the run folder: run the campaign again")
-        maker, started = product_kind(kind), time.perf_counter()
+        product, start_s = product_kind(kind), time.perf_counter()
 
         def build(place: Path) -> None:
-            if self._tell is not None:
+            if self._report is not None:
                 name = self._scenario.spec.name
-                which = f", number {self._database}" if self._database else ""
-                self._tell(f"building the {_in_words(kind)} of {name}{which}: {maker.announcement(options)}")
+                number = f", number {self._database}" if self._database else ""
+                self._report(f"building the {_in_words(kind)} of {name}{number}: {product.announcement(options)}")
             try:
-                facts = maker.build(self._scenario, options, place, self._jobs, self._variant) or {}
+                facts = product.build(self._scenario, options, place, self._jobs, self._variant) or {}
             except NoProductError as error:
                 (place / _FAILURE).write_text(str(error), encoding="utf-8")
                 return
-            seconds = {"seconds": time.perf_counter() - started}
+            seconds = {"seconds": time.perf_counter() - start_s}
             (place / "built.json").write_text(json.dumps({**seconds, **facts}), encoding="utf-8")
-            if self._tell is not None and facts:
-                self._tell("; ".join(f"{name.replace('_', ' ')}: {value}" for name, value in facts.items()))
+            if self._report is not None and facts:
+                self._report("; ".join(f"{name.replace('_', ' ')}: {value}" for name, value in facts.items()))
 
         try:
             cached = default_cache().folder(kind, folder.name.rsplit("-", 1)[1], build)
@@ -288,10 +288,10 @@ def _copy_into_run(cached: Path, folder: Path) -> None:
 def _store_failure(folder: Path, error: BaseException, options: SpecModel) -> None:
     """Store in the run folder why a product could not be built."""
     given = options.model_dump_json(exclude_defaults=True)
-    asked = "the defaults" if given == "{}" else f"{given}, others the defaults"
+    listed = "the defaults" if given == "{}" else f"{given}, others the defaults"
 
     def write(place: Path) -> None:
-        (place / _FAILURE).write_text(f"{text_of(error)}; its options are {asked}", encoding="utf-8")
+        (place / _FAILURE).write_text(f"{text_of(error)}; its options are {listed}", encoding="utf-8")
         (place / _TRACE).write_text("".join(traceback.format_exception(error)), encoding="utf-8", errors="replace")
 
     _write_folder(folder, write)

@@ -9,6 +9,7 @@ import numpy as np
 
 from campaign.imaging.world import open_world
 from campaign.products.database_images import DatabaseImage, database_images, map_images
+from campaign.products.databases import checked_options
 from estimators.contract import NoProductError
 from estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
 from estimators.craters.database.build import build_database, triangulate_landmarks
@@ -43,7 +44,7 @@ def versions() -> list[int]:
 
 def announcement(options: SpecModel) -> str:
     """Describe the effort of a build."""
-    return f"{_checked(options).images} images"
+    return f"{checked_options(KIND, options, CraterDatabaseOptions).images} images"
 
 
 def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
@@ -51,7 +52,7 @@ def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int,
 
     The images show the body's true craters, which are not part of the believed shape; their poses are known exactly.
     """
-    wanted, world = _checked(options), open_world(scenario, variant)
+    wanted, world = checked_options(KIND, options, CraterDatabaseOptions), open_world(scenario, variant)
     if world.ground is None:
         raise NoProductError("it is made of the section craters, which is missing: add it, or leave the estimator out")
     found = map_images(jobs, wanted.images, _of_images, scenario, wanted, variant)
@@ -104,9 +105,3 @@ def _searched(number: int, pictured: DatabaseImage, finder: CraterDetector, most
         return CraterImage(number, frame, camera, CraterDetections.none())
     kept = slice(0, most_detections)
     return CraterImage(number, frame, camera, CraterDetections(found.ellipses[kept], found.confidence[kept]))
-
-
-def _checked(options: SpecModel) -> CraterDatabaseOptions:
-    if not isinstance(options, CraterDatabaseOptions):
-        raise TypeError(f"{KIND}: options are a {type(options).__name__}, not CraterDatabaseOptions")
-    return options

@@ -53,6 +53,13 @@ def content_key(scenario: LoadedScenario, kind: str, options: SpecModel, version
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
 
 
+def checked_options(kind: str, options: SpecModel, model: type[Options]) -> Options:
+    """Return options as their own model; raise TypeError if they are those of another kind of product."""
+    if not isinstance(options, model):
+        raise TypeError(f"{kind}: options are a {type(options).__name__}, not {model.__name__}")
+    return options
+
+
 def drawn_per_database(scenario: LoadedScenario) -> frozenset[str]:
     """Return what is drawn per data base: ``world`` (the craters), ``knowledge`` (errors of the believed shape)."""
     found = {"world"} if scenario.spec.craters is not None else set()

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from campaign.products.database_images import database_images, map_images
+from campaign.products.databases import checked_options
 from estimators.descriptors.database import (
     METHOD_VERSION,
     DescriptorDatabase,
@@ -31,13 +32,13 @@ def versions() -> list[int]:
 
 def announcement(options: SpecModel) -> str:
     """Describe the effort of a build."""
-    options = _checked(options)
+    options = checked_options(KIND, options, DescriptorOptions)
     return f"{options.kind}, {options.images} images"
 
 
 def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
     """Build the data base of ``scenario`` and store it in ``folder``."""
-    options = _checked(options)
+    options = checked_options(KIND, options, DescriptorOptions)
     found = map_images(jobs, options.images, _of_images, scenario, options, variant)
     views = tuple(features for features, _ in found)
     provenance = {"options": options.model_dump(mode="json"), "method_version": METHOD_VERSION}
@@ -63,9 +64,3 @@ def _of_images(
         (view_features(image.pixels, image.view, image.deproject, options), image.from_store)
         for image in database_images(scenario, images, (0.0, options.phase_deg_max), options.seed, variant)
     ]
-
-
-def _checked(options: SpecModel) -> DescriptorOptions:
-    if not isinstance(options, DescriptorOptions):
-        raise TypeError(f"{KIND}: options are a {type(options).__name__}, not DescriptorOptions")
-    return options

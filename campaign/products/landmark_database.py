@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaign.products.database_images import database_images, map_images
-from campaign.products.databases import content_key
+from campaign.products.databases import checked_options, content_key
 from estimators.landmark.build import (
     METHOD_VERSION,
     CandidateOptions,
@@ -103,12 +103,12 @@ def versions() -> list[int]:
 
 def announcement(options: SpecModel) -> str:
     """Describe the effort of a build."""
-    return f"{_checked(options).images} images"
+    return f"{checked_options(KIND, options, DatabaseOptions).images} images"
 
 
 def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int, variant: str) -> Mapping[str, object]:
     """Build the data base of ``scenario`` from its candidates and store it in ``folder``."""
-    options = _checked(options)
+    options = checked_options(KIND, options, DatabaseOptions)
     candidates = landmark_candidates(scenario, options, jobs, variant)
     database_from_candidates(candidates.by_image, options).save(folder)
     images = {"images": len(candidates.by_image)}
@@ -126,9 +126,3 @@ def about(folder: Path) -> dict[str, object]:
     """Describe a stored data base for the manifest."""
     database = load(folder)
     return {"n_landmarks": len(database.means_m), "n_facets": len(database.facets)}
-
-
-def _checked(options: SpecModel) -> DatabaseOptions:
-    if not isinstance(options, DatabaseOptions):
-        raise TypeError(f"{KIND}: options are a {type(options).__name__}, not DatabaseOptions")
-    return options

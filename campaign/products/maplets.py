@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from campaign.products.databases import checked_options
 from estimators.maplets.build import METHOD_VERSION, MapletOptions, build_maplets
 from estimators.maplets.database import MapletDatabase
 from scenarios.bodies import load_body
@@ -26,7 +27,7 @@ def versions() -> list[int]:
 
 def announcement(options: SpecModel) -> str:
     """Describe the effort of a build."""
-    side = _checked(options).side
+    side = checked_options(KIND, options, MapletOptions).side
     return f"{side} x {side} heights each"
 
 
@@ -34,7 +35,7 @@ def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int,
     """Extract maplets from the scenario's believed shape and store them in ``folder``."""
     del jobs, variant
     mesh = load_body(scenario.spec.body, scenario.search_dirs).mesh
-    build_maplets(mesh, _checked(options)).save(folder)
+    build_maplets(mesh, checked_options(KIND, options, MapletOptions)).save(folder)
 
 
 def load(folder: Path) -> MapletDatabase:
@@ -46,9 +47,3 @@ def about(folder: Path) -> dict[str, object]:
     """Describe a stored data base for the manifest."""
     database = load(folder)
     return {"n_landmarks": len(database), "nodes": database.side**2, "spacing_m": database.spacing_m}
-
-
-def _checked(options: SpecModel) -> MapletOptions:
-    if not isinstance(options, MapletOptions):
-        raise TypeError(f"{KIND}: options are a {type(options).__name__}, not MapletOptions")
-    return options

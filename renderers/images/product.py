@@ -214,9 +214,9 @@ def _label(path: Path) -> Label | None:
     content = read_bytes(path)
     if has_label(content) or path.suffix.lower() in LABEL_SUFFIXES:
         return parse_label(content, path)
-    beside = [other for other in sorted(path.parent.glob(f"{path.stem}.*")) if other.suffix.lower() in LABEL_SUFFIXES]
-    if beside:
-        return parse_label(read_bytes(beside[0]), beside[0])
+    detached = [other for other in sorted(path.parent.glob(f"{path.stem}.*")) if other.suffix.lower() in LABEL_SUFFIXES]
+    if detached:
+        return parse_label(read_bytes(detached[0]), detached[0])
     if path.suffix.lower() in FITS_SUFFIXES:
         return None
     raise BoresightError(f"{path}: has no PDS3 label, neither in it nor beside it ({path.stem}.lbl)")

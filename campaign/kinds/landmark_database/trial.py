@@ -55,7 +55,7 @@ class DatabaseTrials:
         del scenario
         products: list[BuiltProduct] = []
         for label, options in _makers(campaign).items():
-            asked = assets.empty()
+            asked = assets.for_database()
             # One that does not come out is a failed trial, not the end of the run.
             with suppress(NoProductError):
                 asked.product(landmark_database.KIND, at_trial(options, campaign.seed, 0).model_dump(mode="json"))

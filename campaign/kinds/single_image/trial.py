@@ -93,7 +93,7 @@ class SingleImage:
         check_bodies(scenario)
         products: list[BuiltProduct | MissingProduct] = []
         for number, entry in product(range(campaign.spec.databases), campaign.spec.estimators):
-            asked = assets.empty(number)
+            asked = assets.for_database(number)
             method = _method(entry, scenario, asked)
             products += asked.products_of(entry.label)
             products += missing(scenario, {entry.label: method})
@@ -109,7 +109,7 @@ class SingleImage:
         cls, campaign: ResolvedCampaign, scenario: LoadedScenario, bench: Bench, database: int
     ) -> SingleImage:
         assets = BuiltAssets(scenario, bench.run / "products", 0, campaign.variant, None, campaign.draft, database)
-        assets_by_label = {entry.label: assets.empty(database) for entry in campaign.spec.estimators}
+        assets_by_label = {entry.label: assets.for_database(database) for entry in campaign.spec.estimators}
         estimators = {
             entry.label: _method(entry, scenario, assets_by_label[entry.label]) for entry in campaign.spec.estimators
         }
