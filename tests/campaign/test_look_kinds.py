@@ -111,7 +111,7 @@ def test_images_of_an_orbit_stand_where_the_turning_body_had_the_camera(world, s
 def test_a_far_camera_is_drawn_nearer_and_a_near_one_where_it_is():
     factor, told = camera_scale(np.array([[0.0, 0.0, 1800.0], [0.0, 1800.0, 0.0]]), 100.0)
     assert factor == pytest.approx(10.0)
-    assert "10 times camera_scale" in told
+    assert "10 times nearer" in told
     assert camera_scale(np.array([[150.0, 0.0, 0.0]]), 100.0) == (1.0, "")
 
 
