@@ -24,7 +24,7 @@ _FACES = np.array(
 )
 
 
-def lattice(q: int) -> IndexArray:
+def cube_lattice(q: int) -> IndexArray:
     """Integer cube positions, (6 (q + 1)**2, 3), of the points in ICQ order: face by face, I runs fastest."""
     i, j = np.meshgrid(np.arange(q + 1), np.arange(q + 1), indexing="xy")
     start, step_i, step_j = (_FACES[:, k, None, None, :] for k in range(3))
@@ -32,7 +32,7 @@ def lattice(q: int) -> IndexArray:
     return points.reshape(-1, 3)
 
 
-def quads(q: int) -> IndexArray:
+def cube_quads(q: int) -> IndexArray:
     """Corners, (6 q**2, 4), of the quadrilaterals as point numbers in ICQ order, counter-clockwise from outside."""
     face, j, i = np.meshgrid(np.arange(6), np.arange(q), np.arange(q), indexing="ij")
     corner = (face * (q + 1) + j) * (q + 1) + i
@@ -40,9 +40,9 @@ def quads(q: int) -> IndexArray:
     return np.stack([corner, corner + down, corner + down + 1, corner + 1], axis=-1).reshape(-1, 4)
 
 
-def weld(q: int) -> tuple[IndexArray, IndexArray]:
+def weld_seams(q: int) -> tuple[IndexArray, IndexArray]:
     """Coincident points of the seams: the first point of each of the 6 q**2 + 2 groups, and each point's group."""
-    key = lattice(q) @ np.array([(q + 1) ** 2, q + 1, 1])
+    key = cube_lattice(q) @ np.array([(q + 1) ** 2, q + 1, 1])
     _, first, group = np.unique(key, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty_like(order)

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from scenarios.bodies import cubegrid
+from scenarios.bodies.cubegrid import cube_lattice, cube_quads, weld_seams
 from scenarios.bodies.detail.noise import Band, fractal_field
 from scenarios.bodies.eros_like import eros_like
 from scenarios.bodies.icosphere import icosphere
@@ -84,9 +84,9 @@ def _on_surface(directions: FloatArray) -> FloatArray:
 
 def _cube_mesh(q: int) -> tuple[FloatArray, IndexArray]:
     """Directions (6 q**2 + 2, 3) and faces (12 q**2, 3) of a cube blown up to a unit sphere."""
-    first, group = cubegrid.weld(q)
-    directions = unit(np.tan(np.pi / 4.0 * (2.0 * cubegrid.lattice(q)[first] / q - 1.0)))
-    quads = group[cubegrid.quads(q)]
+    first, group = weld_seams(q)
+    directions = unit(np.tan(np.pi / 4.0 * (2.0 * cube_lattice(q)[first] / q - 1.0)))
+    quads = group[cube_quads(q)]
     return directions, np.stack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
 
 

@@ -8,11 +8,11 @@ from scenarios.bodies.detail.noise import Band, fractal_field
 from scenarios.bodies.topology import FloatArray, IndexArray, vertex_normals
 from scenarios.geometry import TriangleMesh
 
-_BOX_M = np.array([34_000.0, 17_000.0, 12_000.0])
+_EROS_BOX_M = np.array([34_000.0, 17_000.0, 12_000.0])
 _EDGE_M = 350.0
-_LUMPS = Band(longest_m=9000.0, shortest_m=1500.0, hurst=1.2)
-_LUMPS_RMS_M = 350.0
-_LUMPS_SEED = 433
+_EROS_LUMPS = Band(longest_m=9000.0, shortest_m=1500.0, hurst=1.2)
+_EROS_LUMPS_RMS_M = 350.0
+_EROS_LUMPS_SEED = 433
 _STEPS = 4000
 
 
@@ -25,17 +25,17 @@ def eros_like() -> TriangleMesh:
     """
     along, radius = _rings()
     points, faces = _net(along, radius)
-    lumps, _ = fractal_field(points, _LUMPS, 0.0, np.random.SeedSequence(_LUMPS_SEED))
-    points = points + _LUMPS_RMS_M * lumps[:, None] * vertex_normals(points, faces)
-    points = points * (_BOX_M / np.ptp(points, axis=0))
+    lumps, _ = fractal_field(points, _EROS_LUMPS, 0.0, np.random.SeedSequence(_EROS_LUMPS_SEED))
+    points = points + _EROS_LUMPS_RMS_M * lumps[:, None] * vertex_normals(points, faces)
+    points = points * (_EROS_BOX_M / np.ptp(points, axis=0))
     return TriangleMesh(points - _centre_of_volume(points, faces), faces.astype(np.int32))
 
 
 def _rings() -> tuple[FloatArray, FloatArray]:
     """Places (R,) along the axis and radii (R,) of rings a row of even triangles apart, from end to end."""
-    half = 0.5 * _BOX_M[0]
+    half = 0.5 * _EROS_BOX_M[0]
     t = np.linspace(0.0, np.pi, _STEPS)
-    x, r = -half * np.cos(t), 0.5 * _BOX_M[2] * np.sin(t) ** 0.8 * (1.0 - 0.12 * np.cos(t))
+    x, r = -half * np.cos(t), 0.5 * _EROS_BOX_M[2] * np.sin(t) ** 0.8 * (1.0 - 0.12 * np.cos(t))
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(r)))])
     count = round(arc[-1] / (_EDGE_M * np.sqrt(0.75)))
     wanted = np.linspace(0.0, arc[-1], count + 1)
@@ -58,8 +58,8 @@ def _net(along: FloatArray, radius: FloatArray) -> tuple[FloatArray, IndexArray]
 def _ring(x: float, radius: float, count: int, shift: float) -> FloatArray:
     """Points (count, 3) of a ring about the bent axis, from the azimuth of ``shift`` steps."""
     azimuth = 2.0 * np.pi * (np.arange(count) + shift) / count
-    share = x / (0.5 * _BOX_M[0])
-    bend_m = 0.25 * _BOX_M[1] * (share**2 - 0.5)
+    share = x / (0.5 * _EROS_BOX_M[0])
+    bend_m = 0.25 * _EROS_BOX_M[1] * (share**2 - 0.5)
     saddle = (
         0.45
         * np.exp(-((share / 0.3) ** 2))
@@ -89,10 +89,3 @@ def _band(n: int, m: int, first: int, second: int, shift: float, next_shift: flo
             faces.append([a, second + (j + 1) % m, b])
             j += 1
     return np.array(faces, dtype=np.int64)
-
-
-def _centre_of_volume(points_m: FloatArray, faces: IndexArray) -> FloatArray:
-    a, b, c = (points_m[faces[:, k]] for k in range(3))
-    volumes = np.einsum("fi,fi->f", a, np.cross(b, c))
-    centre_m: FloatArray = np.einsum("f,fi->i", volumes, a + b + c) / (4.0 * volumes.sum())
-    return centre_m

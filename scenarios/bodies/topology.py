@@ -69,3 +69,13 @@ def unit(vectors: FloatArray) -> FloatArray:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     scaled: FloatArray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
     return scaled
+
+
+def tangent_axes(up: FloatArray, angle_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Two unit vectors (N, 3) across ``up`` (N, 3) and each other, turned by the angles (N,) about it."""
+    helper = np.zeros_like(up)
+    np.put_along_axis(helper, np.abs(up).argmin(axis=1)[:, None], 1.0, axis=1)
+    first = unit(np.cross(up, helper))
+    second = np.cross(up, first)
+    cosine, sine = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]
+    return cosine * first + sine * second, cosine * second - sine * first

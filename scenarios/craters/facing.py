@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.craters.jit import kernel
-from scenarios.craters.kernels import Layout, number_tile, room_for_tile
+from scenarios.craters.kernels import Layout, kernel, number_tile, room_for_tile
 from scenarios.craters.tiles import Tiling
 
 FloatArray = NDArray[np.float64]

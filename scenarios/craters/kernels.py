@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.craters.jit import kernel
-from scenarios.craters.profile import profile_height
+from scenarios.compiled import compiler
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 IndexArray = NDArray[np.int64]
+
+kernel = compiler(Path(__file__).parent)
+"""The decorator of the kernels of this package."""
 
 
 class Layout(NamedTuple):
@@ -149,6 +152,21 @@ def cut_tiles(found: IndexArray, tiles: IndexArray, layout: Layout) -> int:
                         found[count, 0], found[count, 1], found[count, 2] = p, q, r
                         count += 1
     return count
+
+
+@kernel
+def profile_height(r: float, rim: float, rounding: float, stretch: float, scale: float) -> float:
+    """Height in diameters of one crater at one distance in radii: `Profiles.heights`."""
+    if r >= 3.0:
+        return 0.0
+    x = r * stretch
+    square = x * x
+    bowl = rim - (1.0 - square)
+    blanket = rim * np.sqrt(1.5 / (0.5 + square * square * square))
+    half = 0.5 * (bowl - blanket)
+    height = 0.5 * (bowl + blanket) - np.sqrt(half * half + rounding * rounding)
+    taper = min(1.0, 3.0 - r)
+    return float(scale * height * taper * taper * (3.0 - 2.0 * taper))
 
 
 @kernel

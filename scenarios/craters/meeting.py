@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.bodies.detail.placement import tangent_axes
-from scenarios.craters.jit import kernel
-from scenarios.craters.kernels import Layout, number_tile, room_for_tile
+from scenarios.bodies.topology import tangent_axes
+from scenarios.craters.kernels import Layout, kernel, number_tile, room_for_tile
 from scenarios.craters.surface import CrateredSurface
 from scenarios.geometry import View
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.craters.jit import kernel
-
 FloatArray = NDArray[np.float64]
 
 REACH = 3.0
@@ -81,18 +79,3 @@ def _crest(rim: FloatArray, rounding: FloatArray) -> FloatArray:
         rises = 0.5 * (bowl + blanket) - 0.5 * half * (bowl - blanket) / np.sqrt(half**2 + rounding**2) > 0.0
         low, high = np.where(rises, middle, low), np.where(rises, high, middle)
     return 0.5 * (low + high)
-
-
-@kernel
-def profile_height(r: float, rim: float, rounding: float, stretch: float, scale: float) -> float:
-    """Height in diameters of one crater at one distance in radii: `Profiles.heights`."""
-    if r >= 3.0:
-        return 0.0
-    x = r * stretch
-    square = x * x
-    bowl = rim - (1.0 - square)
-    blanket = rim * np.sqrt(1.5 / (0.5 + square * square * square))
-    half = 0.5 * (bowl - blanket)
-    height = 0.5 * (bowl + blanket) - np.sqrt(half * half + rounding * rounding)
-    taper = min(1.0, 3.0 - r)
-    return float(scale * height * taper * taper * (3.0 - 2.0 * taper))

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from scenarios.bodies.detail.noise import Band
-from scenarios.bodies.detail.placement import tangent_axes
+from scenarios.bodies.topology import tangent_axes
 from scenarios.craters.kernels import add_crater, add_octave
 from scenarios.craters.population import Craters
 from scenarios.craters.profile import REACH, Profiles

@@ -11,10 +11,9 @@ from scenarios.bodies.detail.placement import (
     Patches,
     find_patches,
     power_law_diameters,
-    tangent_axes,
 )
 from scenarios.bodies.detail.redrawn import Redrawn
-from scenarios.bodies.topology import FloatArray, IndexArray
+from scenarios.bodies.topology import FloatArray, IndexArray, tangent_axes
 from scenarios.spec.body import BoulderSpec, CraterSpec
 
 _SIDES = 7

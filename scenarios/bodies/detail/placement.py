@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scenarios.bodies.topology import FloatArray, IndexArray, IntArray, unit
+from scenarios.bodies.topology import FloatArray, IndexArray, IntArray
 
 _PAIRS_AT_ONCE = 4_000_000
 # A ball about a feature may reach the other side of a thin place: vertices that face away by more than this stay out.
@@ -95,13 +95,3 @@ def find_patches(ground: Ground, places: IndexArray, reach_m: FloatArray) -> Ite
         facing = np.einsum("ni,ni->n", ground.up[vertex], ground.up[places[feature]]) > _LEAST_FACING
         feature, vertex = feature[facing], vertex[facing]
         yield Patches(feature, vertex, ground.points_m[vertex] - ground.points_m[places[feature]])
-
-
-def tangent_axes(up: FloatArray, angle_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two unit vectors (N, 3) across ``up`` (N, 3) and each other, turned by the angles (N,) about it."""
-    helper = np.zeros_like(up)
-    np.put_along_axis(helper, np.abs(up).argmin(axis=1)[:, None], 1.0, axis=1)
-    first = unit(np.cross(up, helper))
-    second = np.cross(up, first)
-    cosine, sine = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]
-    return cosine * first + sine * second, cosine * second - sine * first

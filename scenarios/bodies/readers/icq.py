@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenarios.bodies import cubegrid
+from scenarios.bodies.cubegrid import cube_quads, weld_seams
 from scenarios.bodies.readers.source import FloatArray, IndexArray, RawShape, ShapeFile
 
 
@@ -26,14 +26,14 @@ def read_icq(source: ShapeFile) -> RawShape:
     if len(filled) - 1 != expected:
         raise source.fault(f"Q = {q} needs {expected} vertex lines, found {len(filled) - 1}; is the file cut?")
     points = source.table(lines, filled[1:], (0, 1, 2))
-    first, group = cubegrid.weld(q)
+    first, group = weld_seams(q)
     _check_seams(source, q, points, first[group])
     vertices = points[first]
-    return source.shape(vertices, _split(vertices, group[cubegrid.quads(q)]))
+    return source.shape(vertices, _split(vertices, group[cube_quads(q)]))
 
 
 def _check_seams(source: ShapeFile, q: int, points: FloatArray, partner: IndexArray) -> None:
-    quads = cubegrid.quads(q)
+    quads = cube_quads(q)
     edges = np.linalg.norm(points[quads] - points[np.roll(quads, 1, axis=1)], axis=-1)
     tolerance = float(np.median(edges))
     gap = np.linalg.norm(points - points[partner], axis=1)
