@@ -11,8 +11,7 @@ from scenarios.geometry import Camera, Pose
 from scenarios.spec.body import BodySpec
 from scenarios.spec.camera import CameraSpec, DistortionSpec
 from scenarios.spec.distribution import Scalar
-from scenarios.spec.onboard import OnboardSpec
-from scenarios.spec.scenario import ScenarioSpec
+from scenarios.spec.scenario import OnboardSpec, ScenarioSpec
 
 FloatArray = NDArray[np.float64]
 _EQUATOR_RAD = (0.0, 0.0)

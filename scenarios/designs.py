@@ -9,7 +9,7 @@ from itertools import product
 from pydantic import JsonValue
 from scipy.linalg import hadamard
 
-from scenarios.spec.grid import GridSpec
+from scenarios.spec.campaign import GridSpec
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,11 +13,10 @@ from campaign.imaging.imager import Imager, open_renderer
 from campaign.imaging.real_images import images_digest, open_images
 from renderers.images import ImageSet, reach
 from renderers.mitsuba3 import BodyRenderer
-from scenarios.aim import draw_aimed_view
 from scenarios.beliefs import believed_spec
 from scenarios.bodies import Body, load_body
 from scenarios.craters import CrateredSurface, check_size, cratered_surface, shape_digest
-from scenarios.draw import Stream, draw_view, generator
+from scenarios.draw import Stream, draw_aimed_view, draw_view, generator
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View
 from scenarios.load import LoadedScenario

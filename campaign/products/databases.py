@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from scenarios.load import LoadedScenario
 from scenarios.spec.base import SpecModel
-from scenarios.spec.onboard import OnboardSpec
+from scenarios.spec.scenario import OnboardSpec
 
 Options = TypeVar("Options", bound=SpecModel)
 

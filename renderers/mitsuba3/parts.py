@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.craters import CrateredSurface
-from scenarios.craters.facing import facet_normals, may_face
+from scenarios.craters.tiles import facet_normals, may_face
 from scenarios.geometry import View
 
 FloatArray = NDArray[np.float64]

@@ -16,8 +16,7 @@ from scenarios.bodies.checks import checked_mesh
 from scenarios.bodies.detail import DETAIL_VERSION, add_detail
 from scenarios.bodies.detail.noise import Band, fractal_field
 from scenarios.bodies.detail.subdivide import rounds_for
-from scenarios.bodies.embedded import EMBEDDED, EMBEDDED_VERSION
-from scenarios.bodies.icosphere import icosphere
+from scenarios.bodies.embedded import EMBEDDED, EMBEDDED_VERSION, icosphere
 from scenarios.bodies.readers import READER_VERSION, read_shape
 from scenarios.bodies.topology import find_edges, vertex_normals
 from scenarios.cache import Cache, default_cache

@@ -21,7 +21,7 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, View, look_at
 from scenarios.observation import Frame
 from scenarios.sequences.ground import MeshGround
-from scenarios.spec.crater_pairs import CraterPairsSpec, PlaneCratersSpec
+from scenarios.spec.craters import CraterPairsSpec, PlaneCratersSpec
 from scenarios.spec.world import PoseErrorSpec
 
 FloatArray = NDArray[np.float64]

@@ -16,13 +16,11 @@ from scenarios.bodies.detail.subdivide import interpolating_control, limit, refi
 from scenarios.bodies.load import Body, body_digest, load_body
 from scenarios.bodies.topology import find_edges, unit, vertex_normals
 from scenarios.cache import Cache, default_cache
-from scenarios.craters.facing import facing_cones
 from scenarios.craters.kernels import least_heights
 from scenarios.craters.population import Craters, draw_craters
 from scenarios.craters.relief import add_roughness, crater_relief
 from scenarios.craters.rims import Rims, find_rims
-from scenarios.craters.size import check_size, tile_rounds
-from scenarios.craters.tiles import Tiling
+from scenarios.craters.tiles import Tiling, check_size, facing_cones, tile_rounds
 from scenarios.geometry import TriangleMesh
 from scenarios.spec.body import BodySpec
 from scenarios.spec.craters import CratersSpec

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,14 +10,135 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.bodies.topology import Edges, find_edges, vertex_normals
-from scenarios.craters.kernels import Layout, cut_tiles, place_edges, place_interiors
+from scenarios.craters.kernels import (
+    Layout,
+    cut_tiles,
+    kernel,
+    number_tile,
+    place_edges,
+    place_interiors,
+    room_for_tile,
+)
+from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
+from scenarios.limits import installed_memory_bytes
+from scenarios.spec.craters import CratersSpec
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 # Within a tile, beside an edge of fewer pieces, facets have edges longer than the pieces by up to half of them.
 SHORTENED = 0.85
+
+_TILE_M = 100.0
+# Peak of a build of 82 thousand to 1.3 million tiles with 0.7 to 10 million vertices, less that of the process itself.
+_TILE_BYTES, _VERTEX_BYTES = 800, 70
+
+SingleArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+
+
+def facing_cones(tiling: Tiling, vertices_m: SingleArray) -> FloatArray:
+    """(T, 4) of each tile the unit mean of its facets' normals, and the least cosine of one of them with it."""
+    cones = np.empty((len(tiling.mesh.faces), 4))
+    _cones(cones, vertices_m, tiling.layout)
+    return cones
+
+
+def may_face(cones: FloatArray, directions: FloatArray, slack_rad: FloatArray | float) -> BoolArray:
+    """(T,): whether a facet of a tile may face unit directions (T, 3) or (3,), which are known to within a slack."""
+    towards = np.einsum("ti,ti->t", cones[:, :3], np.broadcast_to(directions, (len(cones), 3)))
+    beyond = np.arccos(np.clip(cones[:, 3], -1.0, 1.0)) + slack_rad
+    return np.asarray((beyond >= 0.5 * np.pi) | (towards > -np.sin(beyond)))
+
+
+@kernel
+def _cones(cones: FloatArray, vertices: SingleArray, layout: Layout) -> None:
+    ids = room_for_tile(layout)
+    normals = np.empty((ids.size, 3))
+    for f in range(len(layout.faces)):
+        n = number_tile(ids, f, layout)
+        count = 0
+        mean = cones[f]
+        mean[:] = 0.0
+        for i in range(n):
+            for j in range(n - i):
+                for half in range(1 if i + j == n - 1 else 2):
+                    a, b, c = ids[i + half, j], ids[i + 1, j + half], ids[i, j + 1]
+                    if _normal(normals[count], vertices, a, b, c):
+                        for x in range(3):
+                            mean[x] += normals[count, x]
+                        count += 1
+        size = np.sqrt(mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2])
+        least = 1.0 if size > 0.0 else -1.0
+        for x in range(3):
+            mean[x] = mean[x] / size if size > 0.0 else 0.0
+        for k in range(count):
+            least = min(least, mean[0] * normals[k, 0] + mean[1] * normals[k, 1] + mean[2] * normals[k, 2])
+        mean[3] = least
+
+
+@kernel
+def _normal(out: FloatArray, vertices: SingleArray, a: int, b: int, c: int) -> bool:
+    """Write the unit normal of a facet, and say whether it has an area."""
+    size = 0.0
+    for x in range(3):
+        y, z = (x + 1) % 3, (x + 2) % 3
+        uy, uz = np.float64(vertices[b, y]) - vertices[a, y], np.float64(vertices[b, z]) - vertices[a, z]
+        vy, vz = np.float64(vertices[c, y]) - vertices[a, y], np.float64(vertices[c, z]) - vertices[a, z]
+        out[x] = uy * vz - uz * vy
+        size += out[x] * out[x]
+    if size == 0.0:
+        return False
+    size = np.sqrt(size)
+    for x in range(3):
+        out[x] /= size
+    return True
+
+
+@kernel
+def facet_normals(found: SingleArray, corners: SingleArray, facets: IndexArray) -> None:
+    """Write unit normals (N, 3) of facets (N,) with corners (F, 3, 3); those of no area are left as they are."""
+    normal = np.empty(3)
+    for k in range(len(facets)):
+        if _normal(normal, corners[facets[k]], 0, 1, 2):
+            for x in range(3):
+                found[k, x] = normal[x]
+
+
+def tile_rounds(edge_m: float) -> int:
+    """Return how often facets with edges of a typical length are cut into four, until they are tiles of about 100 m."""
+    return max(0, math.ceil(math.log2(edge_m / _TILE_M)))
+
+
+def expected_size(mesh: TriangleMesh, spec: CratersSpec) -> tuple[int, int]:
+    """Return about how many tiles and facets a surface over a mesh has."""
+    length = np.linalg.norm(np.diff(mesh.vertices_m[find_edges(mesh.faces).ends], axis=1), axis=-1)
+    typical_m = float(np.median(length))
+    rounds = tile_rounds(typical_m)
+    tiles = len(mesh.faces) * 4**rounds
+    return tiles, tiles * max(1, math.ceil(typical_m / 2**rounds / (SHORTENED * spec.edge_m))) ** 2
+
+
+def check_size(mesh: TriangleMesh, spec: CratersSpec) -> None:
+    """Refuse a surface that this machine has no room for.
+
+    Raises
+    ------
+    BoresightError
+        With what it would take, and what to change.
+    """
+    tiles, facets = expected_size(mesh, spec)
+    parts, room = (tiles * _TILE_BYTES, facets // 2 * _VERTEX_BYTES), installed_memory_bytes()
+    if sum(parts) <= room:
+        return
+    remedy = f"raise craters.edge_m ({spec.edge_m:g}), with min_diameter_m four times as much, or take a smaller body"
+    if parts[0] > room:
+        remedy = f"take a smaller body: without any craters its tiles take {parts[0] / 1e9:.3g} GB"
+    raise BoresightError(
+        f"craters: a surface of {facets:.3g} facets on a body {2e-3 * mesh.radius_m:.3g} km across takes about"
+        f" {sum(parts) / 1e9:.3g} GB of memory, and this machine has {room / 1e9:.3g} GB: {remedy}"
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scenarios.craters.rims import Rims
 from scenarios.geometry import Ellipses, View
-from scenarios.geometry.conics import fit_conics, sampson_distances
+from scenarios.geometry.ellipse import fit_conics, sampson_distances
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.dynamics import kernel
-from scenarios.dynamics.harmonics import Harmonics, normalisation
-from scenarios.dynamics.solid import Table, derivative, index, outer_harmonics, terms
-from scenarios.orbits.rotation import UniformRotation
+from scenarios.dynamics.harmonics import Harmonics, Table, derivative, index, normalisation, outer_harmonics, terms
 
 FloatArray = NDArray[np.float64]
 
@@ -21,6 +19,32 @@ _TIDE_DEGREE = 4
 
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2))
 """Second derivatives; the sixth follows from Laplace's equation."""
+
+
+@dataclass(frozen=True, eq=False)
+class UniformRotation:
+    """A body that turns about its own z axis, which stands still in inertial space; as it is, or as it is believed.
+
+    Parameters
+    ----------
+    R_body_inertial
+        (3, 3) attitude at the epoch, time 0.
+    rate_rad_s
+        Angular velocity about body z.
+    """
+
+    R_body_inertial: FloatArray
+    rate_rad_s: float
+
+    def at(self, times_s: FloatArray) -> FloatArray:
+        """(n, 3, 3) R_body_inertial at (n,) seconds after the epoch."""
+        angles = self.rate_rad_s * np.asarray(times_s, dtype=np.float64)
+        turns = np.zeros((len(angles), 3, 3))
+        turns[:, 0, 0] = turns[:, 1, 1] = np.cos(angles)
+        turns[:, 0, 1] = np.sin(angles)
+        turns[:, 1, 0] = -np.sin(angles)
+        turns[:, 2, 2] = 1.0
+        return np.asarray(turns @ self.R_body_inertial, dtype=np.float64)
 
 
 class FlatField(NamedTuple):

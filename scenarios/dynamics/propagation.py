@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from scenarios.errors import BoresightError
-from scenarios.spec.motion import ForcesSpec
+from scenarios.spec.sequence import ForcesSpec
 
 FloatArray = NDArray[np.float64]
 Acceleration = Callable[[float, FloatArray], FloatArray]

@@ -10,14 +10,11 @@ Conventions, stated once:
 - Small rotations perturb on the left; 6-vectors are ``[rotation_rad, translation_m]``.
 """
 
-from scenarios.geometry.camera import Camera, pixel_from_opencv, pixel_to_opencv
-from scenarios.geometry.distortion import RadialDistortion
+from scenarios.geometry.camera import Camera, RadialDistortion, pixel_from_opencv, pixel_to_opencv
 from scenarios.geometry.ellipse import Ellipses, project_circles
 from scenarios.geometry.mesh import TriangleMesh
-from scenarios.geometry.pose import FrameMismatchError, Pose, look_at
-from scenarios.geometry.surface import SurfaceHits
-from scenarios.geometry.vectors import cross_matrix, plane_axes
-from scenarios.geometry.view import View
+from scenarios.geometry.pose import FrameMismatchError, Pose, cross_matrix, look_at, plane_axes
+from scenarios.geometry.view import SurfaceHits, View
 
 __all__ = [
     "Camera",

@@ -3,7 +3,6 @@
 The order is defaults < ``extends`` < file < a campaign's ``set`` < ``--set``. Every fault is a line with its place.
 """
 
-from scenarios.load.digest import canonical_json, digest
 from scenarios.load.entry import Entry
 from scenarios.load.files import (
     LoadedCampaign,
@@ -15,8 +14,9 @@ from scenarios.load.files import (
     validated,
 )
 from scenarios.load.find import names_in
-from scenarios.load.overrides import parse_override
+from scenarios.load.merge import parse_override
 from scenarios.load.schema import json_schema
+from scenarios.spec.base import canonical_json, digest
 
 __all__ = [
     "Entry",

@@ -15,9 +15,7 @@ from scenarios.errors import BoresightError
 from scenarios.load.entry import Entry, describe, entry_of
 from scenarios.load.explain import explain
 from scenarios.load.find import display, exists, find, name_of, names_in, read
-from scenarios.load.merge import merge
-from scenarios.load.overrides import apply, parse_override, settings
-from scenarios.load.partial import on_defaults
+from scenarios.load.merge import apply, merge, on_defaults, parse_override, settings
 from scenarios.spec.base import SpecModel
 from scenarios.spec.campaign import CampaignSpec
 from scenarios.spec.scenario import ScenarioSpec

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from scenarios.dynamics.harmonics import normalisation
-from scenarios.dynamics.solid import solid_harmonics
+from scenarios.dynamics.harmonics import normalisation, solid_harmonics
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
 

@@ -2,15 +2,87 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.orbits.horizon import Horizons
+from scenarios.geometry import TriangleMesh, plane_axes
 from scenarios.spec.orbit import CraterSightingSpec
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+
+_BINS = 72
+_AT_ONCE = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Horizons:
+    """Elevation of the ground around places, by azimuth.
+
+    A line from a place to a camera or to the Sun, both farther off than any ground, is free where it is above the
+    horizon.
+
+    Parameters
+    ----------
+    points_m, normals
+        (n, 3) places and outward unit normals.
+    first, second
+        (n, 3) unit vectors across the normals: azimuth 0 and 90 deg.
+    tangents
+        (n, bins) tangent of the elevation of the highest ground at the azimuths (k + 1/2) 360 deg / bins.
+    """
+
+    points_m: FloatArray
+    normals: FloatArray
+    first: FloatArray
+    second: FloatArray
+    tangents: FloatArray
+
+    @classmethod
+    def of(cls, mesh: TriangleMesh, points_m: FloatArray, normals: FloatArray) -> Horizons:
+        """Look around from each place at the corners and middles of all facets and edges."""
+        first, second = plane_axes(normals)
+        corners = mesh.corners_m
+        middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
+        ground = np.concatenate([mesh.vertices_m, corners.mean(axis=1), middles.reshape(-1, 3)])
+        spacing = float(np.sqrt(np.linalg.norm(mesh.area_vectors_m2, axis=1).sum() / len(ground)))
+        tangents = np.zeros((len(points_m), _BINS))
+        for start in range(0, len(points_m), _AT_ONCE):
+            for i in range(start, min(start + _AT_ONCE, len(points_m))):
+                tangents[i] = _around(ground - points_m[i], np.stack([first[i], second[i], normals[i]]), spacing)
+        return cls(points_m, normals, first, second, tangents)
+
+    def free(self, rows: NDArray[np.int64], towards: FloatArray) -> BoolArray:
+        """(k,): whether lines from the places ``rows`` in directions (k, 3) are free of ground."""
+        x = np.einsum("ki,ki->k", self.first[rows], towards)
+        y = np.einsum("ki,ki->k", self.second[rows], towards)
+        z = np.einsum("ki,ki->k", self.normals[rows], towards)
+        place = np.arctan2(y, x) / (2.0 * np.pi) * _BINS - 0.5
+        low = np.floor(place).astype(np.int64)
+        share = place - low
+        edge = (1.0 - share) * self.tangents[rows, low % _BINS] + share * self.tangents[rows, (low + 1) % _BINS]
+        above: BoolArray = z > edge * np.hypot(x, y)
+        return above
+
+
+def _around(offsets: FloatArray, axes: FloatArray, spacing: float) -> FloatArray:
+    """(bins,) tangents of the horizon; ground nearer than two spacings is the place itself."""
+    up = offsets @ axes[2]
+    offsets, up = offsets[up > 0.0], up[up > 0.0]
+    x, y = offsets @ axes[0], offsets @ axes[1]
+    away = np.hypot(x, y)
+    kept = away > 2.0 * spacing
+    x, y, up, away = x[kept], y[kept], up[kept], away[kept]
+    azimuth = np.arctan2(y, x) / (2.0 * np.pi) * _BINS
+    half = 0.5 * spacing / away / (2.0 * np.pi) * _BINS
+    found = np.zeros(_BINS)
+    slope = up / away
+    for offset in (-1.0, 0.0, 1.0):
+        np.maximum.at(found, np.floor(azimuth + offset * half).astype(np.int64) % _BINS, slope)
+    return found
 
 
 def lit_and_seen(

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.draw import Stream, generator
-from scenarios.dynamics.field import HarmonicField
+from scenarios.dynamics.field import HarmonicField, UniformRotation
 from scenarios.dynamics.harmonics import Harmonics, homogeneous
 from scenarios.dynamics.propagation import SUNLIGHT_N_M2
 from scenarios.geometry import Camera, TriangleMesh
-from scenarios.orbits.horizon import Horizons
-from scenarios.orbits.rotation import UniformRotation
 from scenarios.orbits.shape import StarShape, fitted
+from scenarios.orbits.sightings import Horizons
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.orbit import OrbitSpec, SunEarthSpec
 

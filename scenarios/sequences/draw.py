@@ -14,8 +14,7 @@ from scenarios.geometry import Camera, Pose
 from scenarios.sequences.ground import Ground
 from scenarios.sequences.knowledge import Sighting, known_sequence
 from scenarios.sequences.lives import Lives, live, recognise
-from scenarios.sequences.orbit import anomalies_deg
-from scenarios.sequences.path import Path, travel, undisturbed, unmodelled
+from scenarios.sequences.path import Path, anomalies_deg, travel, undisturbed, unmodelled
 from scenarios.sequences.sightline import Sightline
 from scenarios.spec.sequence import SequenceSpec, VisionSpec
 from scenarios.tracks import TrackSequence

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from scenarios.draw import Stream, draw_direction, generator
 from scenarios.geometry import Camera, Pose
-from scenarios.sequences.path import Path
-from scenarios.sequences.rotation import angular_velocity, attitude_law
+from scenarios.sequences.path import Path, angular_velocity, attitude_law
 from scenarios.spec.sequence import KnowledgeSpec, SequenceSpec
 from scenarios.tracks import Forces, TrackFrame, TrackRange, TrackSequence
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 from scenarios.draw import Stream, generator
 from scenarios.dynamics.gravity import Gravity, PointMass, Polyhedron
@@ -13,11 +16,141 @@ from scenarios.dynamics.propagation import Acceleration, Pushes, propagate, radi
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, View
 from scenarios.sequences.ground import Ground, MeshGround
-from scenarios.sequences.orbit import orbit_axes, pointed, poses, times_s, velocities_m_s
-from scenarios.sequences.rotation import Attitude, angular_velocity, attitude_law
-from scenarios.spec.sequence import OrbitSpec, SequenceSpec
+from scenarios.spec.sequence import BodyMotionSpec, OrbitSpec, SequenceSpec
 
 FloatArray = NDArray[np.float64]
+
+Attitude = Callable[[FloatArray], FloatArray]
+"""Takes (n,) seconds since the first frame to R_body_inertial, (n, 3, 3)."""
+
+_HOUR_S = 3600.0
+_TOLERANCE = 1e-12
+
+R_PAPER_CAMERA: FloatArray = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""``x_C = R_PAPER_CAMERA x_cam``: the paper's R_C, z along the boresight, x along the sensor's vertical and y along its
+horizontal. It does not say which way; x down the columns of the image makes y point left."""
+
+
+def anomalies_deg(orbit: OrbitSpec) -> FloatArray:
+    """(F,) anomaly that each frame has gone through since the first."""
+    return orbit.step_deg * np.arange(orbit.frames, dtype=np.float64)
+
+
+def times_s(orbit: OrbitSpec) -> FloatArray:
+    """(F,) epochs of the frames, by Kepler's third law."""
+    return np.asarray(np.radians(anomalies_deg(orbit)) / _rate_rad_s(orbit), dtype=np.float64)
+
+
+def orbit_axes(orbit: OrbitSpec) -> FloatArray:
+    """(3, 3) rows, inertial axes: the direction of zero anomaly, the one 90 deg on, and the orbit's normal.
+
+    Zero anomaly is where the orbit comes nearest the x axis; for a normal along that axis, the y axis.
+    """
+    normal = np.asarray(orbit.normal_body, dtype=np.float64)
+    normal = normal / np.linalg.norm(normal)
+    along = np.eye(3)[0] if abs(normal[0]) < 0.999999 else np.eye(3)[1]
+    first = along - (along @ normal) * normal
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(normal, first), normal])
+
+
+def poses(orbit: OrbitSpec) -> tuple[Pose, ...]:
+    """T_cam_inertial of each frame of a circular orbit, the camera as in ``pointed``."""
+    first, second, normal = orbit_axes(orbit)
+    found = []
+    for angle in np.radians(orbit.start_deg + anomalies_deg(orbit)):
+        radial = np.cos(angle) * first + np.sin(angle) * second
+        found.append(_look_down(orbit.radius_m * radial, radial, normal))
+    return tuple(found)
+
+
+def velocities_m_s(orbit: OrbitSpec) -> FloatArray:
+    """(F, 3) velocities on a circular orbit, inertial axes."""
+    first, second, _ = orbit_axes(orbit)
+    angles = np.radians(orbit.start_deg + anomalies_deg(orbit))[:, None]
+    return np.asarray(_rate_rad_s(orbit) * orbit.radius_m * (np.cos(angles) * second - np.sin(angles) * first))
+
+
+def pointed(position_m: FloatArray, velocity_m_s: FloatArray) -> Pose:
+    """T_cam_inertial: x along the horizontal velocity, y against the orbit's normal, z (boresight) to the origin."""
+    normal = np.cross(position_m, velocity_m_s)
+    return _look_down(position_m, position_m / np.linalg.norm(position_m), normal / np.linalg.norm(normal))
+
+
+def _look_down(position_m: FloatArray, radial: FloatArray, normal: FloatArray) -> Pose:
+    rotation = np.stack([np.cross(normal, radial), -normal, -radial])
+    return Pose(rotation, -rotation @ position_m, from_frame="inertial")
+
+
+def _rate_rad_s(orbit: OrbitSpec) -> float:
+    return float(np.sqrt(orbit.gm_m3_s2 / orbit.radius_m**3))
+
+
+def inertial_from_body(points_m: FloatArray, R_body_inertial: FloatArray) -> FloatArray:
+    """Turn points (..., 3) of the body frame R_A into ACRF; ``R_body_inertial`` is (..., 3, 3), m."""
+    return np.asarray(np.einsum("...ji,...j->...i", R_body_inertial, points_m), dtype=np.float64)
+
+
+def first_camera_from_inertial(points_m: FloatArray, first_camera_m: FloatArray) -> FloatArray:
+    """Shift points (..., 3) of ACRF to R_0, whose origin is the first camera position (3,) in ACRF, m."""
+    return np.asarray(points_m - first_camera_m, dtype=np.float64)
+
+
+def angular_velocity(motion: BodyMotionSpec) -> FloatArray:
+    """(3,) rad/s at the first frame, where body and inertial axes agree; zero for a body at rest."""
+    if motion.kind == "none":
+        return np.zeros(3)
+    axis = np.asarray(motion.axis_body, dtype=np.float64)
+    return np.asarray(2.0 * np.pi / (motion.period_h * _HOUR_S) * axis / np.linalg.norm(axis))
+
+
+def attitude_law(motion: BodyMotionSpec, rate_rad_s: FloatArray, until_s: float) -> Attitude:
+    """Return the rotation of the body from its angular velocity at the first frame on.
+
+    Parameters
+    ----------
+    motion
+        Kind and inertia.
+    rate_rad_s
+        (3,) angular velocity at the first frame.
+    until_s
+        Time that the law is to hold for.
+    """
+    if motion.kind == "none" or not rate_rad_s.any():
+        return lambda times_s: np.tile(np.eye(3), (len(times_s), 1, 1))
+    if motion.kind == "spin":
+        return lambda times_s: Rotation.from_rotvec(-np.outer(times_s, rate_rad_s)).as_matrix()
+    return _tumbling(np.asarray(motion.inertia, dtype=np.float64), rate_rad_s, until_s)
+
+
+def _tumbling(inertia: FloatArray, rate_rad_s: FloatArray, until_s: float) -> Attitude:
+    """Integrate Euler's equations and the attitude in units of the first angle per time."""
+    unit = float(np.linalg.norm(rate_rad_s))
+
+    def change(_: float, state: FloatArray) -> FloatArray:
+        rate, quat = state[:3], state[3:]
+        turned = np.cross(inertia * rate, rate) / inertia  # I w' = (I w) x w
+        return np.concatenate([turned, _quat_rate(quat, rate)])
+
+    start = np.concatenate([rate_rad_s / unit, [0.0, 0.0, 0.0, 1.0]])
+    end = max(unit * until_s, 1e-9)
+    found = solve_ivp(change, (0.0, end), start, "DOP853", dense_output=True, rtol=_TOLERANCE, atol=_TOLERANCE)
+    if not found.success or found.sol is None:
+        raise BoresightError(f"sequence.body_motion: the rotation cannot be integrated: {found.message}")
+
+    solution = found.sol
+
+    def attitude(times_s: FloatArray) -> FloatArray:
+        quat_xyzw = solution(unit * np.asarray(times_s))[3:].T
+        return np.swapaxes(Rotation.from_quat(quat_xyzw).as_matrix(), 1, 2)
+
+    return attitude
+
+
+def _quat_rate(quat_xyzw: FloatArray, rate: FloatArray) -> FloatArray:
+    """Differentiate by time: q' = q (w, 0) / 2 for q from body to inertial axes and w in body axes."""
+    vector, scalar = quat_xyzw[:3], quat_xyzw[3]
+    return 0.5 * np.concatenate([scalar * rate + np.cross(vector, rate), [-vector @ rate]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

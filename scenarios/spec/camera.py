@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, ClassVar, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from scenarios.geometry import Camera, RadialDistortion
 from scenarios.spec.base import SpecModel
@@ -14,6 +14,18 @@ from scenarios.spec.base import SpecModel
 FocalLength = Annotated[float, Field(ge=1, le=1e9)]
 Coefficient = Annotated[float, Field(ge=-1e20, le=1e20)]
 ImagePosition = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+def _has_area(value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    left, top, right, bottom = value
+    if not (left < right and top < bottom):
+        raise ValueError(f"[{left:g}, {top:g}, {right:g}, {bottom:g}] has no area: write [left, top, right, bottom]")
+    return value
+
+
+Rectangle = Annotated[tuple[NonNegative, NonNegative, NonNegative, NonNegative], AfterValidator(_has_area)]
 
 
 class DistortionSpec(SpecModel):

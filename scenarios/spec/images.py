@@ -9,7 +9,7 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from scenarios.spec.base import SpecModel
-from scenarios.spec.rectangle import Rectangle
+from scenarios.spec.camera import Rectangle
 
 
 class SpiceSpec(SpecModel):

@@ -7,7 +7,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel
-from scenarios.spec.crater_pairs import DetectionErrorSpec, PlaneCratersSpec
+from scenarios.spec.craters import DetectionErrorSpec, PlaneCratersSpec
 
 Vector = tuple[float, float, float]
 

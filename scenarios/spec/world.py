@@ -7,8 +7,8 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from scenarios.spec.base import SpecModel
+from scenarios.spec.camera import Rectangle
 from scenarios.spec.distribution import Scalar, Uniform, Uniform3, Vector3
-from scenarios.spec.rectangle import Rectangle
 
 
 def _check_within(key: str, bounds: tuple[float, float], low: float, high: float) -> None:

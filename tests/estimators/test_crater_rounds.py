@@ -20,13 +20,13 @@ from estimators.craters.navigation.matched import believed, placed_images
 from estimators.craters.navigation.stages import Stages
 from estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
 from estimators.craters.navigation.trajectory import Trajectory
+from scenarios.dynamics.field import UniformRotation
 from scenarios.dynamics.flight import travelled
 from scenarios.dynamics.propagation import Pushes
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, Pose
+from scenarios.orbits.draw import draw_knowledge
 from scenarios.orbits.flown import state_at_epoch
-from scenarios.orbits.known import draw_knowledge
-from scenarios.orbits.rotation import UniformRotation
 from scenarios.sequences.ground import MeshGround
 
 SHIFT_M = np.array([3.0, -2.0, 5.0])

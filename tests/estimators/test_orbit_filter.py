@@ -16,9 +16,9 @@ from estimators.orbit.parameters import Layout
 from estimators.orbit.rays import agreeing
 from estimators.orbit.registry import orbit_estimator_class
 from estimators.orbit.solve import Limits, Prior, Robust, adjust, linearise
+from scenarios.dynamics.field import UniformRotation
 from scenarios.errors import BoresightError
 from scenarios.orbits.draw import draw_orbit
-from scenarios.orbits.rotation import UniformRotation
 
 LEAST_SQUARES = Robust(np.inf, 1.0)
 

@@ -11,7 +11,7 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import look_at
 from scenarios.load import load_scenario
 from scenarios.spec.body import HeightErrorSpec
-from scenarios.spec.onboard import OnboardSpec
+from scenarios.spec.scenario import OnboardSpec
 
 SUN = np.array([0.6, 0.0, -0.8])
 

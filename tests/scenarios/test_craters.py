@@ -17,15 +17,15 @@ from renderers.mitsuba3.variant import load_mitsuba
 from scenarios.bodies import load_body
 from scenarios.bodies.topology import is_closed
 from scenarios.craters import Craters, Tiling, draw_craters
-from scenarios.craters.profile import REACH, Profiles, profile_height
-from scenarios.craters.relief import crater_relief
+from scenarios.craters.kernels import profile_height
+from scenarios.craters.relief import REACH, Profiles, crater_relief
 from scenarios.craters.rims import find_rims
-from scenarios.craters.size import check_size, expected_size
 from scenarios.craters.surface import smooth_tiles
+from scenarios.craters.tiles import check_size, expected_size
 from scenarios.craters.truth import CraterTruth
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, TriangleMesh
-from scenarios.geometry.conics import fit_conics, sampson_distances
+from scenarios.geometry.ellipse import fit_conics, sampson_distances
 
 
 def test_profile_has_its_crest_at_the_radius_and_its_floor_at_the_depth() -> None:
@@ -104,7 +104,7 @@ def test_the_expected_size_is_that_of_the_tiling_but_for_a_third(times: float, e
 def test_a_surface_without_room_is_refused_before_it_is_made(
     monkeypatch: pytest.MonkeyPatch, radius_m: float, edge_m: float, words: str
 ) -> None:
-    monkeypatch.setattr("scenarios.craters.size.installed_memory_bytes", lambda: 24 * 10**9)
+    monkeypatch.setattr("scenarios.craters.tiles.installed_memory_bytes", lambda: 24 * 10**9)
     body = load_body(BODY).mesh
     mesh = TriangleMesh(radius_m / body.radius_m * body.vertices_m, body.faces)
     said = rf"on a body {radius_m / 500:g} km across .*this machine has 24 GB: {words}"

@@ -8,7 +8,7 @@ import pytest
 from scenarios.designs import cells, two_level_runs
 from scenarios.errors import BoresightError
 from scenarios.load import load_campaign
-from scenarios.spec.grid import GridSpec
+from scenarios.spec.campaign import GridSpec
 
 AXES = {
     "truth": {"levels": {"dull": {"brdf.albedo": 0.1}, "bright": {"brdf.albedo": 0.4}}},

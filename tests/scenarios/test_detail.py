@@ -8,8 +8,8 @@ from scipy.stats import kstest
 
 from scenarios.bodies import EMBEDDED
 from scenarios.bodies.detail import add_detail
+from scenarios.bodies.detail.features import Ground, find_patches, power_law_diameters
 from scenarios.bodies.detail.noise import Band, fractal_field
-from scenarios.bodies.detail.placement import Ground, find_patches, power_law_diameters
 from scenarios.bodies.detail.subdivide import interpolating_control, refine, rounds_for
 from scenarios.bodies.topology import vertex_normals
 from scenarios.errors import BoresightError

@@ -8,9 +8,8 @@ from pydantic import ValidationError
 from scenarios.errors import BoresightError
 from scenarios.known import Item, Known, known_on_board, merged
 from scenarios.load import load_scenario, scenario_names
-from scenarios.spec.onboard import OnboardSpec
 from scenarios.spec.orbit import CraterSightingSpec, OrbitKnowledgeSpec, PointingSpec
-from scenarios.spec.scenario import ScenarioSpec
+from scenarios.spec.scenario import OnboardSpec, ScenarioSpec
 from scenarios.spec.sequence import KnowledgeSpec, VisionSpec
 
 # A wrong value of every key of ``onboard``, and what is then no longer known exactly.

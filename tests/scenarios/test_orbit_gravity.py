@@ -6,13 +6,11 @@ import trimesh
 from scipy.spatial.transform import Rotation
 from scipy.special import sph_harm_y
 
-from scenarios.dynamics.field import HarmonicField, differentiate
+from scenarios.dynamics.field import HarmonicField, UniformRotation, differentiate
 from scenarios.dynamics.gravity import Polyhedron
-from scenarios.dynamics.harmonics import Harmonics, homogeneous
-from scenarios.dynamics.solid import index, outer_harmonics, terms
+from scenarios.dynamics.harmonics import Harmonics, homogeneous, index, outer_harmonics, terms
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
-from scenarios.orbits.rotation import UniformRotation
 
 GM = 4.463e5
 SEMI_AXES = np.array([17_000.0, 8_500.0, 6_000.0])

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from scenarios.dynamics.field import HarmonicField
+from scenarios.dynamics.field import HarmonicField, UniformRotation
 from scenarios.dynamics.flight import flight, travelled
 from scenarios.dynamics.harmonics import Harmonics
 from scenarios.dynamics.propagation import OrbitLostError, Pushes
-from scenarios.orbits.rotation import UniformRotation
 
 GM, DAY = 4.463e5, 86_400.0
 REST = UniformRotation(np.eye(3), 0.0)

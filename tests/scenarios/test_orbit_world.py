@@ -8,12 +8,10 @@ from orbit_worlds import lump, orbit_world
 from scenarios.bodies.embedded import contact_binary
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
-from scenarios.orbits.draw import draw_orbit
+from scenarios.orbits.draw import draw_knowledge, draw_orbit
 from scenarios.orbits.flown import state_at_epoch
-from scenarios.orbits.horizon import Horizons
-from scenarios.orbits.known import draw_knowledge
 from scenarios.orbits.shape import fitted
-from scenarios.orbits.sightings import merged_numbers
+from scenarios.orbits.sightings import Horizons, merged_numbers
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.orbit import ArcSpec
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenarios.bodies.readers.icq import cube_lattice
 from scenarios.bodies.readers import read_shape
+from scenarios.bodies.readers.icq import cube_lattice
 from scenarios.errors import BoresightError
 
 TETRAHEDRON = "v 1 0 0\nv 0 1 0\nv 0 0 1\nv -1 -1 -1\n"

@@ -16,9 +16,8 @@ from scenarios.dynamics.propagation import radiation_pressure
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh
 from scenarios.sequences import MeshGround, SphereGround, draw_sequence, travel, unmodelled
-from scenarios.sequences.rotation import angular_velocity, attitude_law
-from scenarios.spec.motion import BodyMotionSpec, ForcesSpec
-from scenarios.spec.sequence import SequenceSpec
+from scenarios.sequences.path import angular_velocity, attitude_law
+from scenarios.spec.sequence import BodyMotionSpec, ForcesSpec, SequenceSpec
 
 CAMERA = Camera.from_fov(1024, 1024, np.radians(30.0))
 SPHERE = SphereGround(190.0)

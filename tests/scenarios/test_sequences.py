@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from scenarios.geometry import Camera, TriangleMesh, View
 from scenarios.load import load_scenario
 from scenarios.sequences import MeshGround, Sighting, SphereGround, draw_sequence, measured_ranges
-from scenarios.sequences.orbit import poses, times_s
+from scenarios.sequences.path import poses, times_s
 from scenarios.sequences.sightline import Sightline, sphere_share
 from scenarios.spec.sequence import KnowledgeSpec, OrbitSpec, SequenceSpec
 

@@ -26,7 +26,7 @@ from scenarios.load import LoadedScenario
 from scenarios.observation import Frame
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.campaign import EstimatorSpec
-from scenarios.spec.crater_pairs import CraterPairsSpec, RenderedLooksSpec
+from scenarios.spec.craters import CraterPairsSpec, RenderedLooksSpec
 from scenarios.spec.world import PoseErrorSpec
 
 BY_GEOMETRY = ""

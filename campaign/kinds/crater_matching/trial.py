@@ -31,7 +31,7 @@ from scenarios.geometry import Camera, View
 from scenarios.load import LoadedScenario
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.campaign import EstimatorSpec
-from scenarios.spec.crater_pairs import CraterPairsSpec
+from scenarios.spec.craters import CraterPairsSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)

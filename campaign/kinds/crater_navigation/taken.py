@@ -17,13 +17,13 @@ from estimators.craters.navigation.task import AprioriShape, Exposure, Navigatio
 from estimators.craters.planning.files import read_plan, write_plan
 from estimators.craters.planning.plan import PlannedImage, plan_arc, with_telemetry
 from scenarios.atomic import write_atomically
+from scenarios.dynamics.field import UniformRotation
 from scenarios.errors import BoresightError
 from scenarios.geometry import Pose, TriangleMesh, View
 from scenarios.observation import Frame
+from scenarios.orbits.draw import draw_knowledge, draw_radiometry
 from scenarios.orbits.flown import Flown, fly
 from scenarios.orbits.imaging import control_errors, epochs_s, sun_dir_inertial, true_views
-from scenarios.orbits.known import draw_knowledge, draw_radiometry
-from scenarios.orbits.rotation import UniformRotation
 from scenarios.orbits.world import OrbitWorld
 from scenarios.sequences.ground import MeshGround
 

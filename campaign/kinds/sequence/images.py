@@ -19,7 +19,7 @@ from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, View
 from scenarios.load import LoadedScenario
 from scenarios.sequences import MeshGround, travel
-from scenarios.spec.vision import ImageVisionSpec
+from scenarios.spec.sequence import ImageVisionSpec
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -21,7 +21,7 @@ from campaign.trial.checks import (
 from campaign.trial.nees import nees
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from scenarios.sequences import SequenceTruth
-from scenarios.sequences.rotation import inertial_from_body
+from scenarios.sequences.path import inertial_from_body
 from scenarios.tracks import TrackSequence
 
 FloatArray = NDArray[np.float64]

@@ -23,7 +23,7 @@ from scenarios.sequences import (
     measured_ranges,
     travel,
 )
-from scenarios.sequences.orbit import anomalies_deg
+from scenarios.sequences.path import anomalies_deg
 from scenarios.spec.sequence import SequenceSpec
 from scenarios.tracks import Predict, TrackFrame, TrackRange, TrackSequence
 

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.craters.database.files import CraterDatabase
+from scenarios.dynamics.field import UniformRotation
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera
 from scenarios.orbits.data import LandmarkFile, Pictures
-from scenarios.orbits.rotation import UniformRotation
 
 FloatArray = NDArray[np.float64]
 

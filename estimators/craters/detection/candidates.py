@@ -15,7 +15,7 @@ from estimators.craters.detection.fitting import RIDGE, fit_reweighted
 from estimators.craters.detection.grouping import Arc
 from estimators.craters.detection.picture import Picture
 from scenarios.geometry import Ellipses, pixel_to_opencv
-from scenarios.geometry.conics import fit_conics, sampson_distances
+from scenarios.geometry.ellipse import fit_conics, sampson_distances
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

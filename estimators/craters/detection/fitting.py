@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.geometry.conics import fit_conics, sampson_distances
+from scenarios.geometry.ellipse import fit_conics, sampson_distances
 
 FloatArray = NDArray[np.float64]
 RIDGE = 1e-9

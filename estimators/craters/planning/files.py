@@ -20,7 +20,7 @@ import numpy as np
 
 from estimators.craters.database.records import Record, read_records, words, write_records
 from estimators.craters.planning.plan import PlannedImage
-from scenarios.aim import Kind
+from scenarios.draw import Kind
 
 _HEAD = "boresight image plan 1"
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scenarios.aim import KINDS, Kind, angles_deg, is_lit, of_kind
+from scenarios.draw import KINDS, Kind, angles_deg, is_lit, of_kind
 from scenarios.dynamics.flight import flight
 from scenarios.dynamics.propagation import Pushes
 from scenarios.errors import BoresightError

@@ -19,7 +19,7 @@ from estimators.slam.vision.features import Features
 from estimators.slam.vision.flow import growth, local_flow
 from estimators.slam.vision.guided import guided_rows
 from scenarios.geometry import Camera
-from scenarios.spec.vision import ImageVisionSpec
+from scenarios.spec.sequence import ImageVisionSpec
 from scenarios.tracks import Prediction
 
 FloatArray = NDArray[np.float64]

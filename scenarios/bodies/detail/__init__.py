@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenarios.bodies.detail.features import boulder_heights, crater_heights
-from scenarios.bodies.detail.noise import Band, fractal_field
-from scenarios.bodies.detail.placement import Ground
-from scenarios.bodies.detail.redrawn import Redrawn
+from scenarios.bodies.detail.features import Ground, boulder_heights, crater_heights
+from scenarios.bodies.detail.noise import Band, Redrawn, fractal_field
 from scenarios.bodies.detail.subdivide import interpolating_control, refine, rounds_for, smoothed
 from scenarios.bodies.topology import FloatArray, IntArray, find_edges, unit, vertex_normals
 from scenarios.errors import BoresightError

@@ -8,10 +8,17 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
-from scenarios.bodies.detail.redrawn import Redrawn
 from scenarios.bodies.topology import FloatArray
 
 _LATTICE = 96
+
+
+@dataclass(frozen=True, slots=True)
+class Redrawn:
+    """Features of one kind that are smaller than ``below_m`` come from ``seed``."""
+
+    below_m: float
+    seed: np.random.SeedSequence
 
 
 @dataclass(frozen=True, slots=True)
