@@ -27,7 +27,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         temporary.replace(path)
         _flush(path.parent)
     except OSError as error:
-        raise BoresightError(explain(path, error)) from error
+        raise BoresightError(explain_write_error(path, error)) from error
     finally:
         # A failed clean-up must not hide the fault above; the name marks the file as no result.
         with contextlib.suppress(OSError):
@@ -61,7 +61,7 @@ def _flush(path: Path) -> None:
         os.close(descriptor)
 
 
-def explain(path: Path | str, error: OSError) -> str:
+def explain_write_error(path: Path | str, error: OSError) -> str:
     """Say in one line why a file could not be written, and what to do."""
     advice = {
         errno.ENOSPC: "the disk is full: free some space and run the same command again, it will continue",

@@ -13,7 +13,7 @@ from scenarios.spec.campaign import GridSpec
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class GridCell:
     """One scenario of a grid.
 
     Parameters
@@ -32,14 +32,14 @@ class Cell:
 
 
 @dataclass(frozen=True, slots=True)
-class Variation:
+class GridVariation:
     """Where a scenario of a grid comes from: the scenario that it varies, and its level of each axis."""
 
     base: str
     levels: Mapping[str, str]
 
 
-def cells(grid: GridSpec) -> tuple[Cell, ...]:
+def grid_cells(grid: GridSpec) -> tuple[GridCell, ...]:
     """List the scenarios of a grid, the reference first."""
     names = {axis: tuple(spec.overrides) for axis, spec in grid.axes.items()}
     if grid.design == "full":
@@ -69,6 +69,6 @@ def two_level_runs(factors: int) -> tuple[tuple[bool, ...], ...]:
     return tuple(tuple(bool(sign < 0) for sign in row) for half in (matrix, -matrix) for row in half)
 
 
-def _cell(grid: GridSpec, levels: tuple[str, ...], suffix: str) -> Cell:
+def _cell(grid: GridSpec, levels: tuple[str, ...], suffix: str) -> GridCell:
     overrides = tuple(axis.overrides[level] for axis, level in zip(grid.axes.values(), levels, strict=True))
-    return Cell(suffix, dict(zip(grid.axes, levels, strict=True)), overrides)
+    return GridCell(suffix, dict(zip(grid.axes, levels, strict=True)), overrides)

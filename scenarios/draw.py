@@ -24,8 +24,8 @@ _LIMB_EMISSION_DEG = (50.0, 70.0)
 _TERMINATOR_INCIDENCE_DEG = (55.0, 75.0)
 _MOST_DEG = 80.0
 
-Kind = Literal["nadir", "limb", "terminator"]
-KINDS: tuple[Kind, ...] = ("nadir", "limb", "terminator")
+TargetKind = Literal["nadir", "limb", "terminator"]
+TARGET_KINDS: tuple[TargetKind, ...] = ("nadir", "limb", "terminator")
 
 
 def draw_aimed_view(
@@ -41,9 +41,9 @@ def draw_aimed_view(
     kind, turn_rad = str(rng.choice(viewpoint.targets)), float(rng.uniform(0.0, 2.0 * np.pi))
     position = view.T_cam_body.camera_position_m
     places = shape.corners_m.mean(axis=1)
-    emission, incidence = angles_deg(places, shape.normals, position, view.sun_dir_body)
-    lit = is_lit(emission, incidence)
-    chosen = lit & of_kind(kind, emission, incidence)
+    emission, incidence = emission_incidence_deg(places, shape.normals, position, view.sun_dir_body)
+    lit = is_lit_and_facing(emission, incidence)
+    chosen = lit & near_limb_or_terminator(kind, emission, incidence)
     area = np.linalg.norm(shape.area_vectors_m2, axis=1)
     if chosen.any():
         total = np.cumsum(np.where(chosen, area, 0.0))
@@ -58,7 +58,7 @@ def draw_aimed_view(
     return View(camera, Pose(turned.rotation, -turned.rotation @ position), view.sun_dir_body)
 
 
-def angles_deg(
+def emission_incidence_deg(
     points_m: FloatArray, normals: FloatArray, position_m: FloatArray, sun_dir_body: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(n,) angles of emission and incidence of points (n, 3) with normals (n, 3) for a camera and a Sun, (3,) each."""
@@ -68,12 +68,12 @@ def angles_deg(
     return emission, np.degrees(np.arccos(np.clip(normals @ sun_dir_body, -1.0, 1.0)))
 
 
-def is_lit(emission_deg: FloatArray, incidence_deg: FloatArray) -> BoolArray:
+def is_lit_and_facing(emission_deg: FloatArray, incidence_deg: FloatArray) -> BoolArray:
     """(n,) whether ground is in the light and towards the camera, well enough to show anything."""
     return (emission_deg < _MOST_DEG) & (incidence_deg < _MOST_DEG)
 
 
-def of_kind(kind: str, emission_deg: FloatArray, incidence_deg: FloatArray) -> BoolArray:
+def near_limb_or_terminator(kind: str, emission_deg: FloatArray, incidence_deg: FloatArray) -> BoolArray:
     """(n,) whether ground lies near the limb or near the terminator, as ``kind`` says."""
     if kind == "limb":
         return (emission_deg > _LIMB_EMISSION_DEG[0]) & (emission_deg < _LIMB_EMISSION_DEG[1])

@@ -27,7 +27,7 @@ PARQUET_FAULTS = (
 _AT_ONCE = 500
 
 
-class Layout(NamedTuple):
+class TableLayout(NamedTuple):
     """What is known of a table before it is read.
 
     Parameters
@@ -42,7 +42,7 @@ class Layout(NamedTuple):
     is_text: Callable[[str], bool | None]
 
 
-def read_frame(folder: Path, layout: Layout) -> pd.DataFrame:
+def read_frame(folder: Path, layout: TableLayout) -> pd.DataFrame:
     """Read the files ``*.parquet`` of a folder, which has some, as one table, in the order of their names.
 
     Nothing that pandas may have noted in them is heeded: an index is no column of a table.
@@ -57,7 +57,7 @@ def read_frame(folder: Path, layout: Layout) -> pd.DataFrame:
         return frame
 
 
-def read_where(path: Path, layout: Layout, values: Mapping[str, object]) -> pa.Table:
+def read_where(path: Path, layout: TableLayout, values: Mapping[str, object]) -> pa.Table:
     """Read the rows of a file whose keys have some values.
 
     All are read and then chosen from: pyarrow chooses by what a file says of its columns, and ends the process where
@@ -98,7 +98,7 @@ def _explained(place: Path) -> Iterator[None]:
         raise unreadable(place, "a stored table", error) from error
 
 
-def _table(place: Path, files: Sequence[Path], layout: Layout) -> pa.Table:
+def _table(place: Path, files: Sequence[Path], layout: TableLayout) -> pa.Table:
     table = _joined(_tables(files))
     table.validate(full=True)  # texts that are none, for one, are noticed by nobody before they are printed
     missing = [name for name in layout.keys if name not in table.column_names]

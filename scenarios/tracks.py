@@ -84,7 +84,7 @@ class TrackFrame:
         Standard deviation of the error of `R_cam_body` about each camera axis: that of the star tracker, independent
         from frame to frame, that of the camera's attitude on it, always the same, and that of `R_body_inertial`, which
         grows with time.
-    attitude_lasting_rad
+    attitude_bias_sigma_rad
         The part of it that is not independent from frame to frame: the latter two.
     """
 
@@ -99,12 +99,12 @@ class TrackFrame:
     again: IndexArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     R_body_inertial: FloatArray = field(default_factory=lambda: np.eye(3))
     attitude_sigma_rad: float = 0.0
-    attitude_lasting_rad: float = 0.0
+    attitude_bias_sigma_rad: float = 0.0
 
     @property
     def attitude_noise_rad(self) -> float:
         """Standard deviation of what is independent from frame to frame of the error of `R_cam_body`."""
-        return math.sqrt(max(self.attitude_sigma_rad**2 - self.attitude_lasting_rad**2, 0.0))
+        return math.sqrt(max(self.attitude_sigma_rad**2 - self.attitude_bias_sigma_rad**2, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,13 +125,13 @@ class Prediction:
     covariance_px2: FloatArray
 
 
-Predict = Callable[[TrackFrame], Prediction | None]
+LandmarkPredictor = Callable[[TrackFrame], Prediction | None]
 
 
-class Eye(Protocol):
+class VisionFrontEnd(Protocol):
     """A vision layer that looks where an estimator expects its landmarks."""
 
-    def frames(self, predict: Predict) -> Iterator[TrackFrame]:
+    def frames(self, predict: LandmarkPredictor) -> Iterator[TrackFrame]:
         """Yield the frames in the order of time.
 
         Before each one ``predict`` is asked where tracks will be, with a frame that has no tracks yet.
@@ -154,7 +154,7 @@ class TrackSequence:
         it is known perfectly.
     forces
         What is known of the forces on the camera; None where nothing is.
-    eye
+    front_end
         Makes the frames while an estimator follows them; those of ``frames`` have no tracks then. None where all are
         there beforehand.
     """
@@ -164,4 +164,4 @@ class TrackSequence:
     position_m: FloatArray
     position_covariance_m2: FloatArray
     forces: Forces | None = None
-    eye: Eye | None = None
+    front_end: VisionFrontEnd | None = None

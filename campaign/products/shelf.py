@@ -17,7 +17,7 @@ from campaign.products.keys import content_key
 from campaign.products.kinds import product_kind
 from estimators.contract import ImageRenderer, NoProductError
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
-from scenarios.atomic import explain
+from scenarios.atomic import explain_write_error
 from scenarios.bodies import load_body
 from scenarios.cache import default_cache
 from scenarios.errors import BoresightError, MachineError, text_of
@@ -210,7 +210,7 @@ def _words(kind: str) -> str:
 def _raise_of_machine(folder: Path, error: BaseException) -> None:
     """Raise a fault of the machine as one: a full disk makes a product fail that the same command can make later."""
     if isinstance(error, OSError):
-        raise MachineError(explain(error.filename or folder, error)) from error
+        raise MachineError(explain_write_error(error.filename or folder, error)) from error
     if isinstance(error, BoresightError) and isinstance(error.__cause__, OSError):
         raise MachineError(str(error)) from error
 
@@ -247,4 +247,4 @@ def _fill(folder: Path, fill: Callable[[Path], None]) -> None:
         temporary.replace(folder)
     except OSError as error:
         shutil.rmtree(temporary, ignore_errors=True)
-        raise MachineError(explain(folder, error)) from error
+        raise MachineError(explain_write_error(folder, error)) from error

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from estimators.orbit.parameters import Layout
-from scenarios.dynamics.flight import Flight, flight
+from scenarios.dynamics.variational import OrbitPartials, propagate_partials
 from scenarios.orbits.data import OrbitData, Radiometry
 
 FloatArray = NDArray[np.float64]
@@ -113,11 +113,11 @@ class Model:
     layout: Layout
     measured: Measurements
 
-    def fly(self, x: FloatArray) -> Flight:
+    def fly(self, x: FloatArray) -> OrbitPartials:
         """Follow the orbit over the arc."""
         return fly(self.layout, x, self.measured.epochs_s)
 
-    def shared(self, unknowns: Unknowns, flown: Flight) -> FloatArray:
+    def shared(self, unknowns: Unknowns, flown: OrbitPartials) -> FloatArray:
         """(I, 7, n): derivatives of each camera's position, rotation and focal length by the shared unknowns."""
         layout, known = self.layout, self.layout.knowledge
         found = np.zeros((len(self.measured.times_s), 7, layout.size))
@@ -128,7 +128,7 @@ class Model:
         found[:, 6, layout.part("focal")] = known.focal_sigma
         return found
 
-    def sightings(self, unknowns: Unknowns, flown: Flight) -> Sightings:
+    def sightings(self, unknowns: Unknowns, flown: OrbitPartials) -> Sightings:
         """Predict where each landmark is seen."""
         measured, layout = self.measured, self.layout
         image, camera = measured.image, layout.knowledge.camera
@@ -158,7 +158,7 @@ class Model:
         mounting = Rotation.from_rotvec(self.layout.mounting(unknowns.x)).as_matrix()
         return np.asarray(_turns(unknowns.tilts) @ mounting @ self.measured.R_cam_inertial)
 
-    def passes(self, x: FloatArray, flown: Flight) -> Passes:
+    def passes(self, x: FloatArray, flown: OrbitPartials) -> Passes:
         """Predict ranges and rates."""
         layout, radio = self.layout, self.measured.radiometry
         if radio is None:
@@ -183,19 +183,19 @@ def _turns(tilts: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
-def fly(layout: Layout, x: FloatArray, times_s: FloatArray) -> Flight:
+def fly(layout: Layout, x: FloatArray, times_s: FloatArray) -> OrbitPartials:
     """Follow the orbit of some unknowns, or take one of the last that were followed."""
     key = (x.tobytes(), times_s.tobytes())
     if key not in layout.flights:
         end = float(times_s[-1]) if len(times_s) else 1.0
-        flown = flight(layout.field_at(x), layout.state(x), times_s, layout.pushes(x, end))
+        flown = propagate_partials(layout.field_at(x), layout.state(x), times_s, layout.pushes(x, end))
         if len(layout.flights) == _FLIGHTS_KEPT:
             del layout.flights[next(iter(layout.flights))]
         layout.flights[key] = flown
     return layout.flights[key]
 
 
-def motion_by_shared(layout: Layout, x: FloatArray, flown: Flight, rows: slice) -> FloatArray:
+def motion_by_shared(layout: Layout, x: FloatArray, flown: OrbitPartials, rows: slice) -> FloatArray:
     """(T, rows, n): derivatives of the state by the shared unknowns."""
     found = np.zeros((len(flown.states), rows.stop - rows.start, layout.size))
     found[:, :, layout.part("state")] = flown.by_state[:, rows] * layout.state_sigma

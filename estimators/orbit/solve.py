@@ -10,8 +10,8 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from estimators.orbit.elimination import shared_links, subtract_landmarks, whitened
 from estimators.orbit.model import Model, Passes, Sightings, Unknowns
-from scenarios.dynamics.flight import Flight
 from scenarios.dynamics.propagation import OrbitLostError
+from scenarios.dynamics.variational import OrbitPartials
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -57,7 +57,7 @@ class Linear:
     """A model about some unknowns: its residuals with derivatives, and what they cost."""
 
     unknowns: Unknowns
-    flown: Flight
+    flown: OrbitPartials
     sightings: Sightings
     passes: Passes
     lengths: FloatArray

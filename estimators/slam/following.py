@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
-from scenarios.tracks import Predict, Prediction, TrackFrame, TrackSequence
+from scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -87,9 +87,9 @@ def follow(sequence: TrackSequence, follower: Follower) -> SequenceEstimate:
     return SequenceEstimate("failed" if reason else "ok", tuple(done), reason, follower.diagnostics())
 
 
-def frames_of(sequence: TrackSequence, predict: Predict) -> Iterable[TrackFrame]:
+def frames_of(sequence: TrackSequence, predict: LandmarkPredictor) -> Iterable[TrackFrame]:
     """Return the frames as they are, or as the sequence's eye makes them."""
-    return sequence.frames if sequence.eye is None else sequence.eye.frames(predict)
+    return sequence.frames if sequence.front_end is None else sequence.front_end.frames(predict)
 
 
 def foreseen(follower: Follower, frame: TrackFrame) -> Prediction | None:

@@ -17,7 +17,7 @@ from renderers.mitsuba3.surface import check_outside
 from renderers.mitsuba3.variant import Variant, choose_variant, load_mitsuba
 from renderers.mitsuba3.wavefront import drjit_math
 from scenarios.craters import CrateredSurface
-from scenarios.craters.meeting import Fan, facets_met
+from scenarios.craters.ray_culling import RayProjection, candidate_facets
 from scenarios.geometry import SurfaceHits, TriangleMesh, View
 from scenarios.spec.brdf import BrdfSpec
 from scenarios.spec.scenario import ScenarioSpec
@@ -123,7 +123,7 @@ class TiledRenderer:
 
     def clear(self, view: View, points_m: FloatArray, direction: FloatArray) -> BoolArray:
         """(N,): whether nothing that a view shows stands on the rays from points (N, 3) along a unit vector (3,)."""
-        fan = Fan.of_parallel(direction)
+        fan = RayProjection.of_parallel(direction)
         clear = np.ones(len(points_m), dtype=bool)
         along = np.broadcast_to(direction, (len(points_m), 3))
         for part in self._parts(tiles_casting(self.ground, view), fan, fan.of_points(points_m)):
@@ -145,9 +145,9 @@ class TiledRenderer:
         under = self.ground.under
         return Part.of(self._mi, under.vertices_m.astype(np.float32)[under.faces])
 
-    def _parts(self, tiles: IndexArray, fan: Fan, rays: FloatArray) -> list[Part]:
+    def _parts(self, tiles: IndexArray, fan: RayProjection, rays: FloatArray) -> list[Part]:
         """Give the coarse body, and the fine facets of tiles that rays (N, 3) of a fan may meet, where there are."""
-        corners_m = facets_met(self.ground, tiles, fan, rays)
+        corners_m = candidate_facets(self.ground, tiles, fan, rays)
         return [self._under, Part.of(self._mi, corners_m)] if len(corners_m) else [self._under]
 
     def _window(self, view: View, window: Window) -> SingleArray:
@@ -180,7 +180,7 @@ class TiledRenderer:
         hits = _Hits(np.full(n, np.inf, dtype=np.float32), np.zeros((n, 3), dtype=np.float32))
         if n == 0:
             return hits
-        fan = Fan.of_view(view)
+        fan = RayProjection.of_view(view)
         for part in self._parts(tiles_seen(self.ground, view), fan, fan.of_directions(directions)):
             distance, facet = part.first_hits(self._mi, origins_m, directions)
             nearer = distance < hits.distance_m

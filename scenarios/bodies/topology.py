@@ -13,7 +13,7 @@ IndexArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Edges:
+class MeshEdges:
     """The undirected edges of a mesh.
 
     Parameters
@@ -36,12 +36,12 @@ def directed_edge_keys(faces: IntArray) -> tuple[IndexArray, IndexArray]:
     return (start * stride + end).ravel(), (end * stride + start).ravel()
 
 
-def find_edges(faces: IntArray) -> Edges:
+def find_edges(faces: IntArray) -> MeshEdges:
     """Give each undirected edge of a mesh its number."""
     forward, backward = directed_edge_keys(faces)
     key, of_face = np.unique(np.minimum(forward, backward), return_inverse=True)
     stride = int(faces.max()) + 1
-    return Edges(np.stack([key // stride, key % stride], axis=1), of_face.reshape(-1, 3))
+    return MeshEdges(np.stack([key // stride, key % stride], axis=1), of_face.reshape(-1, 3))
 
 
 def is_closed(faces: IntArray) -> bool:

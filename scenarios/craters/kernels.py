@@ -18,7 +18,7 @@ kernel = compiler(Path(__file__).parent)
 """The decorator of the kernels of this package."""
 
 
-class Layout(NamedTuple):
+class TileLayout(NamedTuple):
     """How tiles are cut: their corners and edges, the ends and pieces of edges, and where vertices of each begin."""
 
     faces: IndexArray
@@ -46,7 +46,7 @@ def _normalise(v: FloatArray, row: int) -> None:
 
 
 @kernel
-def place_edges(
+def place_edge_vertices(
     points: FloatArray, up: FloatArray, normals: FloatArray, ends: IndexArray, pieces: IndexArray, start: IndexArray
 ) -> None:
     """Lay the inner vertices of each edge on its cubic, from its first end to its second."""
@@ -67,7 +67,7 @@ def place_edges(
 
 
 @kernel
-def place_interiors(
+def place_inner_vertices(
     points: FloatArray, up: FloatArray, normals: FloatArray, faces: IndexArray, pieces: IndexArray, start: IndexArray
 ) -> None:
     """Lay the inner vertices of each tile on its cubic patch, row by row."""
@@ -112,14 +112,14 @@ def _on_edge(corner: int, other: int, first: int, pieces: int, start: int, step:
 
 
 @kernel
-def room_for_tile(layout: Layout) -> IndexArray:
+def tile_buffer(layout: TileLayout) -> IndexArray:
     """Array that holds the numbers of the vertices of any tile."""
     most = layout.tile_pieces.max() + 1
     return np.empty((most, most), dtype=np.int64)
 
 
 @kernel
-def number_tile(ids: IndexArray, f: int, layout: Layout) -> int:
+def number_tile(ids: IndexArray, f: int, layout: TileLayout) -> int:
     """Write the numbers of a tile's vertices and return n: at [i, j] is that of (n - i - j, i, j) / n, barycentric."""
     a, b, c = layout.faces[f, 0], layout.faces[f, 1], layout.faces[f, 2]
     ends, pieces, edge_start = layout.ends, layout.edge_pieces, layout.edge_start
@@ -137,9 +137,9 @@ def number_tile(ids: IndexArray, f: int, layout: Layout) -> int:
 
 
 @kernel
-def cut_tiles(found: IndexArray, tiles: IndexArray, layout: Layout) -> int:
+def cut_tiles(found: IndexArray, tiles: IndexArray, layout: TileLayout) -> int:
     """Write the facets of some tiles, and return how many they are; those of no area are left out."""
-    count, ids = 0, room_for_tile(layout)
+    count, ids = 0, tile_buffer(layout)
     for f in tiles:
         n = number_tile(ids, f, layout)
         for i in range(n):
@@ -286,7 +286,7 @@ def add_octave(
 
 
 @kernel
-def crossings(
+def edge_crossings(
     found: FloatArray,
     facets: IndexArray,
     points: FloatArray,
@@ -319,10 +319,10 @@ def crossings(
 
 @kernel
 def least_heights(
-    least: FloatArray, vertices: SingleArray, origins: FloatArray, normals: FloatArray, layout: Layout
+    least: FloatArray, vertices: SingleArray, origins: FloatArray, normals: FloatArray, layout: TileLayout
 ) -> None:
     """Least height of each tile's vertices over its plane, given by a point and a normal."""
-    ids = room_for_tile(layout)
+    ids = tile_buffer(layout)
     for f in range(len(least)):
         n = number_tile(ids, f, layout)
         lowest = np.inf

@@ -12,9 +12,9 @@ from scenarios.craters.simulated import (
     LabelledDetections,
     PlaneCraters,
     detect_simulated,
-    draw_craters,
     in_view,
-    raised,
+    raise_craters,
+    sample_plane_craters,
 )
 from scenarios.draw import Stream, degrade, generator, prior_covariance
 from scenarios.errors import BoresightError
@@ -34,7 +34,7 @@ _SECOND_DEG = (55.0, 15.0, 70.0)  # the same of the place that both look at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CraterLook:
+class CraterView:
     """One of the two looks: the true view, what is detected in it, and what the spacecraft knows."""
 
     view: View
@@ -46,16 +46,16 @@ class CraterLook:
 class CraterPair:
     """Two looks, and how far they differ, deg."""
 
-    first: CraterLook
-    second: CraterLook
+    first: CraterView
+    second: CraterView
     view_deg: float
     sun_deg: float
 
 
-def population(ground: MeshGround, spec: PlaneCratersSpec) -> PlaneCraters:
+def draw_plane_craters(ground: MeshGround, spec: PlaneCratersSpec) -> PlaneCraters:
     """Draw the craters of a body: the same for the same seed."""
     radii = (0.5 * spec.min_diameter_m, 0.5 * spec.max_diameter_m)
-    return draw_craters(ground, spec.count, radii, spec.exponent, np.random.default_rng(spec.seed))
+    return sample_plane_craters(ground, spec.count, radii, spec.exponent, np.random.default_rng(spec.seed))
 
 
 def draw_pair(
@@ -76,17 +76,17 @@ def draw_pair(
     views, angles = draw_views(spec, camera, ground, generator(address[0], Stream.TRUTH, address[1]))
     noise, priors = (generator(address[0], stream, address[1]) for stream in (Stream.LANDMARKS, Stream.POSE_ERROR))
     errors = DetectionErrors(**spec.errors.model_dump())
-    real = raised(craters, errors.height_m, noise)  # one height in both looks
+    real = raise_craters(craters, errors.height_m, noise)  # one height in both looks
     looks = []
     for number, view in enumerate(views):
         visible = in_view(craters, ground, view, LIMITS_DEG)
         found = detect_simulated(real, visible, view, errors, noise)
         black = np.zeros((camera.height_px, camera.width_px), dtype=np.float32)
-        looks.append(CraterLook(view, found, known_frame(view, black, pose_error, priors, float(number))))
+        looks.append(CraterView(view, found, observed_frame(view, black, pose_error, priors, float(number))))
     return CraterPair(looks[0], looks[1], *angles)
 
 
-def turned(direction: FloatArray, angle_rad: float, azimuth_rad: float) -> FloatArray:
+def turn_direction(direction: FloatArray, angle_rad: float, azimuth_rad: float) -> FloatArray:
     """Turn a unit vector (3,) by an angle, towards an azimuth about it."""
     first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
     first /= np.linalg.norm(first)
@@ -102,10 +102,10 @@ def draw_views(
     for _ in range(_MOST_DRAWS):
         points, normals = ground.sample(1, rng)
         place, normal = points[0], normals[0]
-        one = turned(normal, np.radians(spec.emission_deg.draw(rng)), rng.uniform(0.0, 2.0 * np.pi))
-        other = turned(one, np.radians(angles[0]), rng.uniform(0.0, 2.0 * np.pi))
-        sun = turned(normal, np.radians(spec.incidence_deg.draw(rng)), rng.uniform(0.0, 2.0 * np.pi))
-        later = turned(sun, np.radians(angles[1]), rng.uniform(0.0, 2.0 * np.pi))
+        one = turn_direction(normal, np.radians(spec.emission_deg.draw(rng)), rng.uniform(0.0, 2.0 * np.pi))
+        other = turn_direction(one, np.radians(angles[0]), rng.uniform(0.0, 2.0 * np.pi))
+        sun = turn_direction(normal, np.radians(spec.incidence_deg.draw(rng)), rng.uniform(0.0, 2.0 * np.pi))
+        later = turn_direction(sun, np.radians(angles[1]), rng.uniform(0.0, 2.0 * np.pi))
         emission, incidence = np.degrees(np.arccos(np.clip([other @ normal, later @ normal], -1.0, 1.0)))
         above = (place + 1.0 * normal)[None]
         seen = all(ground.in_sight(above, normal[None], place + spec.range_m * d)[0] for d in (one, other))
@@ -127,7 +127,7 @@ def _look(camera: Camera, position_m: FloatArray, aim_m: FloatArray, sun: FloatA
     return View(camera, Pose(rotation, -rotation @ position_m), sun)
 
 
-def known_frame(
+def observed_frame(
     view: View, image: NDArray[np.float32], pose_error: PoseErrorSpec, rng: np.random.Generator, time_s: float
 ) -> Frame:
     """Make what the spacecraft knows of a look: the image, the Sun in the camera and a degraded pose."""

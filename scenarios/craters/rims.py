@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from scenarios.craters.kernels import crossings
+from scenarios.craters.kernels import edge_crossings
 from scenarios.craters.population import Craters
 from scenarios.craters.relief import crater_frames
 from scenarios.craters.tiles import Tiling
@@ -110,7 +110,7 @@ def _ring(
     """(K, 6) smooth and surface points where facets cross the rim's distance."""
     facets = tiling.facets(tiles)
     found = np.empty((_PER_FACET * len(facets), 6))
-    count = crossings(found, facets, smooth_m, surface_m, centre_m, radius_m)
+    count = edge_crossings(found, facets, smooth_m, surface_m, centre_m, radius_m)
     return found[:count]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.geometry import Ellipses, View, project_circles
-from scenarios.sequences.ground import MeshGround, faces
+from scenarios.sequences.ground import MeshGround, faces_camera
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -73,7 +73,7 @@ class LabelledDetections:
     crater: IndexArray
 
 
-def draw_craters(
+def sample_plane_craters(
     ground: MeshGround, count: int, radii_m: tuple[float, float], slope: float, rng: np.random.Generator
 ) -> PlaneCraters:
     """Draw craters uniform over the area, with numbers above a radius falling as its power -slope."""
@@ -82,7 +82,7 @@ def draw_craters(
     return PlaneCraters(points, normals, (low + rng.uniform(size=count) * (high - low)) ** (-1.0 / slope))
 
 
-def raised(craters: PlaneCraters, height_m: float, rng: np.random.Generator) -> PlaneCraters:
+def raise_craters(craters: PlaneCraters, height_m: float, rng: np.random.Generator) -> PlaneCraters:
     """Move craters along their normals by what the a priori shape does not know."""
     height = rng.normal(0.0, height_m, len(craters))
     return PlaneCraters(
@@ -102,7 +102,7 @@ def in_view(
     emission = _angle_deg(craters.normal_body, towards)
     incidence = _angle_deg(craters.normal_body, np.broadcast_to(view.sun_dir_body, towards.shape))
     seen = (emission < limits_deg[0]) & (incidence > limits_deg[1]) & (incidence < limits_deg[2])
-    seen &= faces(craters.centre_body_m, craters.normal_body, position)
+    seen &= faces_camera(craters.centre_body_m, craters.normal_body, position)
     cam = view.T_cam_body.transform(craters.centre_body_m)
     radius_px = craters.radius_m / np.maximum(cam[:, 2], 1.0) / view.camera.pixel_angle_rad
     uv = view.camera.project(cam)

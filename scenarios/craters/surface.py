@@ -20,7 +20,7 @@ from scenarios.craters.kernels import least_heights
 from scenarios.craters.population import Craters, draw_craters
 from scenarios.craters.relief import add_roughness, crater_relief
 from scenarios.craters.rims import Rims, find_rims
-from scenarios.craters.tiles import Tiling, check_size, facing_cones, tile_rounds
+from scenarios.craters.tiles import Tiling, check_size, normal_cones, tile_rounds
 from scenarios.geometry import TriangleMesh
 from scenarios.spec.body import BodySpec
 from scenarios.spec.craters import CratersSpec
@@ -126,7 +126,7 @@ def cratered_surface(
         vertices_m = (points_m + heights_m[:, None] * up).astype(np.float32)
         np.save(folder / "vertices_m.npy", vertices_m)
         np.save(folder / "under_m.npy", lower_envelope(tiling, vertices_m))
-        np.save(folder / "cones.npy", facing_cones(tiling, vertices_m))
+        np.save(folder / "cones.npy", normal_cones(tiling, vertices_m))
         rims = find_rims(population, craters.known_diameter_m, tiling, points_m, vertices_m)
         np.savez(folder / "rims.npz", allow_pickle=False, **{f.name: getattr(rims, f.name) for f in fields(rims)})
 

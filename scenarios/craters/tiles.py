@@ -9,15 +9,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.bodies.topology import Edges, find_edges, vertex_normals
+from scenarios.bodies.topology import MeshEdges, find_edges, vertex_normals
 from scenarios.craters.kernels import (
-    Layout,
+    TileLayout,
     cut_tiles,
     kernel,
     number_tile,
-    place_edges,
-    place_interiors,
-    room_for_tile,
+    place_edge_vertices,
+    place_inner_vertices,
+    tile_buffer,
 )
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
@@ -38,7 +38,7 @@ SingleArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
 
 
-def facing_cones(tiling: Tiling, vertices_m: SingleArray) -> FloatArray:
+def normal_cones(tiling: Tiling, vertices_m: SingleArray) -> FloatArray:
     """(T, 4) of each tile the unit mean of its facets' normals, and the least cosine of one of them with it."""
     cones = np.empty((len(tiling.mesh.faces), 4))
     _cones(cones, vertices_m, tiling.layout)
@@ -53,8 +53,8 @@ def may_face(cones: FloatArray, directions: FloatArray, slack_rad: FloatArray | 
 
 
 @kernel
-def _cones(cones: FloatArray, vertices: SingleArray, layout: Layout) -> None:
-    ids = room_for_tile(layout)
+def _cones(cones: FloatArray, vertices: SingleArray, layout: TileLayout) -> None:
+    ids = tile_buffer(layout)
     normals = np.empty((ids.size, 3))
     for f in range(len(layout.faces)):
         n = number_tile(ids, f, layout)
@@ -162,7 +162,7 @@ class Tiling:
 
     mesh: TriangleMesh
     up: FloatArray
-    edges: Edges
+    edges: MeshEdges
     edge_pieces: IndexArray
 
     @classmethod
@@ -211,8 +211,8 @@ class Tiling:
         corners = len(self.mesh.vertices_m)
         points[:corners], up[:corners] = self.mesh.vertices_m, self.up
         normals = vertex_normals(self.mesh.vertices_m, self._faces)
-        place_edges(points, up, normals, self.edges.ends, self.edge_pieces, self.edge_start)
-        place_interiors(points, up, normals, self._faces, self.tile_pieces, self.tile_start)
+        place_edge_vertices(points, up, normals, self.edges.ends, self.edge_pieces, self.edge_start)
+        place_inner_vertices(points, up, normals, self._faces, self.tile_pieces, self.tile_start)
         return points, up
 
     def facets(self, tiles: IndexArray) -> IndexArray:
@@ -222,10 +222,12 @@ class Tiling:
         return found[:count]
 
     @cached_property
-    def layout(self) -> Layout:
+    def layout(self) -> TileLayout:
         """What kernels number the vertices of a tile by."""
         ends, of_face = self.edges.ends, np.ascontiguousarray(self.edges.of_face)
-        return Layout(self._faces, of_face, ends, self.edge_pieces, self.edge_start, self.tile_pieces, self.tile_start)
+        return TileLayout(
+            self._faces, of_face, ends, self.edge_pieces, self.edge_start, self.tile_pieces, self.tile_start
+        )
 
     @cached_property
     def _faces(self) -> IndexArray:

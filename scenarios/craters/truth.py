@@ -27,7 +27,7 @@ _LIFT_M, _LIFT = 1.0, 0.01  # of a point of the crest off the facets next to it:
 _SAME_M, _SAME = 15.0, 0.03  # a line of sight that ends so far before a crest has not met it: metres, and in radii
 
 
-class Sight(Protocol):
+class SurfaceRayTracer(Protocol):
     """How lines of sight and of the Sun meet the surface that is rendered."""
 
     def first_points(self, view: View, uv_px: FloatArray) -> FloatArray:
@@ -103,7 +103,7 @@ class CraterTruth:
         return found
 
 
-def crater_truth(rims: Rims, view: View, sight: Sight) -> CraterTruth:
+def crater_truth(rims: Rims, view: View, sight: SurfaceRayTracer) -> CraterTruth:
     """Find which craters a view shows, and how.
 
     A crest is the curve at the crater's radius on the surface that is rendered; it is seen where the line of sight to

@@ -67,9 +67,9 @@ def _find(name: str, search_dirs: Sequence[Path], folder: str, key: str, is_ther
 
 def _advice(given: Path, folder: str) -> str:
     # Imported here: data sets are YAML files, and only a missing file asks for them.
-    from scenarios.data.datasets import who_provides
+    from scenarios.data.datasets import dataset_providing
 
-    known = None if given.is_absolute() else who_provides([f"{folder}/{given.as_posix()}", given.as_posix()])
+    known = None if given.is_absolute() else dataset_providing([f"{folder}/{given.as_posix()}", given.as_posix()])
     if known is not None:
         return f"to fetch it: boresight fetch {known}"
     if DATA_VARIABLE in os.environ or given.is_absolute():

@@ -113,7 +113,7 @@ def load_dataset(name_or_path: str) -> DataSetSpec:
     return validated(DataSetSpec, type(entry)(section, entry.place))
 
 
-def who_provides(paths: list[str]) -> str | None:
+def dataset_providing(paths: list[str]) -> str | None:
     """Return the name of a data set that holds one of the paths below the data folder."""
     try:
         sets = [load_dataset(name) for name in dataset_names()]

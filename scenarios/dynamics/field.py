@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.dynamics import kernel
-from scenarios.dynamics.harmonics import Harmonics, Table, derivative, index, normalisation, outer_harmonics, terms
+from scenarios.dynamics.harmonics import (
+    Harmonics,
+    HarmonicTable,
+    derivative,
+    normalisation,
+    outer_harmonics,
+    term_count,
+    term_index,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -143,8 +151,8 @@ class HarmonicField:
         scale = normalisation(self.by_degree)
         found = []
         for name, n, m in self.coefficients:
-            table: Table = (np.zeros(terms(self.by_degree)), np.zeros(terms(self.by_degree)))
-            table["cs".index(name)][index(n, m)] = 1.0 / scale[index(n, m)]
+            table: HarmonicTable = (np.zeros(term_count(self.by_degree)), np.zeros(term_count(self.by_degree)))
+            table["cs".index(name)][term_index(n, m)] = 1.0 / scale[term_index(n, m)]
             found.append(_stacked([derivative(table, axis) for axis in range(3)]))
         return np.ascontiguousarray(np.stack(found, axis=1))
 
@@ -155,12 +163,12 @@ class HarmonicField:
         return out
 
 
-def _stacked(tables: list[Table]) -> FloatArray:
+def _stacked(tables: list[HarmonicTable]) -> FloatArray:
     return np.ascontiguousarray(np.stack([np.stack(part) for part in zip(*tables, strict=True)]))
 
 
 @kernel
-def turned(field: FlatField, time: float) -> FloatArray:
+def body_attitude(field: FlatField, time: float) -> FloatArray:
     """R_body_inertial at a time."""
     angle = field.rate_rad_s * time
     c, s = np.cos(angle), np.sin(angle)
@@ -175,7 +183,7 @@ def turned(field: FlatField, time: float) -> FloatArray:
 @kernel
 def accelerate(field: FlatField, time: float, position: FloatArray, work: FloatArray, out: FloatArray) -> None:
     """Fill ``out`` (3,) with the acceleration; ``work`` is (2, terms) of the pull's degree."""
-    R = turned(field, time)
+    R = body_attitude(field, time)
     x = R[0, 0] * position[0] + R[0, 1] * position[1] + R[0, 2] * position[2]
     y = R[1, 0] * position[0] + R[1, 1] * position[1] + R[1, 2] * position[2]
     z = R[2, 0] * position[0] + R[2, 1] * position[1] + R[2, 2] * position[2]
@@ -196,7 +204,7 @@ def differentiate(
     By the position, by the ratio of GM, the factor on sunlight and the coefficients. ``work`` is (2, terms) of the
     higher degree of pull and tide.
     """
-    R = turned(field, time)
+    R = body_attitude(field, time)
     x = R[0, 0] * position[0] + R[0, 1] * position[1] + R[0, 2] * position[2]
     y = R[1, 0] * position[0] + R[1, 1] * position[1] + R[1, 2] * position[2]
     z = R[2, 0] * position[0] + R[2, 1] * position[1] + R[2, 2] * position[2]

@@ -17,16 +17,16 @@ FloatArray = NDArray[np.float64]
 
 _PLACES_AT_ONCE = 1 << 19
 
-Table = tuple[FloatArray, FloatArray]
+HarmonicTable = tuple[FloatArray, FloatArray]
 """Coefficients of V and of W, (terms,) each, in the order of `index`."""
 
 
-def terms(degree: int) -> int:
+def term_count(degree: int) -> int:
     """Count the pairs (n, m) up to a degree."""
     return (degree + 1) * (degree + 2) // 2
 
 
-def index(n: int, m: int) -> int:
+def term_index(n: int, m: int) -> int:
     """Return where the term of degree n and order m stands."""
     return n * (n + 1) // 2 + m
 
@@ -35,19 +35,19 @@ def solid_harmonics(points: FloatArray, degree: int) -> tuple[FloatArray, FloatA
     """Return ``r^n P_nm(sin phi)`` times cos and sin of ``m lambda``, (terms, k) each, at points (k, 3)."""
     x, y, z = points.T
     squares = x * x + y * y + z * z
-    c, s = np.zeros((2, terms(degree), len(points)))
+    c, s = np.zeros((2, term_count(degree), len(points)))
     c[0] = 1.0
     for m in range(degree + 1):
         if m:
-            before, here = index(m - 1, m - 1), index(m, m)
+            before, here = term_index(m - 1, m - 1), term_index(m, m)
             c[here] = (2 * m - 1) * (x * c[before] - y * s[before])
             s[here] = (2 * m - 1) * (x * s[before] + y * c[before])
         for n in range(m + 1, degree + 1):
-            below, here = index(n - 1, m), index(n, m)
+            below, here = term_index(n - 1, m), term_index(n, m)
             for part in (c, s):
                 part[here] = (2 * n - 1) * z * part[below]
                 if n > m + 1:
-                    part[here] -= (n + m - 1) * squares * part[index(n - 2, m)]
+                    part[here] -= (n + m - 1) * squares * part[term_index(n - 2, m)]
                 part[here] /= n - m
     return c, s
 
@@ -75,13 +75,13 @@ def outer_harmonics(x: float, y: float, z: float, radius: float, v: FloatArray, 
                 w[k] -= second * w[lower]
 
 
-def derivative(table: Table, axis: int) -> Table:
+def derivative(table: HarmonicTable, axis: int) -> HarmonicTable:
     """Differentiate a sum of V and W by x, y or z (0, 1, 2), in units of 1 / R: one degree more."""
     degree = int((np.sqrt(8.0 * len(table[0]) + 1.0) - 3.0) / 2.0 + 0.5)
-    c, s = np.zeros((2, terms(degree + 1)))
+    c, s = np.zeros((2, term_count(degree + 1)))
     for n in range(degree + 1):
         for m in range(n + 1):
-            _add_derivative(c, s, (n, m), (table[0][index(n, m)], table[1][index(n, m)]), axis)
+            _add_derivative(c, s, (n, m), (table[0][term_index(n, m)], table[1][term_index(n, m)]), axis)
     return c, s
 
 
@@ -89,11 +89,11 @@ def _add_derivative(c: FloatArray, s: FloatArray, term: tuple[int, int], value: 
     """Add the derivative of ``value[0] V_nm + value[1] W_nm`` to a table."""
     (n, m), (of_v, of_w) = term, value
     if axis == 2:
-        k = index(n + 1, m)
+        k = term_index(n + 1, m)
         c[k] -= (n - m + 1) * of_v
         s[k] -= (n - m + 1) * of_w
         return
-    up, down = index(n + 1, m + 1), index(n + 1, max(m - 1, 0))
+    up, down = term_index(n + 1, m + 1), term_index(n + 1, max(m - 1, 0))
     if m == 0:
         (c if axis == 0 else s)[up] -= of_v
         return
@@ -175,7 +175,7 @@ def normalisation(degree: int) -> FloatArray:
     )
 
 
-def homogeneous(mesh: TriangleMesh, gm_m3_s2: float, degree: int, radius_m: float) -> Harmonics:
+def homogeneous_harmonics(mesh: TriangleMesh, gm_m3_s2: float, degree: int, radius_m: float) -> Harmonics:
     """Return the harmonics of a closed mesh of one density about the origin of its axes, exact but for rounding.
 
     A solid harmonic is a homogeneous polynomial of its degree. Over the tetrahedron between the origin and a facet it
@@ -184,7 +184,7 @@ def homogeneous(mesh: TriangleMesh, gm_m3_s2: float, degree: int, radius_m: floa
     corners = mesh.corners_m / radius_m
     volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
     weights, barycentric = _triangle_rule(degree)
-    total = np.zeros((2, terms(degree)))
+    total = np.zeros((2, term_count(degree)))
     share = max(1, _PLACES_AT_ONCE // len(weights))
     for start in range(0, len(volumes), share):
         some = slice(start, start + share)
@@ -195,7 +195,7 @@ def homogeneous(mesh: TriangleMesh, gm_m3_s2: float, degree: int, radius_m: floa
     for n in range(degree + 1):
         for m in range(n + 1):
             # C_nm = (2 - delta_0m) (n - m)! / (n + m)! of the mean of r^n P_nm cos(m lambda) over the mass.
-            k = index(n, m)
+            k = term_index(n, m)
             factor = 3.0 / (n + 3) / (volumes.sum() * scale[k] * (2 * n + 1))
             c[n, m], s[n, m] = factor * total[0, k], factor * total[1, k]
     return Harmonics(gm_m3_s2, radius_m, c, s)

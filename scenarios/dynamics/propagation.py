@@ -33,33 +33,33 @@ def radiation_pressure(forces: ForcesSpec, sun_dir: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pushes:
+class PiecewiseAcceleration:
     """Acceleration that is constant over pieces of time, inertial axes.
 
     Parameters
     ----------
     edges_s
         (P + 1,) ascending, from 0 to the end of the motion or later.
-    push_m_s2
+    acceleration_m_s2
         (P, 3).
     """
 
     edges_s: FloatArray
-    push_m_s2: FloatArray
+    acceleration_m_s2: FloatArray
 
     @classmethod
-    def none(cls, end_s: float) -> Pushes:
+    def none(cls, end_s: float) -> PiecewiseAcceleration:
         """One piece without any."""
         return cls(np.array([0.0, max(end_s, 1.0)]), np.zeros((1, 3)))
 
     def piece(self, times_s: FloatArray) -> NDArray[np.int64]:
         """(n,) piece that each time is in; an edge belongs to the piece that it ends."""
         found = np.searchsorted(self.edges_s, times_s, side="left") - 1
-        return np.clip(found, 0, len(self.push_m_s2) - 1)
+        return np.clip(found, 0, len(self.acceleration_m_s2) - 1)
 
 
 def propagate(
-    acceleration: Acceleration, lowest_m: float, state: FloatArray, times_s: FloatArray, pushes: Pushes
+    acceleration: Acceleration, lowest_m: float, state: FloatArray, times_s: FloatArray, pushes: PiecewiseAcceleration
 ) -> FloatArray:
     """Follow an orbit by Dormand and Prince's method of eighth order, to 1e-12 of its size and speed a step.
 
@@ -95,7 +95,7 @@ def propagate(
         return float(np.linalg.norm(y[:3]) - lowest_m / length)
 
     height.terminal = True  # type: ignore[attr-defined]  # how solve_ivp is told to stop there
-    for p, push in enumerate(pushes.push_m_s2):
+    for p, push in enumerate(pushes.acceleration_m_s2):
         begin, end = pushes.edges_s[p : p + 2]
         rows = np.flatnonzero(piece == p)
 

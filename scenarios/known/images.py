@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from scenarios.beliefs import believed_spec
 from scenarios.known.record import Item, Known, item, listed
+from scenarios.onboard import onboard_spec
 from scenarios.spec.body import BodySpec
 from scenarios.spec.camera import CameraSpec
 from scenarios.spec.distribution import Normal, Normal3, Scalar, Vector3
@@ -71,7 +71,7 @@ def data_bases(spec: ScenarioSpec) -> Known:
 
 def shape_items(spec: ScenarioSpec) -> Iterator[Item]:
     """Yield the shape that estimators are lent, and the variation of its albedo where it has one."""
-    true, believed = spec.body, believed_spec(spec).body
+    true, believed = spec.body, onboard_spec(spec).body
     smooth = "smooth shape" if spec.craters is not None else "shape"
     yield item(smooth, _form(believed) == _form(true), _shape_error(spec))
     patterns = [None if body.detail is None else body.detail.albedo for body in (true, believed)]
@@ -117,14 +117,14 @@ def _craters(spec: ScenarioSpec) -> Iterator[Item]:
 
 
 def _reflectance(spec: ScenarioSpec) -> Item:
-    true, believed = spec.brdf, believed_spec(spec).brdf
+    true, believed = spec.brdf, onboard_spec(spec).brdf
     named = f"{believed.kind} for {true.kind}" if believed.kind != true.kind else f"{true.kind} of other parameters"
     return item("reflectance", believed == true, named)
 
 
 def _optics(spec: ScenarioSpec, spin: bool = True) -> Iterator[Item]:
     """Yield camera, lens, Sun and spin."""
-    onboard, believed = spec.onboard, believed_spec(spec).camera
+    onboard, believed = spec.onboard, onboard_spec(spec).camera
     du, dv = onboard.principal_point_error_px
     focal = f"focal length wrong by {100.0 * onboard.focal_error:g} %" if onboard.focal_error else ""
     middle = f"principal point by ({du:g}, {dv:g}) px" if du or dv else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from scenarios.known.record import Item, Known, item, listed, spin_item
-from scenarios.spec.sequence import KnowledgeSpec, SequenceSpec
+from scenarios.spec.sequence import SequenceKnowledgeSpec, SequenceSpec
 
 
 def sequences(section: SequenceSpec) -> Known:
@@ -28,13 +28,13 @@ def sequences(section: SequenceSpec) -> Known:
     )
 
 
-def _attitude(known: KnowledgeSpec) -> Item:
+def _attitude(known: SequenceKnowledgeSpec) -> Item:
     parts = {"each": known.attitude_sigma_deg, "the camera's alignment": known.misalignment_sigma_deg}
     wrong = listed(f"{name} {sigma:g} deg" for name, sigma in parts.items() if sigma)
     return item("attitude", not wrong, wrong)
 
 
-def _ranges(known: KnowledgeSpec) -> Iterator[Item]:
+def _ranges(known: SequenceKnowledgeSpec) -> Iterator[Item]:
     if known.ranges:
         yield Item("ranges", "not", f"{known.range_sigma_m:g} m")
         if known.range_to == "lasting":

@@ -3,7 +3,7 @@
 The order is defaults < ``extends`` < file < a campaign's ``set`` < ``--set``. Every fault is a line with its place.
 """
 
-from scenarios.load.entry import Entry
+from scenarios.load.entry import ConfigEntry
 from scenarios.load.files import (
     LoadedCampaign,
     LoadedScenario,
@@ -19,7 +19,7 @@ from scenarios.load.schema import json_schema
 from scenarios.spec.base import canonical_json, digest
 
 __all__ = [
-    "Entry",
+    "ConfigEntry",
     "LoadedCampaign",
     "LoadedScenario",
     "canonical_json",

@@ -12,7 +12,7 @@ _LARGEST_EXACT = 2**53
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class ConfigEntry:
     """A value with its place, for example ``scenarios/x.yaml:12`` or ``--set camera.fov_deg=20``.
 
     Parameters
@@ -23,11 +23,11 @@ class Entry:
         Where the key (or the item) stands.
     """
 
-    value: Scalar | Mapping[str, Entry] | tuple[Entry, ...]
+    value: Scalar | Mapping[str, ConfigEntry] | tuple[ConfigEntry, ...]
     place: str
 
     @property
-    def section(self) -> Mapping[str, Entry] | None:
+    def section(self) -> Mapping[str, ConfigEntry] | None:
         """The keys of a mapping; None for anything else."""
         return self.value if isinstance(self.value, Mapping) else None
 
@@ -42,23 +42,23 @@ class Entry:
         return self.value
 
 
-def entry_of(value: object, place: str) -> Entry:
+def entry_of(value: object, place: str) -> ConfigEntry:
     """Give every value of a plain structure the same place."""
     if isinstance(value, Mapping):
-        return Entry({str(key): entry_of(item, place) for key, item in value.items()}, place)
+        return ConfigEntry({str(key): entry_of(item, place) for key, item in value.items()}, place)
     if isinstance(value, Sequence) and not isinstance(value, str):
-        return Entry(tuple(entry_of(item, place) for item in value), place)
-    return Entry(value if isinstance(value, str | int | float) else None, place)
+        return ConfigEntry(tuple(entry_of(item, place) for item in value), place)
+    return ConfigEntry(value if isinstance(value, str | int | float) else None, place)
 
 
-def nested(keys: Iterable[str], entry: Entry) -> Entry:
+def nested(keys: Iterable[str], entry: ConfigEntry) -> ConfigEntry:
     """Wrap an entry in sections: keys a, b make ``{a: {b: entry}}``."""
     for key in reversed(list(keys)):
-        entry = Entry({key: entry}, entry.place)
+        entry = ConfigEntry({key: entry}, entry.place)
     return entry
 
 
-def describe(entry: Entry) -> str:
+def describe(entry: ConfigEntry) -> str:
     """Write a value as YAML would in one line, shortened where it is long."""
     return shortened(_inline(entry))
 
@@ -69,7 +69,7 @@ def shortened(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _inline(entry: Entry) -> str:
+def _inline(entry: ConfigEntry) -> str:
     value = entry.value
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{key}: {_inline(item)}" for key, item in value.items()) + "}"

@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from scenarios.errors import printable
-from scenarios.load.entry import Entry, describe
+from scenarios.load.entry import ConfigEntry, describe
 from scenarios.load.merge import Models, field_models
 from scenarios.spec.base import SpecModel
 
@@ -36,18 +36,18 @@ class _Spot:
     """Where an error's ``loc`` leads: the dotted key, the deepest entry on the way, the schema there."""
 
     key: str
-    entry: Entry
+    entry: ConfigEntry
     parent: Models
     field: FieldInfo | None
 
 
-def explain(error: ValidationError, root: Entry, model: type[SpecModel]) -> str:
+def explain(error: ValidationError, root: ConfigEntry, model: type[SpecModel]) -> str:
     """Turn pydantic's errors into lines ``place: key: value is not ...``, without repeats."""
     lines = [_line(detail, root, model) for detail in error.errors(include_url=False)]
     return "\n".join(dict.fromkeys(lines))
 
 
-def _line(detail: ErrorDetails, root: Entry, model: type[SpecModel]) -> str:
+def _line(detail: ErrorDetails, root: ConfigEntry, model: type[SpecModel]) -> str:
     loc = detail["loc"]
     if detail["type"] in {"union_tag_invalid", "union_tag_not_found"}:
         loc = (*loc, _TAG, "kind")
@@ -56,7 +56,7 @@ def _line(detail: ErrorDetails, root: Entry, model: type[SpecModel]) -> str:
     return printable(f"{spot.entry.place}: {spot.key}: {what}" if spot.key else f"{spot.entry.place}: {what}")
 
 
-def _locate(loc: tuple[int | str, ...], root: Entry, model: type[SpecModel]) -> _Spot:
+def _locate(loc: tuple[int | str, ...], root: ConfigEntry, model: type[SpecModel]) -> _Spot:
     """Follow ``loc`` through the entries and the schema; where several models are admitted the next step is a tag."""
     keys: list[str] = []
     entry = root
@@ -84,7 +84,7 @@ def _field(models: Models, key: str) -> FieldInfo | None:
     return next((model.model_fields[key] for model in models if key in model.model_fields), None)
 
 
-def _child(entry: Entry, step: int | str) -> Entry:
+def _child(entry: ConfigEntry, step: int | str) -> ConfigEntry:
     """Return the entry one step down, or the same where the file does not hold it."""
     if isinstance(entry.value, Mapping):
         return entry.value.get(str(step), entry)

@@ -12,7 +12,7 @@ from typing import Literal, TypeVar
 from pydantic import ValidationError
 
 from scenarios.errors import BoresightError
-from scenarios.load.entry import Entry, describe, entry_of
+from scenarios.load.entry import ConfigEntry, describe, entry_of
 from scenarios.load.explain import explain
 from scenarios.load.find import display, exists, find, name_of, names_in, read
 from scenarios.load.merge import apply, merge, on_defaults, parse_override, settings
@@ -40,14 +40,14 @@ class LoadedCampaign:
 
     spec: CampaignSpec
     path: Path
-    overrides: Entry
+    overrides: ConfigEntry
 
 
 @dataclass(frozen=True, slots=True)
 class _File:
     """A file laid on what it extends; ``folders`` holds its own folder first, then those of its parents."""
 
-    root: Entry
+    root: ConfigEntry
     folders: tuple[Path, ...]
 
 
@@ -58,9 +58,9 @@ def scenario_names() -> list[str]:
 
 def load_scenario(
     name_or_path: str,
-    overrides: Sequence[str | Entry] = (),
+    overrides: Sequence[str | ConfigEntry] = (),
     *,
-    base: Entry | Mapping[str, object] | None = None,
+    base: ConfigEntry | Mapping[str, object] | None = None,
     levels: Sequence[Mapping[str, object]] = (),
     near: Path | None = None,
 ) -> LoadedScenario:
@@ -88,16 +88,16 @@ def load_scenario(
     file = _read_chain(path, CATALOG, ScenarioSpec)
     layers = [settings(base, (ScenarioSpec,))] if base is not None else []
     layers += [settings(entry_of(level, "grid"), (ScenarioSpec,)) for level in levels]
-    layers += [one if isinstance(one, Entry) else parse_override(one) for one in overrides]
+    layers += [one if isinstance(one, ConfigEntry) else parse_override(one) for one in overrides]
     root = apply(file.root, layers, (ScenarioSpec,))
     return LoadedScenario(validated(ScenarioSpec, _without_nulls(root)), path, file.folders)
 
 
-def _without_nulls(root: Entry) -> Entry:
+def _without_nulls(root: ConfigEntry) -> ConfigEntry:
     """Let ``section: null`` take a section back to its default, whatever the file builds on said."""
     section = root.section or {}
     kept = {key: entry for key, entry in section.items() if entry.value is not None}
-    return Entry(kept, root.place)
+    return ConfigEntry(kept, root.place)
 
 
 def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = ()) -> LoadedCampaign:
@@ -112,10 +112,10 @@ def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = (
     file = _read_chain(path, catalog, CampaignSpec)
     root = apply(file.root, [parse_override(text) for text in overrides], (CampaignSpec,))
     spec = validated(CampaignSpec, root)
-    return LoadedCampaign(spec, path, (root.section or {}).get("set", Entry({}, root.place)))
+    return LoadedCampaign(spec, path, (root.section or {}).get("set", ConfigEntry({}, root.place)))
 
 
-def validated(model: type[Spec], root: Entry) -> Spec:
+def validated(model: type[Spec], root: ConfigEntry) -> Spec:
     """Validate an entry against a model, with strict types: no text for a number, no 1 for true.
 
     Raises
@@ -164,23 +164,23 @@ def _read_chain(path: Path, catalog: Path, model: type[SpecModel], children: tup
     section = dict(own.section or {})
     extends = section.pop("extends", None)
     if not children:
-        section.setdefault("name", Entry(name_of(path), display(path)))
+        section.setdefault("name", ConfigEntry(name_of(path), display(path)))
     if len(children) > _MAX_GENERATIONS:
         raise BoresightError(f"{display(path)}: extends: a chain of more than {_MAX_GENERATIONS} files")
-    base, folders = Entry({}, own.place), [resolved.parent]
+    base, folders = ConfigEntry({}, own.place), [resolved.parent]
     for parent in _parents(extends):
         parent_path = find(parent, catalog, path.parent)
         if parent_path.resolve() in (*children, resolved):
             raise BoresightError(f"{extends.place if extends else path}: extends: {parent} leads back to this file")
         file = _read_chain(parent_path, catalog, model, (*children, resolved))
         inherited = {key: entry for key, entry in (file.root.section or {}).items() if key not in model.own}
-        base = merge(base, Entry(inherited, own.place), (model,))
+        base = merge(base, ConfigEntry(inherited, own.place), (model,))
         folders += file.folders
-    root = merge(base, Entry(section, own.place), (model,))
-    return _File(Entry(root.value, display(path)), tuple(dict.fromkeys(folders)))
+    root = merge(base, ConfigEntry(section, own.place), (model,))
+    return _File(ConfigEntry(root.value, display(path)), tuple(dict.fromkeys(folders)))
 
 
-def _parents(extends: Entry | None) -> list[str]:
+def _parents(extends: ConfigEntry | None) -> list[str]:
     if extends is None:
         return []
     items = extends.value if isinstance(extends.value, tuple) else (extends,)

@@ -6,7 +6,7 @@ import difflib
 from pathlib import Path
 
 from scenarios.errors import BoresightError
-from scenarios.load.entry import Entry, shortened
+from scenarios.load.entry import ConfigEntry, shortened
 from scenarios.load.yaml_text import parse_yaml
 
 SUFFIXES = (".yaml", ".yml")
@@ -62,7 +62,7 @@ def exists(path: Path) -> bool:
         return False
 
 
-def read(path: Path) -> Entry:
+def read(path: Path) -> ConfigEntry:
     """Read and parse a file whose top level must be a section of keys.
 
     Raises

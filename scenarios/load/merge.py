@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, get_args, get_origin
 
 from scenarios.errors import BoresightError, printable
-from scenarios.load.entry import Entry, entry_of, nested
+from scenarios.load.entry import ConfigEntry, entry_of, nested
 from scenarios.load.yaml_text import parse_yaml
 from scenarios.spec.base import SpecModel
 
@@ -71,7 +71,7 @@ def _laid_on(default: SpecModel, given: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**default.model_dump(mode="json", include=own - displaced), **given, **deeper}
 
 
-def parse_override(text: str, place: str = "") -> Entry:
+def parse_override(text: str, place: str = "") -> ConfigEntry:
     """Parse ``key.key=value``, whose value is YAML; ``place`` is what errors name, ``--set`` and the text unless given.
 
     Raises
@@ -86,19 +86,19 @@ def parse_override(text: str, place: str = "") -> Entry:
     return nested([key.strip() for key in dotted.split(".")], parse_yaml(value, place, place=place))
 
 
-def settings(value: Entry | Mapping[str, object], models: Models) -> Entry:
+def settings(value: ConfigEntry | Mapping[str, object], models: Models) -> ConfigEntry:
     """Read a section of overrides whose keys may be dotted: ``{camera.fov_deg: 20, camera: {width_px: 256}}``."""
-    entry = value if isinstance(value, Entry) else entry_of(value, "set")
-    result = Entry({}, entry.place)
+    entry = value if isinstance(value, ConfigEntry) else entry_of(value, "set")
+    result = ConfigEntry({}, entry.place)
     for dotted, item in (entry.section or {}).items():
         result = merge(result, nested(dotted.split("."), item), models)
     return result
 
 
-def apply(base: Entry, layers: list[Entry], models: Models) -> Entry:
+def apply(base: ConfigEntry, layers: list[ConfigEntry], models: Models) -> ConfigEntry:
     """Lay each layer on the ones before it, keeping the place of the first."""
     for layer in layers:
-        base = Entry(merge(base, layer, models).value, base.place)
+        base = ConfigEntry(merge(base, layer, models).value, base.place)
     return base
 
 
@@ -118,7 +118,7 @@ def field_models(models: Models, key: str) -> Models:
     return tuple(model for field in fields for model in submodels(field.annotation))
 
 
-def merge(base: Entry, over: Entry, models: Models) -> Entry:
+def merge(base: ConfigEntry, over: ConfigEntry, models: Models) -> ConfigEntry:
     """Lay ``over`` on ``base``.
 
     Mappings merge key by key, lists and scalars replace. Where ``over`` says something else altogether,
@@ -140,10 +140,10 @@ def merge(base: Entry, over: Entry, models: Models) -> Entry:
     merged = {key: entry for key, entry in base.section.items() if key not in displaced}
     for key, entry in over.section.items():
         merged[key] = merge(merged[key], entry, field_models(models, key)) if key in merged else entry
-    return Entry(merged, over.place)
+    return ConfigEntry(merged, over.place)
 
 
-def _is_other_form(base: Entry, over: Entry, models: Models) -> bool:
+def _is_other_form(base: ConfigEntry, over: ConfigEntry, models: Models) -> bool:
     old, new = base.section or {}, over.section or {}
     kinds = [model.model_fields["kind"].default for model in models if "kind" in model.model_fields]
     if kinds:
@@ -153,7 +153,7 @@ def _is_other_form(base: Entry, over: Entry, models: Models) -> bool:
     return len(models) > 1 and bool(new) and not set(old) & set(new)
 
 
-def _displaced(over: Entry, models: Models) -> set[str]:
+def _displaced(over: ConfigEntry, models: Models) -> set[str]:
     chosen = {key for key, entry in (over.section or {}).items() if entry.value is not None}
     groups = [set(group) for model in models for group in model.alternatives]
     return {key for group in groups if group & chosen for key in group - chosen}

@@ -21,7 +21,7 @@ from ruamel.yaml.events import (
 )
 
 from scenarios.errors import BoresightError, one_line
-from scenarios.load.entry import Entry, Scalar
+from scenarios.load.entry import ConfigEntry, Scalar
 
 MAX_VALUES = 20_000
 MAX_DEPTH = 40
@@ -43,7 +43,7 @@ _NAN = frozenset({".nan", ".NaN", ".NAN"})
 
 # Scenarios extend each other, so that a campaign reads the same text several times, and a list of campaigns many.
 @lru_cache(maxsize=512)
-def parse_yaml(text: str, source: str, *, place: str | None = None) -> Entry:
+def parse_yaml(text: str, source: str, *, place: str | None = None) -> ConfigEntry:
     """Parse one YAML document; the same text gives the same entries, which nobody changes.
 
     Parameters
@@ -107,12 +107,12 @@ class _Builder:
         self._events = _events_of(text)
         self._source = source
         self._place = place
-        self._anchors: dict[str, tuple[Entry, int]] = {}
+        self._anchors: dict[str, tuple[ConfigEntry, int]] = {}
         self._values = 0
         self._depth = 0
 
-    def document(self) -> Entry:
-        root = Entry(None, self._place or f"{self._source}:1")
+    def document(self) -> ConfigEntry:
+        root = ConfigEntry(None, self._place or f"{self._source}:1")
         documents = 0
         for event in self._events:
             if isinstance(event, DocumentStartEvent):
@@ -124,7 +124,7 @@ class _Builder:
                 break
         return root
 
-    def _build(self, event: Any, place: str) -> Entry:
+    def _build(self, event: Any, place: str) -> ConfigEntry:
         if isinstance(event, AliasEvent):
             return self._alias(event, place)
         if event.tag is not None and str(event.tag) != "!":
@@ -142,7 +142,7 @@ class _Builder:
         else:
             value = self._scalar(event)
         self._depth -= 1
-        entry = Entry(value, place)
+        entry = ConfigEntry(value, place)
         if event.anchor:
             self._anchors[str(event.anchor)] = (entry, self._values - before)
         return entry
@@ -153,8 +153,8 @@ class _Builder:
             raise self._error(event, "half of a surrogate pair is no character: write the character itself")
         return resolve_scalar(text) if event.implicit[0] and event.style is None else text
 
-    def _mapping(self) -> dict[str, Entry]:
-        section: dict[str, Entry] = {}
+    def _mapping(self) -> dict[str, ConfigEntry]:
+        section: dict[str, ConfigEntry] = {}
         while not isinstance(event := next(self._events), MappingEndEvent):
             if not isinstance(event, ScalarEvent):
                 raise self._error(event, "a key must be a word")
@@ -165,18 +165,18 @@ class _Builder:
             section[key] = self._build(next(self._events), place)
         return section
 
-    def _sequence(self) -> tuple[Entry, ...]:
-        items: list[Entry] = []
+    def _sequence(self) -> tuple[ConfigEntry, ...]:
+        items: list[ConfigEntry] = []
         while not isinstance(event := next(self._events), SequenceEndEvent):
             items.append(self._build(event, self._at(event)))
         return tuple(items)
 
-    def _alias(self, event: Any, place: str) -> Entry:
+    def _alias(self, event: Any, place: str) -> ConfigEntry:
         if event.anchor not in self._anchors:
             raise self._error(event, f"the alias *{event.anchor} has no anchor before it")
         entry, size = self._anchors[event.anchor]
         self._count(event, size)
-        return Entry(entry.value, place)
+        return ConfigEntry(entry.value, place)
 
     def _count(self, event: Any, values: int) -> None:
         self._values += values

@@ -10,14 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from scenarios.draw import Stream, generator
 from scenarios.dynamics.field import UniformRotation
-from scenarios.dynamics.flight import travelled
 from scenarios.dynamics.harmonics import Harmonics
-from scenarios.dynamics.propagation import OrbitLostError, Pushes
+from scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration
+from scenarios.dynamics.variational import propagate_states
 from scenarios.geometry import Camera
 from scenarios.orbits.data import Knowledge, LandmarkFile, OrbitData, Pictures, Radiometry
-from scenarios.orbits.flown import DAY_S, Flown, fly
 from scenarios.orbits.imaging import PointingErrors
-from scenarios.orbits.sightings import found_craters, lit_and_seen, merged_numbers, mistaken
+from scenarios.orbits.sightings import draw_found_craters, lit_and_seen, merged_numbers, misidentify
+from scenarios.orbits.true_orbit import DAY_S, TrueOrbit, propagate_truth
 from scenarios.orbits.world import OrbitWorld
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +33,7 @@ def draw_knowledge(world: OrbitWorld, state: FloatArray, seed: int, trial: int) 
     ways *= known.position_m / np.linalg.norm(ways, axis=1, keepdims=True)
     error = np.concatenate([ways[0], rate * ways[1]])
     gm, light = 1.0 + known.gm_sigma * rng.normal(), 1.0 + known.light_sigma * rng.normal()
-    believed = world.believed.harmonics
+    believed = world.onboard.harmonics
     harmonics = Harmonics(believed.gm_m3_s2 * gm, believed.radius_m, believed.c, believed.s)
     return Knowledge(
         camera=world.camera,
@@ -67,7 +67,7 @@ def _believed_rotation(world: OrbitWorld, rng: np.random.Generator) -> UniformRo
     return UniformRotation(tilt @ true.R_body_inertial, longer * true.rate_rad_s)
 
 
-def draw_radiometry(world: OrbitWorld, flown: Flown, seed: int, trial: int) -> Radiometry | None:
+def draw_radiometry(world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) -> Radiometry | None:
     """Measure range and Doppler along the flown orbit; None where the scenario has no radiometric data."""
     spec = world.spec.radiometry
     if spec is None:
@@ -123,7 +123,7 @@ def draw_orbit(world: OrbitWorld, seed: int, trial: int) -> tuple[OrbitTruth, Or
     """
     arc, images = world.spec.arc.days * DAY_S, world.spec.sightings.images
     times = np.sort(generator(seed, Stream.ORBIT_IMAGES, trial).uniform(0.0, arc, images))
-    flown = fly(world, times, seed, trial)
+    flown = propagate_truth(world, times, seed, trial)
     pointing = _Pointing.of(world, flown, seed, trial)
     knowledge = draw_knowledge(world, flown.wanted_states[0], seed, trial)
     pictures, crater, wrong = _pictures(world, flown, pointing, seed, trial)
@@ -151,7 +151,7 @@ class _Pointing:
     rows: tuple[IndexArray, ...]
 
     @classmethod
-    def of(cls, world: OrbitWorld, flown: Flown, seed: int, trial: int) -> _Pointing:
+    def of(cls, world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) -> _Pointing:
         """Point each image at a crater that is lit and seen, drawn at random, and at the origin where none is."""
         rng, images = generator(seed, Stream.ORBIT_POINTING, trial), len(flown.times_s)
         errors = PointingErrors.draw(world, images, rng)
@@ -177,7 +177,7 @@ def _looking(state: FloatArray, target_m: FloatArray) -> FloatArray:
 
 
 def _pictures(
-    world: OrbitWorld, flown: Flown, pointing: _Pointing, seed: int, trial: int
+    world: OrbitWorld, flown: TrueOrbit, pointing: _Pointing, seed: int, trial: int
 ) -> tuple[Pictures, IndexArray, BoolArray]:
     """Find craters in the images and number them: also the true crater of each sighting, and which are wrong."""
     rng, spec, asteroid = generator(seed, Stream.ORBIT_SIGHTINGS, trial), world.spec.sightings, world.asteroid
@@ -189,8 +189,8 @@ def _pictures(
         uv = pointing.camera.project(inertial @ pointing.true[i].T)
         inside = world.camera.contains(uv, spec.margin_px)
         rows, uv = rows[inside], uv[inside]
-        chosen = found_craters(rows, asteroid.prominence, spec, rng)
-        reported, wrong = mistaken(numbers[rows], chosen, uv, spec, rng)
+        chosen = draw_found_craters(rows, asteroid.prominence, spec, rng)
+        reported, wrong = misidentify(numbers[rows], chosen, uv, spec, rng)
         seen = uv[chosen] + spec.noise_px * rng.normal(size=(len(chosen), 2))
         _, first = np.unique(reported, return_index=True)
         once = np.sort(first)
@@ -207,13 +207,13 @@ def _landmarks(world: OrbitWorld, knowledge: Knowledge, pictures: Pictures) -> L
     used, place = np.unique(image, return_inverse=True)
     times = pictures.times_s[used]
     try:
-        states = travelled(knowledge.field, knowledge.state, times, Pushes.none(float(times[-1])))
+        states = propagate_states(knowledge.field, knowledge.state, times, PiecewiseAcceleration.none(float(times[-1])))
     except OrbitLostError:
         states = np.tile(knowledge.state, (len(times), 1))
     turns = knowledge.field.rotation.at(times)
     rays = knowledge.camera.unproject(pictures.uv_px[first])
     rays = np.einsum("nij,nkj,nk->ni", turns[place], pictures.R_cam_inertial[image], rays)
     origins = np.einsum("nij,nj->ni", turns[place], states[place, :3])
-    points = world.believed.shape.intersect(origins, rays)
-    sigma = float(np.hypot(world.believed.shape.rms_m, world.spec.knowledge.position_m))
+    points = world.onboard.shape.intersect(origins, rays)
+    sigma = float(np.hypot(world.onboard.shape.rms_m, world.spec.knowledge.position_m))
     return LandmarkFile(numbers, points, np.full(len(numbers), sigma))

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scenarios.draw import Stream, generator
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, View
-from scenarios.orbits.flown import DAY_S, Flown
+from scenarios.orbits.true_orbit import DAY_S, TrueOrbit
 from scenarios.orbits.world import OrbitWorld
 from scenarios.spec.orbit import ImagingSpec
 
@@ -72,7 +72,9 @@ def control_errors(world: OrbitWorld, images: int, seed: int, trial: int) -> Flo
     return 1e-6 * imaging_of(world).control_urad * rng.normal(size=(images, 3))
 
 
-def true_views(world: OrbitWorld, flown: Flown, R_cam_inertial: FloatArray, seed: int, trial: int) -> tuple[View, ...]:
+def true_views(
+    world: OrbitWorld, flown: TrueOrbit, R_cam_inertial: FloatArray, seed: int, trial: int
+) -> tuple[View, ...]:
     """Give the views of images whose attitude (I, 3, 3) telemetry reports, in the axes that the shape came with."""
     errors = PointingErrors.draw(world, len(flown.times_s), generator(seed, Stream.ORBIT_POINTING, trial))
     sun, turns = sun_dir_inertial(world), world.rotation.at(flown.times_s)

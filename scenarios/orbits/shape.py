@@ -69,7 +69,7 @@ class StarShape:
         return _lattice_mesh(self.radii_m)
 
 
-def fitted(mesh: TriangleMesh, degree: int) -> StarShape:
+def fit_star_shape(mesh: TriangleMesh, degree: int) -> StarShape:
     """Fit harmonics to the radii of a mesh's vertices, each weighted by the area about it as seen from the origin.
 
     Raises

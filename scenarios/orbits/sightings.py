@@ -100,7 +100,7 @@ def lit_and_seen(
     return rows[horizons.free(rows, np.broadcast_to(sun_dir, (len(rows), 3)))]
 
 
-def found_craters(
+def draw_found_craters(
     rows: IndexArray, prominence: FloatArray, spec: CraterSightingSpec, rng: np.random.Generator
 ) -> IndexArray:
     """Draw which of the craters in view are found: places in ``rows``, in ascending order."""
@@ -131,7 +131,7 @@ def merged_numbers(points_m: FloatArray, share: float, rng: np.random.Generator)
     return numbers
 
 
-def mistaken(
+def misidentify(
     numbers: IndexArray, chosen: IndexArray, uv_px: FloatArray, spec: CraterSightingSpec, rng: np.random.Generator
 ) -> tuple[IndexArray, BoolArray]:
     """Numbers under which found craters are reported, and which of them are wrong.

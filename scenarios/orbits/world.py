@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from scenarios.draw import Stream, generator
 from scenarios.dynamics.field import HarmonicField, UniformRotation
-from scenarios.dynamics.harmonics import Harmonics, homogeneous
+from scenarios.dynamics.harmonics import Harmonics, homogeneous_harmonics
 from scenarios.dynamics.propagation import SUNLIGHT_N_M2
 from scenarios.geometry import Camera, TriangleMesh
-from scenarios.orbits.shape import StarShape, fitted
+from scenarios.orbits.shape import StarShape, fit_star_shape
 from scenarios.orbits.sightings import Horizons
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.orbit import OrbitSpec, SunEarthSpec
@@ -66,16 +66,16 @@ class Asteroid:
 
 
 @dataclass(frozen=True, eq=False)
-class BelievedShape:
+class OnboardShape:
     """The a priori shape, and the gravity that it has at one density."""
 
     shape: StarShape
     harmonics: Harmonics
 
     @classmethod
-    def of(cls, asteroid: Asteroid, spec: OrbitSpec, degree: int) -> BelievedShape:
+    def of(cls, asteroid: Asteroid, spec: OrbitSpec, degree: int) -> OnboardShape:
         """Fit the shape to the true one, as harmonics of its radius to a degree."""
-        shape = fitted(asteroid.mesh, degree)
+        shape = fit_star_shape(asteroid.mesh, degree)
         return cls(shape, shape_gravity(shape.mesh(), spec))
 
 
@@ -86,7 +86,7 @@ class OrbitWorld:
     spec: OrbitSpec
     camera: Camera
     asteroid: Asteroid
-    believed: BelievedShape
+    onboard: OnboardShape
 
     @property
     def rotation(self) -> UniformRotation:
@@ -101,7 +101,7 @@ class OrbitWorld:
     @property
     def coefficient_sigma(self) -> float:
         """Of the believed gravity coefficients: anomalies, and the error of the shape, half its share of the radius."""
-        of_shape = 0.5 * self.believed.shape.rms_m / self.believed.harmonics.radius_m
+        of_shape = 0.5 * self.onboard.shape.rms_m / self.onboard.harmonics.radius_m
         return float(np.hypot(self.spec.asteroid.anomaly_sigma, of_shape))
 
     def field(
@@ -122,7 +122,7 @@ def shape_gravity(mesh: TriangleMesh, spec: OrbitSpec) -> Harmonics:
     """Return the harmonics of a shape of one density; the origin is the centre of mass, whatever the shape says."""
     asteroid = spec.asteroid
     radius = float(np.linalg.norm(mesh.vertices_m, axis=1).max())
-    found = homogeneous(mesh, asteroid.gm_m3_s2, asteroid.gravity_degree, radius)
+    found = homogeneous_harmonics(mesh, asteroid.gm_m3_s2, asteroid.gravity_degree, radius)
     c, s = found.c.copy(), found.s.copy()
     c[1], s[1] = 0.0, 0.0
     return Harmonics(found.gm_m3_s2, found.radius_m, c, s)

@@ -20,7 +20,7 @@ _LATTICE = np.array([1.0 / _PLASTIC, 1.0 / _PLASTIC**2])
 _GOLDEN = 0.5 * (1.0 + np.sqrt(5.0))
 
 
-class Ground(Protocol):
+class LandmarkGround(Protocol):
     """A surface that landmarks lie on; it never changes, so that what costs much of it can be kept."""
 
     def __hash__(self) -> int:
@@ -72,7 +72,7 @@ class SphereGround:
 
     def in_sight(self, points_m: FloatArray, normals: FloatArray, camera_position_m: FloatArray) -> BoolArray:
         """Tell whether the tangent plane of each point has the camera above it."""
-        return faces(points_m, normals, camera_position_m)
+        return faces_camera(points_m, normals, camera_position_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ class MeshGround:
 
     def in_sight(self, points_m: FloatArray, normals: FloatArray, camera_position_m: FloatArray) -> BoolArray:
         """Tell whether a point faces the camera and no facet stands on the line of sight."""
-        seen = faces(points_m, normals, camera_position_m)
+        seen = faces_camera(points_m, normals, camera_position_m)
         rows = np.flatnonzero(seen)
         seen[rows] = ~self._tree.hidden(points_m[rows], camera_position_m)
         return seen
@@ -134,7 +134,7 @@ class MeshGround:
         return points, area / np.linalg.norm(area, axis=1, keepdims=True)
 
 
-def faces(points_m: FloatArray, normals: FloatArray, camera_position_m: FloatArray) -> BoolArray:
+def faces_camera(points_m: FloatArray, normals: FloatArray, camera_position_m: FloatArray) -> BoolArray:
     """(n,): points whose outward normal points towards the camera."""
     towards: BoolArray = np.einsum("ni,ni->n", normals, camera_position_m - points_m) > 0.0
     return towards

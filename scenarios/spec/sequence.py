@@ -96,7 +96,7 @@ class ImageVisionSpec(SpecModel):
     sigma_px: float = Field(0.5, gt=0, description="Standard deviation of a coordinate that estimators are told")
 
 
-class OrbitSpec(SpecModel):
+class SequenceOrbitSpec(SpecModel):
     """An orbit about the body's origin; the boresight stays on the origin and x along the velocity.
 
     It is a circle, or begins as one and is propagated under ``forces``; then radius and anomaly are those of the circle
@@ -183,7 +183,7 @@ class VisionSpec(SpecModel):
         return float(self.repeatability ** (change_deg / self.repeatability_step_deg))
 
 
-class KnowledgeSpec(SpecModel):
+class SequenceKnowledgeSpec(SpecModel):
     """What the spacecraft knows beside its images, and how well."""
 
     motion_error: float = Field(
@@ -231,11 +231,11 @@ class SequenceSpec(SpecModel):
     sphere_radius_m: float | None = Field(
         None, gt=0, description="Landmarks on an ideal sphere of this radius; left out: on the scenario's body"
     )
-    orbit: OrbitSpec = OrbitSpec()
+    orbit: SequenceOrbitSpec = SequenceOrbitSpec()
     body_motion: BodyMotionSpec = BodyMotionSpec()
     vision: VisionSpec = VisionSpec()
     images: ImageVisionSpec | None = Field(None, description="Tracks of rendered images instead of simulated ones")
-    knowledge: KnowledgeSpec = KnowledgeSpec()
+    knowledge: SequenceKnowledgeSpec = SequenceKnowledgeSpec()
 
     @model_validator(mode="after")
     def _orbit_clears_the_sphere(self) -> Self:

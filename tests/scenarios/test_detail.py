@@ -8,7 +8,7 @@ from scipy.stats import kstest
 
 from scenarios.bodies import EMBEDDED
 from scenarios.bodies.detail import add_detail
-from scenarios.bodies.detail.features import Ground, find_patches, power_law_diameters
+from scenarios.bodies.detail.features import RefinedSurface, find_feature_vertices, power_law_diameters
 from scenarios.bodies.detail.noise import Band, fractal_field
 from scenarios.bodies.detail.subdivide import interpolating_control, refine, rounds_for
 from scenarios.bodies.topology import vertex_normals
@@ -35,7 +35,7 @@ def ball(subdivisions=3, radius=100.0):
 def ground_of(mesh):
     edge_m = float(np.linalg.norm(np.diff(mesh.corners_m[:, :2], axis=1), axis=-1).mean())
     up = vertex_normals(mesh.vertices_m, mesh.faces)
-    return Ground(mesh.vertices_m, up, edge_m, mesh.vertices_m, mesh.faces)
+    return RefinedSurface(mesh.vertices_m, up, edge_m, mesh.vertices_m, mesh.faces)
 
 
 def relief(spec, mesh):
@@ -115,7 +115,7 @@ def test_patches_against_brute_force_and_without_the_far_side():
     ground = ground_of(thin)
     places = np.array([0, 17, 200])
     reach = np.array([20.0, 40.0, 30.0])
-    found = list(find_patches(ground, places, reach))
+    found = list(find_feature_vertices(ground, places, reach))
     pairs = {(int(f), int(v)) for patch in found for f, v in zip(patch.feature, patch.vertex, strict=True)}
     expected = {
         (k, v)

@@ -10,7 +10,7 @@ from scenarios.known import Item, Known, known_on_board, merged
 from scenarios.load import load_scenario, scenario_names
 from scenarios.spec.orbit import CraterSightingSpec, OrbitKnowledgeSpec, PointingSpec
 from scenarios.spec.scenario import OnboardSpec, ScenarioSpec
-from scenarios.spec.sequence import KnowledgeSpec, VisionSpec
+from scenarios.spec.sequence import SequenceKnowledgeSpec, VisionSpec
 
 # A wrong value of every key of ``onboard``, and what is then no longer known exactly.
 WRONG = {
@@ -104,7 +104,9 @@ SPINS = ("sequence.body_motion.kind=spin", "sequence.orbit.model=propagated")
 
 
 def test_every_key_of_what_is_known_in_a_sequence_is_here():
-    assert SEQUENCE.keys() | {"range_every"} == KnowledgeSpec.model_fields.keys()  # how often says nothing of how well
+    assert (
+        SEQUENCE.keys() | {"range_every"} == SequenceKnowledgeSpec.model_fields.keys()
+    )  # how often says nothing of how well
 
 
 @pytest.mark.parametrize("key", SEQUENCE)

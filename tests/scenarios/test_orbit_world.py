@@ -9,9 +9,9 @@ from scenarios.bodies.embedded import contact_binary
 from scenarios.errors import BoresightError
 from scenarios.geometry import TriangleMesh
 from scenarios.orbits.draw import draw_knowledge, draw_orbit
-from scenarios.orbits.flown import state_at_epoch
-from scenarios.orbits.shape import fitted
+from scenarios.orbits.shape import fit_star_shape
 from scenarios.orbits.sightings import Horizons, merged_numbers
+from scenarios.orbits.true_orbit import state_at_epoch
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.orbit import ArcSpec
 
@@ -37,7 +37,7 @@ def test_horizons_hide_what_rays_do_not_reach():
 def test_an_ellipsoid_is_met_where_the_quadratic_says():
     ball = trimesh.creation.icosphere(subdivisions=4)
     axes = np.array([300.0, 220.0, 160.0])
-    shape = fitted(TriangleMesh(np.array(ball.vertices) * axes, np.array(ball.faces)), 16)
+    shape = fit_star_shape(TriangleMesh(np.array(ball.vertices) * axes, np.array(ball.faces)), 16)
     assert shape.rms_m < 0.5
     rng = np.random.default_rng(3)
     origins = rng.normal(size=(50, 3))
@@ -54,10 +54,10 @@ def test_an_ellipsoid_is_met_where_the_quadratic_says():
 
 def test_more_degrees_fit_a_shape_better_and_too_many_are_refused():
     mesh = lump()
-    errors = [fitted(mesh, degree).rms_m for degree in (2, 4, 8, 12)]
+    errors = [fit_star_shape(mesh, degree).rms_m for degree in (2, 4, 8, 12)]
     assert np.all(np.diff(errors) < 0.0)
     with pytest.raises(BoresightError, match="shape_degree: 34"):
-        fitted(mesh, 34)
+        fit_star_shape(mesh, 34)
 
 
 def test_elements_are_those_of_the_state():

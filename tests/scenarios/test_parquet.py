@@ -12,10 +12,10 @@ import pytest
 
 from scenarios.checksums import refuse_damaged
 from scenarios.errors import BoresightError
-from scenarios.parquet import Layout, read_column, read_frame, read_where
+from scenarios.parquet import TableLayout, read_column, read_frame, read_where
 from scenarios.reading import read_json
 
-LAYOUT = Layout(("trial", "name"), {"trial": False, "name": True, "value": False}.get)
+LAYOUT = TableLayout(("trial", "name"), {"trial": False, "name": True, "value": False}.get)
 MANY = 40_000_000
 
 
@@ -88,7 +88,7 @@ def test_what_is_no_such_table_is_refused(tmp_path, columns, said):
 def test_no_bit_of_a_footer_ends_the_process(tmp_path):
     """What a footer says of single columns did, when pyarrow was asked for it: some of these bits abort it then."""
     store(tmp_path, {"trial": [0]})
-    file, layout = tmp_path / "a.parquet", Layout(("trial",), LAYOUT.is_text)
+    file, layout = tmp_path / "a.parquet", TableLayout(("trial",), LAYOUT.is_text)
     content = file.read_bytes()
     footer = int.from_bytes(content[-8:-4], "little")
     refused = 0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from crater_looks import CAMERA, RANGE_M, ellipsoid, population
 
-from scenarios.craters.simulated import NO_CRATER, DetectionErrors, detect_simulated, draw_craters, in_view
+from scenarios.craters.simulated import NO_CRATER, DetectionErrors, detect_simulated, in_view, sample_plane_craters
 from scenarios.geometry import Pose, View, look_at
 
 
@@ -40,7 +40,7 @@ def test_lines_of_sight_meet_a_mesh_where_linear_equations_say(ground) -> None:
 
 
 def test_sizes_follow_the_power_law(ground) -> None:
-    craters = draw_craters(ground, 20_000, (100.0, 1000.0), 2.0, np.random.default_rng(2))
+    craters = sample_plane_craters(ground, 20_000, (100.0, 1000.0), 2.0, np.random.default_rng(2))
     above = [(craters.radius_m > radius).mean() for radius in (100.0, 200.0, 400.0)]
     closed = [(radius**-2 - 1e-6) / (1e-4 - 1e-6) for radius in (100.0, 200.0, 400.0)]
     np.testing.assert_allclose(above, closed, atol=4 * np.sqrt(0.25 / 20_000))

@@ -20,7 +20,7 @@ from reports.schema.named_figure import NamedFigure
 from scenarios.dynamics.field import UniformRotation
 from scenarios.errors import BoresightError
 from scenarios.orbits.draw import OrbitTruth
-from scenarios.orbits.flown import DAY_S
+from scenarios.orbits.true_orbit import DAY_S
 
 FloatArray = NDArray[np.float64]
 

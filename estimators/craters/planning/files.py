@@ -20,7 +20,7 @@ import numpy as np
 
 from estimators.craters.database.records import Record, read_records, words, write_records
 from estimators.craters.planning.plan import PlannedImage
-from scenarios.draw import Kind
+from scenarios.draw import TargetKind
 
 _HEAD = "boresight image plan 1"
 
@@ -58,7 +58,7 @@ def read_plan(path: Path) -> tuple[PlannedImage, ...]:
 
 
 def _image(record: Record) -> PlannedImage:
-    kinds: tuple[Kind, ...] = get_args(Kind)
+    kinds: tuple[TargetKind, ...] = get_args(TargetKind)
     kind = next((one for one in kinds if one == record.fields[2]), None)
     if kind is None:
         raise record.wrong(f"{record.fields[2]!r} is no kind of image; there are: {', '.join(kinds)}")

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scenarios.draw import KINDS, Kind, angles_deg, is_lit, of_kind
-from scenarios.dynamics.flight import flight
-from scenarios.dynamics.propagation import Pushes
+from scenarios.draw import TARGET_KINDS, TargetKind, emission_incidence_deg, is_lit_and_facing, near_limb_or_terminator
+from scenarios.dynamics.propagation import PiecewiseAcceleration
+from scenarios.dynamics.variational import propagate_partials
 from scenarios.errors import BoresightError
 from scenarios.geometry import look_at
 from scenarios.orbits.data import Knowledge
@@ -42,7 +42,9 @@ def plan_arc(
     OrbitLostError
         If the a priori orbit leads into the body.
     """
-    flown = flight(knowledge.field, knowledge.state, times_s, Pushes.none(float(times_s[-1])))
+    flown = propagate_partials(
+        knowledge.field, knowledge.state, times_s, PiecewiseAcceleration.none(float(times_s[-1]))
+    )
     attitudes = knowledge.field.rotation.at(times_s)
     positions = flown.states[:, :3] + np.einsum("nji,j->ni", attitudes, centre_of_mass_m)
     suns = np.broadcast_to(sun_dir_inertial, positions.shape)
@@ -97,14 +99,16 @@ class PlannedImage:
 
     number: int
     time_s: float
-    kind: Kind
+    kind: TargetKind
     target_body_m: FloatArray
     planned_R_cam_inertial: FloatArray
     actual_R_cam_inertial: FloatArray
     sun_dir_nadir: FloatArray
 
 
-def plan_images(ephemeris: Ephemeris, ground: MeshGround, kinds: Sequence[Kind] = KINDS) -> tuple[PlannedImage, ...]:
+def plan_images(
+    ephemeris: Ephemeris, ground: MeshGround, kinds: Sequence[TargetKind] = TARGET_KINDS
+) -> tuple[PlannedImage, ...]:
     """Plan one image for each epoch, the kinds in turn.
 
     Where no ground of the kind whose turn it is is lit and in sight, the next kind takes its place; an epoch from
@@ -138,14 +142,14 @@ def with_telemetry(images: Sequence[PlannedImage], turned_rad: FloatArray) -> tu
 
 
 def find_target(
-    ground: MeshGround, position_body_m: FloatArray, sun_dir_body: FloatArray, kind: Kind
+    ground: MeshGround, position_body_m: FloatArray, sun_dir_body: FloatArray, kind: TargetKind
 ) -> FloatArray | None:
     """Find ground of a kind that is lit and in sight, (3,): that nearest to the line of sight to the nadir; or None."""
     if kind == "nadir":
         return _lit_nadir(ground, position_body_m, sun_dir_body)
     places, normals = ground.mesh.corners_m.mean(axis=1), ground.mesh.normals
-    emission, incidence = angles_deg(places, normals, position_body_m, sun_dir_body)
-    rows = np.flatnonzero(of_kind(kind, emission, incidence) & is_lit(emission, incidence))
+    emission, incidence = emission_incidence_deg(places, normals, position_body_m, sun_dir_body)
+    rows = np.flatnonzero(near_limb_or_terminator(kind, emission, incidence) & is_lit_and_facing(emission, incidence))
     rays = places[rows] - position_body_m
     off_nadir = rays @ -position_body_m / np.linalg.norm(rays, axis=1)
     rows = rows[np.argsort(-off_nadir, kind="stable")]
@@ -162,5 +166,5 @@ def _lit_nadir(ground: MeshGround, position: FloatArray, sun: FloatArray) -> Flo
     points, normals = ground.intersect(position[None], -position[None] / np.linalg.norm(position))
     if not np.isfinite(points).all():
         return None
-    emission, incidence = angles_deg(points, normals, position, sun)
-    return points[0] if is_lit(emission, incidence)[0] else None
+    emission, incidence = emission_incidence_deg(points, normals, position, sun)
+    return points[0] if is_lit_and_facing(emission, incidence)[0] else None

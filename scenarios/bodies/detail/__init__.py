@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenarios.bodies.detail.features import Ground, boulder_heights, crater_heights
-from scenarios.bodies.detail.noise import Band, Redrawn, fractal_field
+from scenarios.bodies.detail.features import RefinedSurface, boulder_heights, crater_heights
+from scenarios.bodies.detail.noise import Band, SmallScaleSeed, fractal_field
 from scenarios.bodies.detail.subdivide import interpolating_control, refine, rounds_for, smoothed
 from scenarios.bodies.topology import FloatArray, IntArray, find_edges, unit, vertex_normals
 from scenarios.errors import BoresightError
@@ -73,14 +73,16 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
     return TriangleMesh(points_m, faces.astype(np.int32), factor), notes
 
 
-def _redrawn(spec: DetailSpec) -> list[Redrawn | None]:
+def _redrawn(spec: DetailSpec) -> list[SmallScaleSeed | None]:
     """Where small boulders, craters and octaves of roughness are drawn from instead; None where they are not."""
     if spec.redrawn is None:
         return [None, None, None]
-    return [Redrawn(spec.redrawn.below_m, seed) for seed in np.random.SeedSequence(spec.redrawn.seed).spawn(4)[:3]]
+    return [
+        SmallScaleSeed(spec.redrawn.below_m, seed) for seed in np.random.SeedSequence(spec.redrawn.seed).spawn(4)[:3]
+    ]
 
 
-def _refined(mesh: TriangleMesh, spec: DetailSpec) -> tuple[Ground, IntArray, FloatArray | None]:
+def _refined(mesh: TriangleMesh, spec: DetailSpec) -> tuple[RefinedSurface, IntArray, FloatArray | None]:
     """Smooth surface with its directions of displacement, its faces, and the refined albedo where there is one."""
     coarse_m, coarse_faces = mesh.vertices_m, mesh.faces
     edges = find_edges(coarse_faces)
@@ -91,7 +93,7 @@ def _refined(mesh: TriangleMesh, spec: DetailSpec) -> tuple[Ground, IntArray, Fl
     control = interpolating_control(coarse_m, coarse_faces) if rounds else coarse_m
     columns = [control, up] if mesh.albedo is None else [control, up, mesh.albedo[:, None]]
     fine, faces = refine(np.hstack(columns), coarse_faces, rounds)
-    ground = Ground(fine[:, :3], unit(fine[:, 3:6]), coarse_edge_m / 2**rounds, coarse_m, coarse_faces)
+    ground = RefinedSurface(fine[:, :3], unit(fine[:, 3:6]), coarse_edge_m / 2**rounds, coarse_m, coarse_faces)
     return ground, faces, None if mesh.albedo is None else fine[:, 6]
 
 
@@ -102,7 +104,7 @@ def _relief_m(spec: DetailSpec) -> float:
     return max(boulders, craters, 3.0 * spec.roughness.rms_m if spec.roughness else 0.0)
 
 
-def _albedo(spec: AlbedoSpec, ground: Ground, seed: np.random.SeedSequence) -> tuple[FloatArray, int]:
+def _albedo(spec: AlbedoSpec, ground: RefinedSurface, seed: np.random.SeedSequence) -> tuple[FloatArray, int]:
     """Factor (V,) on the reflectance, and the number of octaves left out."""
     shortest_m = spec.wavelength_m / 2 ** (_ALBEDO_OCTAVES - 1)
     band = Band(spec.wavelength_m, shortest_m, _ALBEDO_HURST)

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scenarios.bodies.detail.noise import Redrawn
+from scenarios.bodies.detail.noise import SmallScaleSeed
 from scenarios.bodies.topology import FloatArray, IndexArray, IntArray, tangent_axes
 from scenarios.spec.body import BoulderSpec, CraterSpec
 
@@ -25,7 +25,7 @@ _LEAST_FACING = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class RefinedSurface:
     """The smooth surface that features are put on.
 
     Parameters
@@ -68,7 +68,7 @@ class Ground:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Patches:
+class FeatureVertices:
     """Pairs of a feature and a vertex within its reach.
 
     Parameters
@@ -92,7 +92,7 @@ def power_law_diameters(
     return np.sort(rng.uniform(least, most, count) ** (-1.0 / exponent))[::-1]
 
 
-def find_patches(ground: Ground, places: IndexArray, reach_m: FloatArray) -> Iterator[Patches]:
+def find_feature_vertices(ground: RefinedSurface, places: IndexArray, reach_m: FloatArray) -> Iterator[FeatureVertices]:
     """Find the vertices within ``reach_m`` (N,) of each place (N,), in blocks of bounded size."""
     pairs = np.cumsum(4.0 * (reach_m / ground.edge_m) ** 2 + 1.0)
     block = (pairs / _PAIRS_AT_ONCE).astype(np.int64)
@@ -102,11 +102,11 @@ def find_patches(ground: Ground, places: IndexArray, reach_m: FloatArray) -> Ite
         vertex = np.fromiter((v for vertices in found for v in vertices), np.int64, len(feature))
         facing = np.einsum("ni,ni->n", ground.up[vertex], ground.up[places[feature]]) > _LEAST_FACING
         feature, vertex = feature[facing], vertex[facing]
-        yield Patches(feature, vertex, ground.points_m[vertex] - ground.points_m[places[feature]])
+        yield FeatureVertices(feature, vertex, ground.points_m[vertex] - ground.points_m[places[feature]])
 
 
 def boulder_heights(
-    spec: BoulderSpec, ground: Ground, seed: np.random.SeedSequence, small: Redrawn | None = None
+    spec: BoulderSpec, ground: RefinedSurface, seed: np.random.SeedSequence, small: SmallScaleSeed | None = None
 ) -> tuple[FloatArray, int]:
     """Heights (V,) of angular blocks that stand on the surface; where two overlap the higher one shows.
 
@@ -117,13 +117,13 @@ def boulder_heights(
     places, diameters_m, kept, rng = _scatter(spec, ground, seed, small)
     blocks = _draw_blocks(spec, ground, places, diameters_m, rng)
     heights = np.zeros(len(ground.points_m))
-    for patches in find_patches(ground, places[:kept], 0.5 * diameters_m[:kept]):
+    for patches in find_feature_vertices(ground, places[:kept], 0.5 * diameters_m[:kept]):
         np.maximum.at(heights, patches.vertex, blocks.heights_m(patches))
     return heights, spec.count - kept
 
 
 def crater_heights(
-    spec: CraterSpec, ground: Ground, seed: np.random.SeedSequence, small: Redrawn | None = None
+    spec: CraterSpec, ground: RefinedSurface, seed: np.random.SeedSequence, small: SmallScaleSeed | None = None
 ) -> tuple[FloatArray, int]:
     """Heights (V,) of bowls with raised rims; where several overlap they add up.
 
@@ -133,7 +133,7 @@ def crater_heights(
     """
     places, diameters_m, kept, _ = _scatter(spec, ground, seed, small)
     heights = np.zeros(len(ground.points_m))
-    for patches in find_patches(ground, places[:kept], 0.5 * _CRATER_REACH * diameters_m[:kept]):
+    for patches in find_feature_vertices(ground, places[:kept], 0.5 * _CRATER_REACH * diameters_m[:kept]):
         diameter_m = diameters_m[patches.feature]
         radii = np.linalg.norm(patches.offset_m, axis=1) / (0.5 * diameter_m)
         heights += np.bincount(patches.vertex, diameter_m * _crater_profile(radii, spec), len(heights))
@@ -141,7 +141,7 @@ def crater_heights(
 
 
 def _scatter(
-    spec: BoulderSpec | CraterSpec, ground: Ground, seed: np.random.SeedSequence, small: Redrawn | None
+    spec: BoulderSpec | CraterSpec, ground: RefinedSurface, seed: np.random.SeedSequence, small: SmallScaleSeed | None
 ) -> tuple[IndexArray, FloatArray, int, np.random.Generator]:
     """Draw places and diameters, largest first, and count those that the mesh can carry."""
     rng = np.random.default_rng(seed)
@@ -152,7 +152,9 @@ def _scatter(
     return places, diameters_m, int(np.count_nonzero(diameters_m >= ground.resolution_m)), rng
 
 
-def _strewn(spec: BoulderSpec | CraterSpec, ground: Ground, rng: np.random.Generator) -> tuple[FloatArray, IndexArray]:
+def _strewn(
+    spec: BoulderSpec | CraterSpec, ground: RefinedSurface, rng: np.random.Generator
+) -> tuple[FloatArray, IndexArray]:
     diameters_m = power_law_diameters(spec.count, spec.min_diameter_m, spec.max_diameter_m, spec.exponent, rng)
     return diameters_m, ground.draw_places(spec.count, rng)
 
@@ -188,7 +190,7 @@ class _Blocks:
     tops: FloatArray
     height_m: FloatArray
 
-    def heights_m(self, patches: Patches) -> FloatArray:
+    def heights_m(self, patches: FeatureVertices) -> FloatArray:
         """Height of the block over each pair's vertex."""
         block = patches.feature
         x, y = (np.einsum("ni,ni->n", self.axes_per_m[block, k], patches.offset_m) for k in range(2))
@@ -205,7 +207,7 @@ class _Blocks:
 
 
 def _draw_blocks(
-    spec: BoulderSpec, ground: Ground, places: IndexArray, diameters_m: FloatArray, rng: np.random.Generator
+    spec: BoulderSpec, ground: RefinedSurface, places: IndexArray, diameters_m: FloatArray, rng: np.random.Generator
 ) -> _Blocks:
     count = len(diameters_m)
     first, second = tangent_axes(ground.up[places], rng.uniform(0.0, 2.0 * np.pi, count))

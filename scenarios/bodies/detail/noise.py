@@ -14,7 +14,7 @@ _LATTICE = 96
 
 
 @dataclass(frozen=True, slots=True)
-class Redrawn:
+class SmallScaleSeed:
     """Features of one kind that are smaller than ``below_m`` come from ``seed``."""
 
     below_m: float
@@ -46,7 +46,11 @@ class Band:
 
 
 def fractal_field(
-    points_m: FloatArray, band: Band, resolution_m: float, seed: np.random.SeedSequence, small: Redrawn | None = None
+    points_m: FloatArray,
+    band: Band,
+    resolution_m: float,
+    seed: np.random.SeedSequence,
+    small: SmallScaleSeed | None = None,
 ) -> tuple[FloatArray, int]:
     """Sum the octaves of a band at points (N, 3).
 
@@ -72,7 +76,7 @@ def fractal_field(
     return (field * np.sqrt(variance) / field.std() if variance else field), omitted
 
 
-def _streams(band: Band, seed: np.random.SeedSequence, small: Redrawn | None) -> list[np.random.SeedSequence]:
+def _streams(band: Band, seed: np.random.SeedSequence, small: SmallScaleSeed | None) -> list[np.random.SeedSequence]:
     streams = seed.spawn(len(band.wavelengths_m))
     if small is None:
         return streams

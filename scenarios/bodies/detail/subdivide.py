@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenarios.bodies.topology import Edges, FloatArray, IntArray, find_edges
+from scenarios.bodies.topology import FloatArray, IntArray, MeshEdges, find_edges
 
 _FIT_ROUNDS = 8
 
@@ -44,7 +44,7 @@ def interpolating_control(vertices: FloatArray, faces: IntArray) -> FloatArray:
     return control
 
 
-def smoothed(values: FloatArray, edges: Edges, rounds: int) -> FloatArray:
+def smoothed(values: FloatArray, edges: MeshEdges, rounds: int) -> FloatArray:
     """Replace each vertex's values (V, k) by the mean over itself and its neighbours, ``rounds`` times."""
     valence = _valence(edges, len(values))[:, None]
     for _ in range(rounds):
@@ -52,11 +52,11 @@ def smoothed(values: FloatArray, edges: Edges, rounds: int) -> FloatArray:
     return values
 
 
-def _valence(edges: Edges, n_vertices: int) -> FloatArray:
+def _valence(edges: MeshEdges, n_vertices: int) -> FloatArray:
     return np.bincount(edges.ends.ravel(), minlength=n_vertices).astype(np.float64)
 
 
-def _neighbour_sum(values: FloatArray, edges: Edges) -> FloatArray:
+def _neighbour_sum(values: FloatArray, edges: MeshEdges) -> FloatArray:
     here, there = edges.ends.T
     here, there = np.concatenate([here, there]), np.concatenate([there, here])
     return np.stack([np.bincount(here, column[there], len(values)) for column in values.T], axis=1)
@@ -67,20 +67,20 @@ def _beta(valence: FloatArray) -> FloatArray:
     return (0.625 - (0.375 + 0.25 * np.cos(2.0 * np.pi / valence)) ** 2) / valence  # Loop 1987
 
 
-def _moved(values: FloatArray, edges: Edges) -> FloatArray:
+def _moved(values: FloatArray, edges: MeshEdges) -> FloatArray:
     valence = _valence(edges, len(values))[:, None]
     beta = _beta(valence)
     return (1.0 - valence * beta) * values + beta * _neighbour_sum(values, edges)
 
 
-def limit(values: FloatArray, edges: Edges) -> FloatArray:
+def limit(values: FloatArray, edges: MeshEdges) -> FloatArray:
     """Take the values (V, k) of vertices to what they become after infinitely many subdivisions."""
     valence = _valence(edges, len(values))[:, None]
     weight = 1.0 / (0.375 / _beta(valence) + valence)
     return (1.0 - valence * weight) * values + weight * _neighbour_sum(values, edges)
 
 
-def _edge_points(values: FloatArray, faces: IntArray, edges: Edges) -> FloatArray:
+def _edge_points(values: FloatArray, faces: IntArray, edges: MeshEdges) -> FloatArray:
     """3/8 of the two ends of each edge and 1/8 of the two corners opposite to it."""
     opposite = np.roll(faces, 1, axis=1).ravel()
     edge = edges.of_face.ravel()
@@ -88,7 +88,7 @@ def _edge_points(values: FloatArray, faces: IntArray, edges: Edges) -> FloatArra
     return 0.375 * (values[edges.ends[:, 0]] + values[edges.ends[:, 1]]) + 0.125 * wings
 
 
-def _split(faces: IntArray, edges: Edges, n_old: int) -> IntArray:
+def _split(faces: IntArray, edges: MeshEdges, n_old: int) -> IntArray:
     a, b, c = faces.astype(np.int64).T
     ab, bc, ca = edges.of_face.T + n_old
     children = np.stack([a, ab, ca, b, bc, ab, c, ca, bc, ab, bc, ca], axis=1)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
 from scenarios.geometry import View
-from scenarios.sequences.ground import Ground, SphereGround
+from scenarios.sequences.ground import LandmarkGround, SphereGround
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -22,7 +22,7 @@ _CENTRED_PX = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sightline:
+class Visibility:
     """Tells what a camera sees of the ground.
 
     Parameters
@@ -33,7 +33,7 @@ class Sightline:
         Whether only ground that faces the Sun is seen.
     """
 
-    ground: Ground
+    ground: LandmarkGround
     lit_only: bool = False
 
     def visible(self, points_m: FloatArray, normals: FloatArray, view: View) -> BoolArray:

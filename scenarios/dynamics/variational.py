@@ -14,7 +14,7 @@ from scipy.integrate import DOP853
 
 from scenarios.dynamics import kernel
 from scenarios.dynamics.field import FlatField, HarmonicField, differentiate
-from scenarios.dynamics.propagation import OrbitLostError, Pushes, propagate
+from scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration, propagate
 
 FloatArray = NDArray[np.float64]
 
@@ -22,7 +22,9 @@ LONGEST_STEP_S = 1800.0
 """Of the fixed steps: a tenth of Eros's rotation, whose harmonics are what changes fastest at 200 km."""
 
 
-def travelled(field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes: Pushes) -> FloatArray:
+def propagate_states(
+    field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes: PiecewiseAcceleration
+) -> FloatArray:
     """(T, 6) states at (T,) ascending times from the state (6,) at time 0, by `propagate` down to the reference radius.
 
     Raises
@@ -34,7 +36,7 @@ def travelled(field: HarmonicField, state: FloatArray, times_s: FloatArray, push
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Flight:
+class OrbitPartials:
     """States with derivatives; by pushes of pieces that have not begun they are zero.
 
     Parameters
@@ -55,7 +57,9 @@ class Flight:
     by_pushes: FloatArray
 
 
-def flight(field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes: Pushes) -> Flight:
+def propagate_partials(
+    field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes: PiecewiseAcceleration
+) -> OrbitPartials:
     """Follow an orbit with its derivatives in fixed steps.
 
     Derivatives by a push are integrated while it acts. From its end on they are those by the state at the epoch that
@@ -74,16 +78,18 @@ def flight(field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes:
         np.array(DOP853.C[:stages]),
     )
     seen, ended = _fly(
-        flat, np.array(state), np.array(times_s), pushes.edges_s, pushes.push_m_s2, LONGEST_STEP_S, *tableau
+        flat, np.array(state), np.array(times_s), pushes.edges_s, pushes.acceleration_m_s2, LONGEST_STEP_S, *tableau
     )
     if not (np.isfinite(seen).all() and np.isfinite(ended).all()):
         raise OrbitLostError("the orbit leads into the body or beyond all bounds")
-    return Flight(seen[:, :, 0], seen[:, :, 1:7], seen[:, :, 7 : 7 + p], _by_pushes(seen, ended, pushes, times_s))
+    return OrbitPartials(
+        seen[:, :, 0], seen[:, :, 1:7], seen[:, :, 7 : 7 + p], _by_pushes(seen, ended, pushes, times_s)
+    )
 
 
-def _by_pushes(seen: FloatArray, ended: FloatArray, pushes: Pushes, times_s: FloatArray) -> FloatArray:
+def _by_pushes(seen: FloatArray, ended: FloatArray, pushes: PiecewiseAcceleration, times_s: FloatArray) -> FloatArray:
     """(T, 6, 3 P): what each push has done, by what it did at its own end."""
-    pieces = len(pushes.push_m_s2)
+    pieces = len(pushes.acceleration_m_s2)
     scale = np.repeat([1.0, np.linalg.norm(ended[0, :3, 0]) / np.linalg.norm(ended[0, 3:, 0])], 3)
     transition = ended[:, :, 1:7] * scale[:, None] / scale
     at_epoch = np.linalg.solve(transition, ended[:, :, -3:] * scale[:, None]) / scale[:, None]

@@ -12,15 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from scenarios.draw import Stream, generator
 from scenarios.dynamics.gravity import Gravity, PointMass, Polyhedron
-from scenarios.dynamics.propagation import Acceleration, Pushes, propagate, radiation_pressure
+from scenarios.dynamics.propagation import Acceleration, PiecewiseAcceleration, propagate, radiation_pressure
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Pose, View
-from scenarios.sequences.ground import Ground, MeshGround
-from scenarios.spec.sequence import BodyMotionSpec, OrbitSpec, SequenceSpec
+from scenarios.sequences.ground import LandmarkGround, MeshGround
+from scenarios.spec.sequence import BodyMotionSpec, SequenceOrbitSpec, SequenceSpec
 
 FloatArray = NDArray[np.float64]
 
-Attitude = Callable[[FloatArray], FloatArray]
+AttitudeFunction = Callable[[FloatArray], FloatArray]
 """Takes (n,) seconds since the first frame to R_body_inertial, (n, 3, 3)."""
 
 _HOUR_S = 3600.0
@@ -31,17 +31,17 @@ R_PAPER_CAMERA: FloatArray = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 
 horizontal. It does not say which way; x down the columns of the image makes y point left."""
 
 
-def anomalies_deg(orbit: OrbitSpec) -> FloatArray:
+def anomalies_deg(orbit: SequenceOrbitSpec) -> FloatArray:
     """(F,) anomaly that each frame has gone through since the first."""
     return orbit.step_deg * np.arange(orbit.frames, dtype=np.float64)
 
 
-def times_s(orbit: OrbitSpec) -> FloatArray:
+def frame_times_s(orbit: SequenceOrbitSpec) -> FloatArray:
     """(F,) epochs of the frames, by Kepler's third law."""
     return np.asarray(np.radians(anomalies_deg(orbit)) / _rate_rad_s(orbit), dtype=np.float64)
 
 
-def orbit_axes(orbit: OrbitSpec) -> FloatArray:
+def orbit_axes(orbit: SequenceOrbitSpec) -> FloatArray:
     """(3, 3) rows, inertial axes: the direction of zero anomaly, the one 90 deg on, and the orbit's normal.
 
     Zero anomaly is where the orbit comes nearest the x axis; for a normal along that axis, the y axis.
@@ -54,7 +54,7 @@ def orbit_axes(orbit: OrbitSpec) -> FloatArray:
     return np.stack([first, np.cross(normal, first), normal])
 
 
-def poses(orbit: OrbitSpec) -> tuple[Pose, ...]:
+def circular_poses(orbit: SequenceOrbitSpec) -> tuple[Pose, ...]:
     """T_cam_inertial of each frame of a circular orbit, the camera as in ``pointed``."""
     first, second, normal = orbit_axes(orbit)
     found = []
@@ -64,14 +64,14 @@ def poses(orbit: OrbitSpec) -> tuple[Pose, ...]:
     return tuple(found)
 
 
-def velocities_m_s(orbit: OrbitSpec) -> FloatArray:
+def circular_velocities_m_s(orbit: SequenceOrbitSpec) -> FloatArray:
     """(F, 3) velocities on a circular orbit, inertial axes."""
     first, second, _ = orbit_axes(orbit)
     angles = np.radians(orbit.start_deg + anomalies_deg(orbit))[:, None]
     return np.asarray(_rate_rad_s(orbit) * orbit.radius_m * (np.cos(angles) * second - np.sin(angles) * first))
 
 
-def pointed(position_m: FloatArray, velocity_m_s: FloatArray) -> Pose:
+def nadir_pose(position_m: FloatArray, velocity_m_s: FloatArray) -> Pose:
     """T_cam_inertial: x along the horizontal velocity, y against the orbit's normal, z (boresight) to the origin."""
     normal = np.cross(position_m, velocity_m_s)
     return _look_down(position_m, position_m / np.linalg.norm(position_m), normal / np.linalg.norm(normal))
@@ -82,7 +82,7 @@ def _look_down(position_m: FloatArray, radial: FloatArray, normal: FloatArray) -
     return Pose(rotation, -rotation @ position_m, from_frame="inertial")
 
 
-def _rate_rad_s(orbit: OrbitSpec) -> float:
+def _rate_rad_s(orbit: SequenceOrbitSpec) -> float:
     return float(np.sqrt(orbit.gm_m3_s2 / orbit.radius_m**3))
 
 
@@ -104,7 +104,7 @@ def angular_velocity(motion: BodyMotionSpec) -> FloatArray:
     return np.asarray(2.0 * np.pi / (motion.period_h * _HOUR_S) * axis / np.linalg.norm(axis))
 
 
-def attitude_law(motion: BodyMotionSpec, rate_rad_s: FloatArray, until_s: float) -> Attitude:
+def attitude_function(motion: BodyMotionSpec, rate_rad_s: FloatArray, until_s: float) -> AttitudeFunction:
     """Return the rotation of the body from its angular velocity at the first frame on.
 
     Parameters
@@ -123,7 +123,7 @@ def attitude_law(motion: BodyMotionSpec, rate_rad_s: FloatArray, until_s: float)
     return _tumbling(np.asarray(motion.inertia, dtype=np.float64), rate_rad_s, until_s)
 
 
-def _tumbling(inertia: FloatArray, rate_rad_s: FloatArray, until_s: float) -> Attitude:
+def _tumbling(inertia: FloatArray, rate_rad_s: FloatArray, until_s: float) -> AttitudeFunction:
     """Integrate Euler's equations and the attitude in units of the first angle per time."""
     unit = float(np.linalg.norm(rate_rad_s))
 
@@ -154,7 +154,7 @@ def _quat_rate(quat_xyzw: FloatArray, rate: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Path:
+class CameraTrajectory:
     """The true motion of a trial.
 
     Parameters
@@ -182,12 +182,12 @@ class Path:
     radiation_m_s2: FloatArray
 
     def views(self, camera: Camera) -> tuple[View, ...]:
-        """Return what the camera looks at in each frame."""
+        """Return what the camera poses at in each frame."""
         suns = self.R_body_inertial @ self.sun_dir
         return tuple(View(camera, pose, sun) for pose, sun in zip(self.poses, suns, strict=True))
 
 
-def travel(spec: SequenceSpec, ground: Ground, unmodelled_m_s2: FloatArray) -> Path:
+def camera_trajectory(spec: SequenceSpec, ground: LandmarkGround, unmodelled_m_s2: FloatArray) -> CameraTrajectory:
     """Move the camera along its orbit over a body that turns.
 
     ``unmodelled_m_s2``, (F - 1, 3), acts on a propagated orbit alone.
@@ -197,35 +197,35 @@ def travel(spec: SequenceSpec, ground: Ground, unmodelled_m_s2: FloatArray) -> P
     OrbitLostError
         If a propagated orbit comes down to the body.
     """
-    orbit, times = spec.orbit, times_s(spec.orbit)
+    orbit, times = spec.orbit, frame_times_s(spec.orbit)
     sun_dir = orbit_axes(orbit)[2]
     radiation = radiation_pressure(orbit.forces, sun_dir)
-    attitude = attitude_law(spec.body_motion, angular_velocity(spec.body_motion), float(times[-1]))
-    looks, velocities = poses(orbit), velocities_m_s(orbit)
-    positions = np.array([look.camera_position_m for look in looks])
+    attitude = attitude_function(spec.body_motion, angular_velocity(spec.body_motion), float(times[-1]))
+    poses, velocities = circular_poses(orbit), circular_velocities_m_s(orbit)
+    positions = np.array([pose.camera_position_m for pose in poses])
     if orbit.model == "propagated":
         pulled = _acceleration(_gravity(orbit, ground), attitude, radiation)
         start = np.concatenate([positions[0], velocities[0]])
-        states = propagate(pulled, ground.reach_m, start, times, Pushes(times, unmodelled_m_s2))
+        states = propagate(pulled, ground.reach_m, start, times, PiecewiseAcceleration(times, unmodelled_m_s2))
         positions, velocities = states[:, :3], states[:, 3:]
-        looks = tuple(pointed(*state) for state in zip(positions, velocities, strict=True))
+        poses = tuple(nadir_pose(*state) for state in zip(positions, velocities, strict=True))
     turns = attitude(times)
-    over = tuple(_over_the_body(look, turn) for look, turn in zip(looks, turns, strict=True))
-    return Path(times, positions, velocities, turns, over, sun_dir, radiation)
+    over = tuple(_to_body_axes(pose, turn) for pose, turn in zip(poses, turns, strict=True))
+    return CameraTrajectory(times, positions, velocities, turns, over, sun_dir, radiation)
 
 
-def undisturbed(spec: SequenceSpec, ground: Ground) -> Path:
+def nominal_trajectory(spec: SequenceSpec, ground: LandmarkGround) -> CameraTrajectory:
     """Move the camera along its orbit without what no model knows."""
-    return travel(spec, ground, np.zeros((spec.orbit.frames - 1, 3)))
+    return camera_trajectory(spec, ground, np.zeros((spec.orbit.frames - 1, 3)))
 
 
-def unmodelled(orbit: OrbitSpec, seed: int, trial: int) -> FloatArray:
+def draw_unmodelled_m_s2(orbit: SequenceOrbitSpec, seed: int, trial: int) -> FloatArray:
     """Draw the acceleration that no model knows, (F - 1, 3) m/s2, constant between two frames."""
     rng = generator(seed, Stream.ACCELERATION, trial)
     return orbit.forces.noise_m_s2 * rng.normal(size=(orbit.frames - 1, 3))
 
 
-def _gravity(orbit: OrbitSpec, ground: Ground) -> Gravity:
+def _gravity(orbit: SequenceOrbitSpec, ground: LandmarkGround) -> Gravity:
     if orbit.forces.gravity == "point-mass":
         return PointMass(orbit.gm_m3_s2)
     if not isinstance(ground, MeshGround):
@@ -233,7 +233,7 @@ def _gravity(orbit: OrbitSpec, ground: Ground) -> Gravity:
     return Polyhedron(ground.mesh, orbit.gm_m3_s2)
 
 
-def _acceleration(gravity: Gravity, attitude: Attitude, radiation_m_s2: FloatArray) -> Acceleration:
+def _acceleration(gravity: Gravity, attitude: AttitudeFunction, radiation_m_s2: FloatArray) -> Acceleration:
     """Equation (6) of Delpech et al. (2015) without its noise."""
 
     def acceleration(time_s: float, position_m: FloatArray) -> FloatArray:
@@ -245,6 +245,6 @@ def _acceleration(gravity: Gravity, attitude: Attitude, radiation_m_s2: FloatArr
     return acceleration
 
 
-def _over_the_body(T_cam_inertial: Pose, R_body_inertial: FloatArray) -> Pose:
+def _to_body_axes(T_cam_inertial: Pose, R_body_inertial: FloatArray) -> Pose:
     """Take the pose from inertial to body axes, which share their origin."""
     return Pose(T_cam_inertial.rotation @ R_body_inertial.T, T_cam_inertial.translation_m)

@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 _EQUATOR_RAD = (0.0, 0.0)
 
 
-def believed_spec(spec: ScenarioSpec) -> ScenarioSpec:
+def onboard_spec(spec: ScenarioSpec) -> ScenarioSpec:
     """Return the scenario as the spacecraft knows it: the one that data bases and onboard shapes are made of."""
     onboard = spec.onboard
     changes = {
@@ -60,12 +60,12 @@ def _believed_camera(camera: CameraSpec, onboard: OnboardSpec) -> CameraSpec:
     return camera.model_copy(update=changes)
 
 
-def believed_camera(spec: ScenarioSpec) -> Camera:
+def onboard_camera(spec: ScenarioSpec) -> Camera:
     """Return the camera that the spacecraft calculates with."""
     return _believed_camera(spec.camera, spec.onboard).camera()
 
 
-def believed_sun(sun_dir_cam: FloatArray, onboard: OnboardSpec, rng: np.random.Generator) -> FloatArray:
+def onboard_sun_dir(sun_dir_cam: FloatArray, onboard: OnboardSpec, rng: np.random.Generator) -> FloatArray:
     """Turn the Sun's direction, (3,) unit, about a random axis at right angles to it."""
     angle_rad, azimuth_rad = _angle_rad(onboard.sun_error_deg, rng), rng.uniform(0.0, 2.0 * np.pi)
     if angle_rad == 0.0:
@@ -79,7 +79,7 @@ def believed_sun(sun_dir_cam: FloatArray, onboard: OnboardSpec, rng: np.random.G
     return turned
 
 
-def believed_attitude(T_cam_body: Pose, onboard: OnboardSpec, rng: np.random.Generator) -> Pose:
+def onboard_attitude(T_cam_body: Pose, onboard: OnboardSpec, rng: np.random.Generator) -> Pose:
     """Turn the body under the camera by what the spacecraft gets wrong of its spin.
 
     The believed body axes lie off the true ones by a tilt of the pole about a random equatorial axis and by a

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from scenarios.draw import Stream, generator
 from scenarios.dynamics.field import HarmonicField
 from scenarios.dynamics.harmonics import Harmonics
-from scenarios.dynamics.propagation import Pushes, propagate
+from scenarios.dynamics.propagation import PiecewiseAcceleration, propagate
 from scenarios.orbits.world import OrbitWorld
 from scenarios.spec.orbit import ArcSpec
 
@@ -37,7 +37,7 @@ def state_at_epoch(arc: ArcSpec, gm_m3_s2: float) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Flown:
+class TrueOrbit:
     """True states, inertial axes, at the times of images, of the wanted orbit and of radiometric records.
 
     Parameters
@@ -56,7 +56,7 @@ class Flown:
     radio_states: FloatArray
 
 
-def fly(world: OrbitWorld, times_s: FloatArray, seed: int, trial: int) -> Flown:
+def propagate_truth(world: OrbitWorld, times_s: FloatArray, seed: int, trial: int) -> TrueOrbit:
     """Follow the true orbit of a trial, with images at ``times_s``, ascending.
 
     Raises
@@ -76,10 +76,10 @@ def fly(world: OrbitWorld, times_s: FloatArray, seed: int, trial: int) -> Flown:
         field.acceleration, field.harmonics.radius_m, state_at_epoch(arc, world.spec.asteroid.gm_m3_s2), every, pushes
     )[place]
     parts = np.split(states, [len(times_s), len(times_s) + len(wanted)])
-    return Flown(times_s, wanted, radio, parts[0], parts[1], parts[2])
+    return TrueOrbit(times_s, wanted, radio, parts[0], parts[1], parts[2])
 
 
-def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[HarmonicField, Pushes]:
+def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[HarmonicField, PiecewiseAcceleration]:
     """Gravity with its anomalies, and what nothing models: a Gauss-Markov process, held over quarters of its time."""
     rng = generator(seed, Stream.ORBIT_FORCES, trial)
     harmonics, arc, light = world.asteroid.harmonics, world.spec.arc, world.spec.light
@@ -91,7 +91,7 @@ def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[HarmonicFiel
     end = (arc.days + arc.predicted_days) * DAY_S
     sigma = light.noise_share * float(np.linalg.norm(world.light_m_s2))
     if sigma == 0.0:
-        return field, Pushes.none(end)
+        return field, PiecewiseAcceleration.none(end)
     step = light.noise_days * DAY_S / _PUSHES_A_TIME
     pieces = int(np.ceil(end / step))
     kept = np.exp(-1.0 / _PUSHES_A_TIME)
@@ -100,4 +100,4 @@ def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[HarmonicFiel
     for p in range(pieces):
         push[p] = sigma * now
         now = kept * now + np.sqrt(1.0 - kept**2) * rng.normal(size=3)
-    return field, Pushes(step * np.arange(pieces + 1, dtype=np.float64), push)
+    return field, PiecewiseAcceleration(step * np.arange(pieces + 1, dtype=np.float64), push)

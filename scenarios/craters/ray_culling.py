@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.bodies.topology import tangent_axes
-from scenarios.craters.kernels import Layout, kernel, number_tile, room_for_tile
+from scenarios.craters.kernels import TileLayout, kernel, number_tile, tile_buffer
 from scenarios.craters.surface import CrateredSurface
 from scenarios.geometry import View
 
@@ -27,7 +27,7 @@ _DEPTH_SLACK = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fan:
+class RayProjection:
     """A plane on which each ray of a bundle is one point, and each facet that it may meet lies about that point.
 
     With the point goes how far along the third axis the ray begins: it meets nothing before that.
@@ -47,12 +47,12 @@ class Fan:
     pencil: bool
 
     @classmethod
-    def of_view(cls, view: View) -> Fan:
+    def of_view(cls, view: View) -> RayProjection:
         """Lines of sight of a camera, whatever its lens."""
         return cls(view.T_cam_body.rotation, view.T_cam_body.camera_position_m, True)
 
     @classmethod
-    def of_parallel(cls, direction: FloatArray) -> Fan:
+    def of_parallel(cls, direction: FloatArray) -> RayProjection:
         """Rays along one unit direction (3,)."""
         return cls(np.concatenate([*tangent_axes(direction[None], np.zeros(1)), direction[None]]), np.zeros(3), False)
 
@@ -68,7 +68,7 @@ class Fan:
         return np.asarray((points_m - self.origin_m) @ self.axes.T, dtype=np.float64)
 
 
-def facets_met(ground: CrateredSurface, tiles: IndexArray, fan: Fan, rays: FloatArray) -> SingleArray:
+def candidate_facets(ground: CrateredSurface, tiles: IndexArray, fan: RayProjection, rays: FloatArray) -> SingleArray:
     """Find the facets of some tiles that rays (N, 3) of a fan may meet: their corners (F, 3, 3).
 
     None is left out that a tracer of single precision could find. A ray that is not a number meets nothing.
@@ -145,10 +145,10 @@ def _find_met(
     pencil: bool,
     slack_m: tuple[float, float],
     cells: _Cells,
-    layout: Layout,
+    layout: TileLayout,
 ) -> int:
     """Write the vertices of the facets that rays may meet, and return how many they are."""
-    count, ids = 0, room_for_tile(layout)
+    count, ids = 0, tile_buffer(layout)
     # On the plane, how far along its normal, and how wide the slack is there; negative behind the camera.
     u, v, depth_m, slack = np.empty(ids.shape), np.empty(ids.shape), np.empty(ids.shape), np.empty(ids.shape)
     low = cells.low
