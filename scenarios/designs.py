@@ -1,4 +1,4 @@
-"""The scenarios of a grid: which levels of its axes are combined."""
+"""Experimental designs: the combinations of axis levels that a campaign's grid runs."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class GridCell:
     Parameters
     ----------
     suffix
-        What its name adds to that of the scenario that it varies; '' for the reference of ``one-at-a-time``.
+        Suffix added to the name of the varied scenario; '' for the reference of ``one-at-a-time``.
     levels
         Level of each axis, by name.
     overrides
-        What each of the levels overrides, in the order of the axes.
+        Overrides of each level, in the order of the axes.
     """
 
     suffix: str
@@ -33,7 +33,7 @@ class GridCell:
 
 @dataclass(frozen=True, slots=True)
 class GridVariation:
-    """Where a scenario of a grid comes from: the scenario that it varies, and its level of each axis."""
+    """Origin of a scenario of a grid: the scenario that it varies, and its level of each axis."""
 
     base: str
     levels: Mapping[str, str]
@@ -59,8 +59,8 @@ def grid_cells(grid: GridSpec) -> tuple[GridCell, ...]:
 def two_level_runs(factors: int) -> tuple[tuple[bool, ...], ...]:
     """Return the runs of a two-level design of resolution IV: whether each factor is at its high level.
 
-    A Hadamard matrix of order 2^m, at least the number of factors, folded over: its rows and their opposites. Main
-    effects are orthogonal to each other and to the products of two factors. The first run has all factors low.
+    The rows of a Hadamard matrix of order 2^m, at least the number of factors, and their negatives (fold-over). Main
+    effects are orthogonal to each other and to two-factor interactions. The first run has all factors low.
     """
     order = 1
     while order < factors:

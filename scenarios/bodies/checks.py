@@ -1,4 +1,4 @@
-"""What a shape must be before anything is rendered from it: closed, outward, in metres, about its origin."""
+"""Validate and repair shapes: closed meshes with outward facets, in metres, with the origin inside."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ METRES = {"m": 1.0, "km": 1000.0}
 def checked_mesh(
     shape: RawShape, where: Path, unit: str, expected_diameter_m: tuple[float, float]
 ) -> tuple[TriangleMesh, tuple[str, ...]]:
-    """Turn the numbers of a file into a sound mesh in metres.
+    """Convert the vertices and faces of a file to a valid mesh in metres.
 
-    Mended, with a note: vertices that no face uses, coincident vertices of an open mesh, facets with a repeated
-    vertex, a closed mesh that is inside out as a whole. Everything else that is wrong is refused.
+    Repaired, with a note: vertices that no face uses, coincident vertices of an open mesh, facets with a repeated
+    vertex, a closed mesh whose facets all face inward. Any other defect raises an error.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def checked_mesh(
 
     Returns
     -------
-    The mesh, and one note for each thing that was mended or is worth knowing.
+    The mesh, and one note for each repair or remarkable property.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def _check_origin(mesh: TriangleMesh, where: Path) -> None:
 
 
 def winding_number(mesh: TriangleMesh, point_m: FloatArray) -> float:
-    """How often a closed mesh wraps a point: 1 inside, 0 outside.
+    """Compute the winding number of a closed mesh about a point: 1 inside, 0 outside.
 
     The sum of the facets' signed solid angles over 4 pi (van Oosterom and Strackee 1983, equation 8).
     """

@@ -1,4 +1,4 @@
-"""Bodies that come with the package, made from formulas."""
+"""Built-in bodies, generated from formulas: spheres, a contact binary and an Eros-like body."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from scenarios.geometry import TriangleMesh
 __all__ = ["EMBEDDED", "apophis_sphere", "contact_binary", "eros_like", "sphere"]
 
 EMBEDDED_VERSION = 1
-"""Part of every embedded body's key: raise it when a formula gives another mesh."""
+"""Part of the digest of every built-in body: increase it when a formula gives another mesh."""
 
 _BOX_M = np.array([560.0, 305.0, 243.0])
 _GRID = 32
@@ -35,11 +35,11 @@ _STEPS = 4000
 
 
 def eros_like() -> TriangleMesh:
-    """Make a body of 34 x 17 x 12 km with even facets about 350 m wide.
+    """Make a body of 34 x 17 x 12 km with facets of similar size, about 350 m wide.
 
-    Rings of even points about a long axis that is bent like a banana are joined to a net, whose poles are the ends; a
-    saddle is pressed into the hollow side, as Himeros is on Eros, lumps are added, always the same, and the whole is
-    scaled to the box. The origin is the centre of volume.
+    Rings of evenly spaced points about a bent long axis are joined by triangles. A saddle is subtracted on the concave
+    side, as Himeros on Eros, a fractal height field with a fixed seed is added, and the mesh is scaled to the box. The
+    origin is the centre of volume.
     """
     along, radius = _rings()
     points, faces = _net(along, radius)
@@ -50,7 +50,7 @@ def eros_like() -> TriangleMesh:
 
 
 def _rings() -> tuple[FloatArray, FloatArray]:
-    """Places (R,) along the axis and radii (R,) of rings a row of even triangles apart, from end to end."""
+    """Positions (R,) along the axis and radii (R,) of rings, spaced by the height of an equilateral triangle."""
     half = 0.5 * _EROS_BOX_M[0]
     t = np.linspace(0.0, np.pi, _STEPS)
     x, r = -half * np.cos(t), 0.5 * _EROS_BOX_M[2] * np.sin(t) ** 0.8 * (1.0 - 0.12 * np.cos(t))
@@ -61,7 +61,7 @@ def _rings() -> tuple[FloatArray, FloatArray]:
 
 
 def _net(along: FloatArray, radius: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """Points (V, 3) and faces (F, 3) of rings joined to each other, with a point at each end."""
+    """Points (V, 3) and faces (F, 3) of the mesh that joins the rings, with one point at each end."""
     counts = np.maximum(np.rint(2.0 * np.pi * radius / _EDGE_M).astype(int), 5)
     counts[[0, -1]] = 1
     start = np.concatenate([[0], np.cumsum(counts)])
@@ -74,7 +74,7 @@ def _net(along: FloatArray, radius: FloatArray) -> tuple[FloatArray, IndexArray]
 
 
 def _ring(x: float, radius: float, count: int, shift: float) -> FloatArray:
-    """Points (count, 3) of a ring about the bent axis, from the azimuth of ``shift`` steps."""
+    """Points (count, 3) of a ring about the bent axis, starting at the azimuth of ``shift`` steps."""
     azimuth = 2.0 * np.pi * (np.arange(count) + shift) / count
     share = x / (0.5 * _EROS_BOX_M[0])
     bend_m = 0.25 * _EROS_BOX_M[1] * (share**2 - 0.5)
@@ -95,7 +95,7 @@ def _ring(x: float, radius: float, count: int, shift: float) -> FloatArray:
 
 
 def _band(n: int, m: int, first: int, second: int, shift: float, next_shift: float) -> IndexArray:
-    """Faces between two rings of n and m points, by going round both and taking the nearer step."""
+    """Faces between two rings of n and m points; each next triangle advances on the ring whose next azimuth is smaller."""
     faces, i, j = [], 0, 0
     while i < (n if n > 1 else 0) or j < (m if m > 1 else 0):
         next_i, next_j = (i + 1 + shift) / n, (j + 1 + next_shift) / m
@@ -110,7 +110,7 @@ def _band(n: int, m: int, first: int, second: int, shift: float, next_shift: flo
 
 
 def icosphere(rounds: int, radius_m: float) -> TriangleMesh:
-    """Make a sphere of 20 * 4**rounds facets: an icosahedron whose edges are halved so often."""
+    """Make a sphere of 20 * 4**rounds facets by subdividing an icosahedron ``rounds`` times."""
     # Imported here: trimesh takes a tenth of the start-up, and most runs find their body in the cache.
     import trimesh
 
@@ -140,7 +140,7 @@ class _Lobe:
         return distance_m
 
 
-# A long body and a smaller head that leans against it, as on (25143) Itokawa, with shoulders that break the symmetry.
+# A long body and a smaller head in contact with it, as on (25143) Itokawa; the other lobes break the symmetry.
 _LOBES = (
     _Lobe((-70.0, 0.0, 0.0), (190.0, 135.0, 112.0), yaw_deg=6.0, pitch_deg=4.0),
     _Lobe((190.0, 40.0, 10.0), (98.0, 98.0, 86.0), yaw_deg=-25.0),
@@ -149,7 +149,7 @@ _LOBES = (
     _Lobe((225.0, -5.0, -20.0), (60.0, 65.0, 60.0)),
 )
 _BLEND_M = 25.0
-# Every ray from here leaves the union once: the shape is a graph over directions.
+# The union is star-shaped about this point, so that bisection along each ray finds the only crossing.
 _NECK_M = np.array([90.0, 15.0, 0.0])
 
 
@@ -172,7 +172,7 @@ def _on_surface(directions: FloatArray) -> FloatArray:
 
 
 def _cube_mesh(q: int) -> tuple[FloatArray, IndexArray]:
-    """Directions (6 q**2 + 2, 3) and faces (12 q**2, 3) of a cube blown up to a unit sphere."""
+    """Directions (6 q**2 + 2, 3) and faces (12 q**2, 3) of a cube grid projected to the unit sphere."""
     first, group = weld_seams(q)
     directions = unit(np.tan(np.pi / 4.0 * (2.0 * cube_lattice(q)[first] / q - 1.0)))
     quads = group[cube_quads(q)]
@@ -182,9 +182,8 @@ def _cube_mesh(q: int) -> tuple[FloatArray, IndexArray]:
 def contact_binary() -> TriangleMesh:
     """Make an Itokawa-like body of 560 x 305 x 243 m: two lobes with a concave neck, 12,288 facets.
 
-    An ellipsoid of even triangles is stretched, along rays from the neck, to the smooth union of a few
-    ellipsoids; then it gets lumps and hollows, always the same, and is scaled to the box. The origin is the
-    centre of volume.
+    A cube grid is projected, along rays from the neck, to the smooth union of a few ellipsoids; then a fractal
+    height field with a fixed seed is added and the mesh is scaled to the box. The origin is the centre of volume.
     """
     directions, faces = _cube_mesh(_GRID)
     points_m = _on_surface(unit(directions * _BOX_M))

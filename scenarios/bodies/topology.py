@@ -1,4 +1,4 @@
-"""Vertex and edge bookkeeping of triangle meshes, as whole-array operations."""
+"""Vertices, edges and normals of triangle meshes, as whole-array operations."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class MeshEdges:
 
 
 def directed_edge_keys(faces: IntArray) -> tuple[IndexArray, IndexArray]:
-    """One number for each half-edge (F * 3,), in its own direction and in the opposite one."""
+    """Return one integer key for each half-edge (F * 3,), in its own direction and in the opposite one."""
     start = faces.astype(np.int64)
     end = np.roll(start, -1, axis=1)
     stride = int(start.max()) + 1
@@ -37,7 +37,7 @@ def directed_edge_keys(faces: IntArray) -> tuple[IndexArray, IndexArray]:
 
 
 def find_edges(faces: IntArray) -> MeshEdges:
-    """Give each undirected edge of a mesh its number."""
+    """Number the undirected edges of a mesh."""
     forward, backward = directed_edge_keys(faces)
     key, of_face = np.unique(np.minimum(forward, backward), return_inverse=True)
     stride = int(faces.max()) + 1
@@ -51,7 +51,7 @@ def is_closed(faces: IntArray) -> bool:
 
 
 def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """(V, 3) unit normals at the vertices: mean of the faces around, weighted by their area."""
+    """(V, 3) unit normals at the vertices: means of the adjacent faces' normals, weighted by area."""
     corner = vertices[faces[:, 0]]
     area = np.cross(vertices[faces[:, 1]] - corner, vertices[faces[:, 2]] - corner)
     return unit(sum_at_vertices(faces, area, len(vertices)))
@@ -72,7 +72,7 @@ def unit(vectors: FloatArray) -> FloatArray:
 
 
 def tangent_axes(up: FloatArray, angle_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two unit vectors (N, 3) across ``up`` (N, 3) and each other, turned by the angles (N,) about it."""
+    """Two unit vectors (N, 3) perpendicular to ``up`` (N, 3) and to each other, rotated by angles (N,) about it."""
     helper = np.zeros_like(up)
     np.put_along_axis(helper, np.abs(up).argmin(axis=1)[:, None], 1.0, axis=1)
     first = unit(np.cross(up, helper))

@@ -1,4 +1,4 @@
-"""Craters whose every one is known: a population, its relief on a smooth body, and the truth of it in an image."""
+"""Cratered surfaces with a known population: relief on a smooth body, and the true craters of an image."""
 
 from scenarios.craters.population import Craters, draw_craters
 from scenarios.craters.rims import Rims

@@ -1,4 +1,4 @@
-"""Two looks at one place of a body: where the cameras and the Sun stand, and what is detected."""
+"""Pairs of views of one place of a body under different geometry, with simulated crater detections."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ FloatArray = NDArray[np.float64]
 
 _MOST_DRAWS = 2000
 LIMITS_DEG = (60.0, 20.0, 75.0)
-"""Largest emission, least and largest incidence at which a crater is detected."""
+"""Maximum emission, minimum and maximum incidence at which a crater is detected."""
 
-_SECOND_DEG = (55.0, 15.0, 70.0)  # the same of the place that both look at
+_SECOND_DEG = (55.0, 15.0, 70.0)  # the same limits for the common target
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CraterView:
-    """One of the two looks: the true view, what is detected in it, and what the spacecraft knows."""
+    """One of the two views: the true view, its detections, and the frame with a priori knowledge."""
 
     view: View
     detections: LabelledDetections
@@ -44,7 +44,7 @@ class CraterView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CraterPair:
-    """Two looks, and how far they differ, deg."""
+    """Two views, and the angles between their camera directions and Sun directions, deg."""
 
     first: CraterView
     second: CraterView
@@ -53,7 +53,7 @@ class CraterPair:
 
 
 def draw_plane_craters(ground: MeshGround, spec: PlaneCratersSpec) -> PlaneCraters:
-    """Draw the craters of a body: the same for the same seed."""
+    """Draw the craters of a body from the seed of its spec."""
     radii = (0.5 * spec.min_diameter_m, 0.5 * spec.max_diameter_m)
     return sample_plane_craters(ground, spec.count, radii, spec.exponent, np.random.default_rng(spec.seed))
 
@@ -71,12 +71,12 @@ def draw_pair(
     Raises
     ------
     BoresightError
-        If no two looks as different as asked for have their place in the light.
+        If no two views with the required angles have a lit and visible target.
     """
     views, angles = draw_views(spec, camera, ground, generator(address[0], Stream.TRUTH, address[1]))
     noise, priors = (generator(address[0], stream, address[1]) for stream in (Stream.LANDMARKS, Stream.POSE_ERROR))
     errors = DetectionErrors(**spec.errors.model_dump())
-    real = raise_craters(craters, errors.height_m, noise)  # one height in both looks
+    real = raise_craters(craters, errors.height_m, noise)  # the same height errors in both views
     looks = []
     for number, view in enumerate(views):
         visible = in_view(craters, ground, view, LIMITS_DEG)
@@ -87,7 +87,7 @@ def draw_pair(
 
 
 def turn_direction(direction: FloatArray, angle_rad: float, azimuth_rad: float) -> FloatArray:
-    """Turn a unit vector (3,) by an angle, towards an azimuth about it."""
+    """Rotate a unit vector (3,) by an angle towards an azimuth about it."""
     first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
     first /= np.linalg.norm(first)
     across = np.cos(azimuth_rad) * first + np.sin(azimuth_rad) * np.cross(direction, first)
@@ -97,7 +97,7 @@ def turn_direction(direction: FloatArray, angle_rad: float, azimuth_rad: float) 
 def draw_views(
     spec: CraterPairsSpec, camera: Camera, ground: MeshGround, rng: np.random.Generator
 ) -> tuple[tuple[View, View], tuple[float, float]]:
-    """Draw places and directions until both looks have the place in sight and in the light."""
+    """Draw targets and directions until the target is visible and lit in both views."""
     angles = (float(spec.view_deg.draw(rng)), float(spec.sun_deg.draw(rng)))
     for _ in range(_MOST_DRAWS):
         points, normals = ground.sample(1, rng)
@@ -130,7 +130,7 @@ def _look(camera: Camera, position_m: FloatArray, aim_m: FloatArray, sun: FloatA
 def observed_frame(
     view: View, image: NDArray[np.float32], pose_error: PoseErrorSpec, rng: np.random.Generator, time_s: float
 ) -> Frame:
-    """Make what the spacecraft knows of a look: the image, the Sun in the camera and a degraded pose."""
+    """Make the frame of a view: image, Sun direction in camera axes and degraded prior pose."""
     true, camera = view.T_cam_body, view.camera
     range_m = float(np.linalg.norm(true.translation_m))
     return Frame(

@@ -1,4 +1,4 @@
-"""The relief of a cratered surface: craters from the oldest to the youngest, and roughness."""
+"""Relief of a cratered surface: crater profiles applied from the oldest to the youngest, and roughness."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _BISECTIONS = 50
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profiles:
-    """Heights of craters, in diameters, over r, the distance from the centre in radii.
+    """Crater profiles: height, in diameters, over the distance r from the centre, in radii.
 
     A paraboloid b(r) = k - (1 - r^2) and a blanket e(r) = k sqrt(1.5 / (0.5 + r^6)), which falls as r^-3 (McGetchin,
     Settle and Head 1973, Earth Planet. Sci. Lett. 20, 226), meet in a crest rounded over a width w,
@@ -62,7 +62,7 @@ class Profiles:
     def of(
         cls, degradation: FloatArray, depth_ratio: FloatArray, rim_ratio: float, fresh_depth_ratio: float
     ) -> Profiles:
-        """Shape craters of degradations (n,), 0 to 1, and depths (n,) over diameter."""
+        """Make profiles of degradations (n,), 0 to 1, and depths (n,) over diameter."""
         rim = rim_ratio / fresh_depth_ratio * (1.0 - (1.0 - _OLD_RIM) * degradation)
         rounding = _FRESH_ROUNDING + (_OLD_ROUNDING - _FRESH_ROUNDING) * degradation
         stretch = _crest(rim, rounding)
@@ -84,7 +84,7 @@ def _rounded(rim: FloatArray, rounding: FloatArray, r: FloatArray) -> FloatArray
 
 
 def _crest(rim: FloatArray, rounding: FloatArray) -> FloatArray:
-    """Bisect for the r > 0 where the derivative of s changes its sign."""
+    """Find the maximum of s at r > 0 by bisection of its derivative."""
     low, high = np.full_like(rim, 0.5), np.full_like(rim, 2.5)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
@@ -106,10 +106,10 @@ def crater_relief(
 ) -> FloatArray:
     """Heights (N,) along ``up`` after all impacts, over the smooth surface.
 
-    A crater replaces what was within its rim and adds to what was outside, as in the model of Howard (2007,
-    Geomorphology 91, 332) with the inheritance growing from 0, within half the radius, to 1 at the rim. What replaces
-    is its bowl below the least-squares plane of the old surface about the rim; so depths hold on slopes and on the
-    curved body too, and the crest lies on the old ground. Distances r are chords.
+    A crater replaces the old relief within its rim and is added to it outside, as in the model of Howard (2007,
+    Geomorphology 91, 332) with an inheritance that grows from 0, within half the radius, to 1 at the rim. The new bowl
+    is measured from the least-squares plane of the old surface about the rim, so that depths are right on slopes and
+    on the curved body. Distances r are chords.
     """
     heights = np.zeros(len(points_m))
     profiles = Profiles.of(craters.degradation, craters.depth_ratio, spec.rim_ratio, spec.depth_ratio[1])

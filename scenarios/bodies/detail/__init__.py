@@ -1,4 +1,4 @@
-"""The detail stage: a smooth refinement of a coarse shape, with boulders, craters, roughness and albedo on it."""
+"""Surface detail: refine a coarse shape smoothly and add boulders, craters, roughness and albedo variation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scenarios.spec.body import AlbedoSpec, DetailSpec
 __all__ = ["DETAIL_VERSION", "add_detail"]
 
 DETAIL_VERSION = 1
-"""Part of every detailed body's key: raise it when the same spec gives another mesh."""
+"""Part of the digest of every detailed body: increase it when the same spec gives another mesh."""
 
 _MAX_SMOOTHING_ROUNDS = 100
 _ALBEDO_HURST = 0.5
@@ -27,20 +27,20 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
     """Refine a closed mesh and displace its vertices; the same seed gives the same body, bit for bit.
 
     The refined surface is Loop's, fitted so that it passes through the coarse vertices (see
-    `interpolating_control`). Vertices then move along one direction each, the coarse surface's normal smoothed
-    over twice the height of the relief, by the sum of boulders, craters and roughness. Being a height field, the
-    relief has no overhangs. Features smaller than two edges of the refined mesh are left out.
+    `interpolating_control`). Each vertex is then displaced along one direction, the coarse surface's normal smoothed
+    over twice the height of the relief, by the sum of boulders, craters and roughness. The relief is a height field
+    and has no overhangs. Features smaller than two edges of the refined mesh are left out.
 
     Parameters
     ----------
     mesh
         The coarse shape, closed and outward.
     spec
-        What to add.
+        Features to add.
 
     Returns
     -------
-    The detailed mesh, and one note for each kind of feature of which some were left out.
+    The detailed mesh, and one note for each kind of feature of which some are too small for the mesh.
     """
     if mesh.albedo is not None and spec.albedo is not None:
         raise BoresightError("detail.albedo: the shape has an albedo of its own; remove the key")
@@ -74,7 +74,7 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
 
 
 def _redrawn(spec: DetailSpec) -> list[SmallScaleSeed | None]:
-    """Where small boulders, craters and octaves of roughness are drawn from instead; None where they are not."""
+    """Return the seeds of small boulders, craters and octaves of roughness; None where they have no seed of their own."""
     if spec.redrawn is None:
         return [None, None, None]
     return [
@@ -83,7 +83,7 @@ def _redrawn(spec: DetailSpec) -> list[SmallScaleSeed | None]:
 
 
 def _refined(mesh: TriangleMesh, spec: DetailSpec) -> tuple[RefinedSurface, IntArray, FloatArray | None]:
-    """Smooth surface with its directions of displacement, its faces, and the refined albedo where there is one."""
+    """Return the refined surface with its displacement directions, its faces, and the refined albedo or None."""
     coarse_m, coarse_faces = mesh.vertices_m, mesh.faces
     edges = find_edges(coarse_faces)
     coarse_edge_m = float(np.linalg.norm(np.diff(coarse_m[edges.ends], axis=1), axis=-1).mean())

@@ -1,4 +1,4 @@
-"""Boulders and craters as heights over the smooth surface."""
+"""Boulders and craters as height fields over a smooth surface: placement, sizes and profiles."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from scenarios.spec.body import BoulderSpec, CraterSpec
 
 _SIDES = 7
 _TOPS = 3
-_WALL = 0.6  # share of the half-width over which a boulder rises; with height_ratio 0.35 its foot is at 67 deg
-_RIM_WIDTH = 0.4  # in crater radii: a rim rounded by rubble, not a knife edge
+_WALL = 0.6  # share of the half-width over which a boulder rises; with height_ratio 0.35 the slope at its foot is 67 deg
+_RIM_WIDTH = 0.4  # width of the rounded rim, in crater radii
 _CRATER_REACH = 3.0  # the ejecta blanket ends at this many radii
 
 _PAIRS_AT_ONCE = 4_000_000
-# A ball about a feature may reach the other side of a thin place: vertices that face away by more than this stay out.
+# A ball about a feature may include the opposite side of a thin part: vertices whose normal differs by more are excluded.
 _LEAST_FACING = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class RefinedSurface:
-    """The smooth surface that features are put on.
+    """The refined smooth surface that features are added to.
 
     Parameters
     ----------
     points_m
         (V, 3) vertices.
     up
-        (V, 3) unit directions in which vertices are moved.
+        (V, 3) unit vectors along which vertices are displaced.
     edge_m
         Mean length of an edge.
     coarse_m, coarse_faces
-        The surface before refinement: features are placed on it, so that their places do not depend on the
+        The surface before refinement: features are placed on it, so that their positions do not depend on the
         number of facets.
     """
 
@@ -49,7 +49,7 @@ class RefinedSurface:
 
     @property
     def resolution_m(self) -> float:
-        """The smallest thing that the mesh can carry: two edges."""
+        """Smallest feature that the mesh resolves: two edges."""
         return 2.0 * self.edge_m
 
     @cached_property
@@ -58,7 +58,7 @@ class RefinedSurface:
         return cKDTree(self.points_m, balanced_tree=False, compact_nodes=False)
 
     def draw_places(self, count: int, rng: np.random.Generator) -> IndexArray:
-        """Draw vertices, uniformly over the area of the coarse surface."""
+        """Draw vertex indices (count,), uniformly over the area of the coarse surface."""
         corners = self.coarse_m[self.coarse_faces]
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         face = np.searchsorted(np.cumsum(area), rng.uniform(0.0, area.sum(), count))
@@ -69,7 +69,7 @@ class RefinedSurface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureVertices:
-    """Pairs of a feature and a vertex within its reach.
+    """Pairs of a feature and a vertex within its radius of influence.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def power_law_diameters(
 
 
 def find_feature_vertices(ground: RefinedSurface, places: IndexArray, reach_m: FloatArray) -> Iterator[FeatureVertices]:
-    """Find the vertices within ``reach_m`` (N,) of each place (N,), in blocks of bounded size."""
+    """Yield the vertices within ``reach_m`` (N,) of each vertex of ``places`` (N,), in blocks of bounded memory."""
     pairs = np.cumsum(4.0 * (reach_m / ground.edge_m) ** 2 + 1.0)
     block = (pairs / _PAIRS_AT_ONCE).astype(np.int64)
     for features in np.split(np.arange(len(places)), np.flatnonzero(np.diff(block)) + 1):
@@ -108,7 +108,7 @@ def find_feature_vertices(ground: RefinedSurface, places: IndexArray, reach_m: F
 def boulder_heights(
     spec: BoulderSpec, ground: RefinedSurface, seed: np.random.SeedSequence, small: SmallScaleSeed | None = None
 ) -> tuple[FloatArray, int]:
-    """Heights (V,) of angular blocks that stand on the surface; where two overlap the higher one shows.
+    """Heights (V,) of boulders on the surface; where two overlap the maximum counts.
 
     Returns
     -------
@@ -143,7 +143,7 @@ def crater_heights(
 def _scatter(
     spec: BoulderSpec | CraterSpec, ground: RefinedSurface, seed: np.random.SeedSequence, small: SmallScaleSeed | None
 ) -> tuple[IndexArray, FloatArray, int, np.random.Generator]:
-    """Draw places and diameters, largest first, and count those that the mesh can carry."""
+    """Draw positions and diameters, largest first, and count those that the mesh resolves."""
     rng = np.random.default_rng(seed)
     diameters_m, places = _strewn(spec, ground, rng)
     if small is not None:
@@ -171,16 +171,16 @@ def _crater_profile(radii: FloatArray, spec: CraterSpec) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Blocks:
-    """Blocks with a rounded polygonal footprint, steep walls and a top of several tilted planes.
+    """Boulders with a rounded polygonal footprint, steep walls and a top of several tilted planes.
 
     Parameters
     ----------
     axes_per_m
-        (N, 2, 3) two directions across the surface, over the half-widths along them.
+        (N, 2, 3) two tangent unit vectors, divided by the half-widths along them.
     sides
-        (N, 7, 2) outward directions of the footprint's sides over their distances.
+        (N, 7, 2) outward normals of the footprint's sides, divided by their distances from the centre.
     tops
-        (N, 3, 3) planes (constant, slope, slope) over the footprint; the lowest one counts.
+        (N, 3, 3) planes (constant, two slopes) over the footprint; the minimum of the planes is the top.
     height_m
         (N,) height of the block.
     """
@@ -194,7 +194,7 @@ class _Blocks:
         """Height of the block over each pair's vertex."""
         block = patches.feature
         x, y = (np.einsum("ni,ni->n", self.axes_per_m[block, k], patches.offset_m) for k in range(2))
-        # The norm with exponent 8 rounds the polygon's corners; the circle in it bounds the footprint.
+        # An L8 norm of the side distances rounds the polygon's corners; its circular term bounds the footprint.
         norm = (x * x + y * y) ** 4
         for k in range(_SIDES):
             side = np.maximum(self.sides[block, k, 0] * x + self.sides[block, k, 1] * y, 0.0)

@@ -10,7 +10,7 @@ _FIT_ROUNDS = 8
 
 
 def rounds_for(n_faces: int, wanted: int) -> int:
-    """Count the subdivisions, each into four, that give at least ``wanted`` faces."""
+    """Return the number of 1-to-4 subdivisions that give at least ``wanted`` faces."""
     rounds = 0
     while n_faces * 4**rounds < wanted:
         rounds += 1
@@ -20,8 +20,8 @@ def rounds_for(n_faces: int, wanted: int) -> int:
 def refine(vertices: FloatArray, faces: IntArray, rounds: int) -> tuple[FloatArray, IntArray]:
     """Subdivide a closed mesh ``rounds`` times; each face becomes four.
 
-    ``vertices`` (V, k) may carry any quantities beside the position; all are refined alike. The original
-    vertices stay first in the result.
+    ``vertices`` (V, k) may hold further quantities after the position; all are refined alike. The original
+    vertices come first in the result.
     """
     for _ in range(rounds):
         edges = find_edges(faces)
@@ -33,9 +33,9 @@ def refine(vertices: FloatArray, faces: IntArray, rounds: int) -> tuple[FloatArr
 def interpolating_control(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Control points (V, 3) whose Loop surface passes through the given vertices.
 
-    Loop's surface shrinks from its control points, so that a body would lose volume. Adding what the surface
-    is short of, a few times over, brings it back (Chen et al. 2008, "Progressive interpolation using Loop
-    subdivision surfaces").
+    Loop's surface lies inside its control points, so that a body would lose volume. Adding the difference between the
+    vertices and the limit surface converges to interpolation (Chen et al. 2008, "Progressive interpolation using
+    Loop subdivision surfaces").
     """
     edges = find_edges(faces)
     control = vertices
@@ -74,14 +74,14 @@ def _moved(values: FloatArray, edges: MeshEdges) -> FloatArray:
 
 
 def limit(values: FloatArray, edges: MeshEdges) -> FloatArray:
-    """Take the values (V, k) of vertices to what they become after infinitely many subdivisions."""
+    """Return the limits of vertex values (V, k) after infinitely many subdivisions."""
     valence = _valence(edges, len(values))[:, None]
     weight = 1.0 / (0.375 / _beta(valence) + valence)
     return (1.0 - valence * weight) * values + weight * _neighbour_sum(values, edges)
 
 
 def _edge_points(values: FloatArray, faces: IntArray, edges: MeshEdges) -> FloatArray:
-    """3/8 of the two ends of each edge and 1/8 of the two corners opposite to it."""
+    """New vertices: 3/8 of the two ends of each edge and 1/8 of the two corners opposite to it."""
     opposite = np.roll(faces, 1, axis=1).ravel()
     edge = edges.of_face.ravel()
     wings = np.stack([np.bincount(edge, column[opposite], len(edges.ends)) for column in values.T], axis=1)

@@ -1,4 +1,8 @@
-"""Gaskell's implicitly connected quadrilaterals (ICQ), as text."""
+"""Reader of Gaskell's implicitly connected quadrilaterals (ICQ), and the cube grid that they are numbered on.
+
+Six faces of (Q + 1) x (Q + 1) grid points cover a body like the sides of a cube. Points on the seams belong to two
+or three faces; integer lattice positions identify the coincident ones.
+"""
 
 from __future__ import annotations
 
@@ -48,9 +52,9 @@ def weld_seams(q: int) -> tuple[IndexArray, IndexArray]:
 def read_icq(source: ShapeFile) -> RawShape:
     """Read the grid size Q, then 6 (Q + 1)**2 vertices, face by face.
 
-    The seams are welded by the cube's topology: the first of the coincident points stands for all. In real
-    files they differ a little (up to 0.9 m of a 4 m grid on Itokawa), so no exact comparison would close the
-    shape; a gap longer than the edges around it means that the file is not laid out as Gaskell's and is refused.
+    The seams are welded by the cube's topology: the first of the coincident points replaces the others. In real
+    files they differ a little (up to 0.9 m of a 4 m grid on Itokawa), so that comparing coordinates would not close the
+    shape; a gap longer than the median edge shows that the file is not in Gaskell's order and raises an error.
     Each quadrilateral is cut along its shorter diagonal.
     """
     lines = source.lines()

@@ -1,6 +1,6 @@
-"""Plate tables of the Planetary Data System, as text.
+"""Readers of text shapes of the Planetary Data System: plate tables and latitude/longitude/radius grids.
 
-Two layouts exist, both read here:
+Plate tables have two layouts:
 
 - `v`/`f` records (SPICE MKDSK format 3): ``v x y z`` lines, then ``f i j k`` lines;
 - counted tables (MKDSK format 1): the number of vertices, lines ``n x y z``, the number of plates, lines ``n i j k``.
@@ -17,14 +17,14 @@ def read_grid(source: ShapeFile, west: bool) -> RawShape:
     """Read lines ``latitude longitude radius`` (degrees, planetocentric) in any order.
 
     The rows must fill a whole grid from pole to pole. The poles, repeated for each longitude, become one
-    vertex each with the mean radius; a longitude that is there twice (0 and 360) counts once.
+    vertex each with the mean radius; a longitude that occurs twice (0 and 360) counts once.
 
     Parameters
     ----------
     source
         The file.
     west
-        Whether the longitudes grow westward; the product's label tells.
+        Whether longitudes increase westward, as stated in the product's label.
     """
     lines = source.lines()
     table = source.table(lines, source.filled(lines), (0, 1, 2))
@@ -84,8 +84,8 @@ def _faces(n_rings: int, n_lon: int) -> IndexArray:
 def read_plates(source: ShapeFile) -> RawShape:
     """Read a PDS plate table; indices may start at 0 or at 1.
 
-    The `v`/`f` layout looks like an OBJ file but the base of its indices varies between products
-    (1 in 1620geographos.tab, 0 in eros022540.tab): a file that uses index 0 counts from 0.
+    The `v`/`f` layout resembles an OBJ file, but the base of its indices differs between products
+    (1 in 1620geographos.tab, 0 in eros022540.tab): a file that contains index 0 is 0-based.
     """
     lines = source.lines()
     first = lines[source.filled(lines)[0]].split()
