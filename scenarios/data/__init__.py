@@ -16,7 +16,7 @@ DATA_VARIABLE = "BORESIGHT_DATA"
 
 
 def data_folder() -> Path:
-    """Return where data are kept: ``$BORESIGHT_DATA``, or the user's data folder where it is not set."""
+    """Return the data folder: ``$BORESIGHT_DATA``, or the user's data folder if it is not set."""
     data = os.environ.get(DATA_VARIABLE)
     return Path(data).expanduser() if data else Path(platformdirs.user_data_dir("boresight"))
 
@@ -33,7 +33,7 @@ def find_data_file(name: str, search_dirs: Sequence[Path], folder: str, key: str
     folder
         Folder under the data folder to try before the data folder itself.
     key
-        The scenario's key, for the error.
+        The scenario's key, for the error message.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def _find(name: str, search_dirs: Sequence[Path], folder: str, key: str, is_ther
 
 
 def _advice(given: Path, folder: str) -> str:
-    # Imported here: data sets are YAML files, and only a missing file asks for them.
+    # Imported here: the data sets are YAML files that are read only if a file is missing.
     from scenarios.data.datasets import dataset_providing
 
     known = None if given.is_absolute() else dataset_providing([f"{folder}/{given.as_posix()}", given.as_posix()])

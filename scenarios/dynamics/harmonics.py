@@ -1,4 +1,10 @@
-"""Gravity as spherical harmonics: coefficients, and what they are of a body of one density."""
+"""Spherical harmonics of gravity: coefficients, solid harmonics, derivatives, and those of a homogeneous mesh.
+
+The solid harmonics are in Cartesian coordinates (Cunningham 1970) and not normalised. Outside a body they are
+``V_nm + i W_nm = (R / r)^(n+1) P_nm(sin phi) e^(i m lambda)``, after equations (3.29) to (3.33) of Montenbruck and Gill
+(2000), Satellite Orbits. A derivative of a sum of V and W is another such sum of one degree more; `derivative` computes
+its coefficients.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +28,12 @@ HarmonicTable = tuple[FloatArray, FloatArray]
 
 
 def term_count(degree: int) -> int:
-    """Count the pairs (n, m) up to a degree."""
+    """Return the number of pairs (n, m) up to a degree."""
     return (degree + 1) * (degree + 2) // 2
 
 
 def term_index(n: int, m: int) -> int:
-    """Return where the term of degree n and order m stands."""
+    """Return the index of the term of degree n and order m."""
     return n * (n + 1) // 2 + m
 
 
@@ -54,7 +60,7 @@ def solid_harmonics(points: FloatArray, degree: int) -> tuple[FloatArray, FloatA
 
 @kernel
 def outer_harmonics(x: float, y: float, z: float, radius: float, v: FloatArray, w: FloatArray) -> None:
-    """Fill ``v`` and ``w``, (terms,) of any degree, with V and W at a point: equations (3.29) to (3.31)."""
+    """Write V and W at a point to ``v`` and ``w``, (terms,) of any degree: equations (3.29) to (3.31)."""
     squares = x * x + y * y + z * z
     degree = int((np.sqrt(8.0 * len(v) + 1.0) - 3.0) / 2.0 + 0.5)
     a, b, c, rho = radius * x / squares, radius * y / squares, radius * z / squares, radius * radius / squares
@@ -76,7 +82,7 @@ def outer_harmonics(x: float, y: float, z: float, radius: float, v: FloatArray, 
 
 
 def derivative(table: HarmonicTable, axis: int) -> HarmonicTable:
-    """Differentiate a sum of V and W by x, y or z (0, 1, 2), in units of 1 / R: one degree more."""
+    """Differentiate a sum of V and W by x, y or z (0, 1, 2), in units of 1 / R; the degree increases by one."""
     degree = int((np.sqrt(8.0 * len(table[0]) + 1.0) - 3.0) / 2.0 + 0.5)
     c, s = np.zeros((2, term_count(degree + 1)))
     for n in range(degree + 1):
@@ -140,7 +146,7 @@ class Harmonics:
 
     @classmethod
     def point(cls, gm_m3_s2: float, radius_m: float = 1.0) -> Harmonics:
-        """All mass in the origin."""
+        """Make the harmonics of a point mass at the origin."""
         return cls(gm_m3_s2, radius_m, np.ones((1, 1)), np.zeros((1, 1)))
 
     @property
@@ -149,7 +155,7 @@ class Harmonics:
         return len(self.c) - 1
 
     def truncated(self, degree: int) -> Harmonics:
-        """Leave out all above a degree."""
+        """Return the harmonics up to a degree."""
         n = min(degree, self.degree) + 1
         return Harmonics(self.gm_m3_s2, self.radius_m, self.c[:n, :n], self.s[:n, :n])
 
@@ -162,7 +168,7 @@ class Harmonics:
 
 
 def normalisation(degree: int) -> FloatArray:
-    """(terms,) factors ``N``, in the order of `index`: a normalised coefficient is ``N`` times the plain one.
+    """(terms,) factors ``N``, in the order of `index`: a normalised coefficient is ``N`` times the unnormalised one.
 
     ``1 / N^2 = (2 - delta_0m) (2 n + 1) (n - m)! / (n + m)!``.
     """
@@ -176,10 +182,10 @@ def normalisation(degree: int) -> FloatArray:
 
 
 def homogeneous_harmonics(mesh: TriangleMesh, gm_m3_s2: float, degree: int, radius_m: float) -> Harmonics:
-    """Return the harmonics of a closed mesh of one density about the origin of its axes, exact but for rounding.
+    """Return the harmonics of a homogeneous closed mesh about the origin of its axes, exact except for rounding.
 
     A solid harmonic is a homogeneous polynomial of its degree. Over the tetrahedron between the origin and a facet it
-    integrates to ``3 V / (n + 3)`` times its mean over the facet, which a Gauss rule of enough places gives exactly.
+    integrates to ``3 V / (n + 3)`` times its mean over the facet, which a Gauss rule of sufficient order gives exactly.
     """
     corners = mesh.corners_m / radius_m
     volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
@@ -202,8 +208,8 @@ def homogeneous_harmonics(mesh: TriangleMesh, gm_m3_s2: float, degree: int, radi
 
 
 def _triangle_rule(degree: int) -> tuple[FloatArray, FloatArray]:
-    """Weights (K,) of sum 1 and barycentric places (K, 3): a Gauss rule in the square, collapsed to the triangle."""
-    # The square (u, v) is taken to the triangle (u, v (1 - u)), whose area element has 1 - u: one degree more.
+    """Weights (K,) of sum 1 and barycentric nodes (K, 3): a Gauss rule on the square, mapped to the triangle."""
+    # The square (u, v) is mapped to the triangle (u, v (1 - u)); the Jacobian 1 - u requires one degree more in u.
     u, w_u = _unit_rule(degree // 2 + 2)
     v, w_v = _unit_rule(degree // 2 + 1)
     first, second = np.repeat(u, len(v)), np.outer(1.0 - u, v).ravel()
@@ -212,6 +218,6 @@ def _triangle_rule(degree: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _unit_rule(places: int) -> tuple[FloatArray, FloatArray]:
-    """Places and weights of Gauss's rule on [0, 1]."""
+    """Nodes and weights of the Gauss-Legendre rule on [0, 1]."""
     nodes, weights = np.polynomial.legendre.leggauss(places)
     return 0.5 * (nodes + 1.0), 0.5 * weights

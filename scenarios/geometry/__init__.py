@@ -1,6 +1,6 @@
-"""Frames, poses, cameras and meshes: the geometry that every other part shares.
+"""Geometry shared by all packages: frames, poses, cameras, ellipses and meshes.
 
-Conventions, stated once:
+Conventions:
 
 - ``R_cam_body`` / ``T_cam_body`` take body coordinates to camera coordinates.
 - Camera axes: x right, y down, z forward (the boresight).

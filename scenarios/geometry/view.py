@@ -1,4 +1,4 @@
-"""Where a camera stands and where the light comes from."""
+"""A view of a body (camera, pose and Sun), and its lines of sight' intersections with the surface."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from scenarios.geometry.pose import Pose
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceHits:
-    """The first points of the body on N lines of sight.
+    """First intersections of N lines of sight with a body.
 
     Parameters
     ----------
     points_body_m
-        (N, 3) points in the body frame; NaN where the line of sight misses the body.
+        (N, 3) points in the body frame; NaN for lines of sight that miss the body.
     normals_body
-        (N, 3) outward unit normals that the shading uses, in the body frame; NaN where it misses.
+        (N, 3) outward unit normals used for shading, in the body frame; NaN for misses.
     facets
-        (N,) index of the facet; -1 where it misses.
+        (N,) index of the facet; -1 for misses.
     lit
-        (N,) whether the Sun shines on the point; False where it misses.
+        (N,) whether the point is sunlit; False for misses.
     """
 
     points_body_m: NDArray[np.float64]
@@ -35,13 +35,13 @@ class SurfaceHits:
 
     @property
     def hit(self) -> NDArray[np.bool_]:
-        """(N,) whether the line of sight meets the body."""
+        """(N,) whether the line of sight hits the body."""
         return self.facets >= 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One look at a body: camera, pose and Sun.
+    """Camera, pose and direction to the Sun.
 
     Parameters
     ----------
