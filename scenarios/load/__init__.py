@@ -1,6 +1,6 @@
-"""Scenario and campaign files: read, extended, overridden, checked.
+"""Load scenario and campaign files: read, extend, override, validate.
 
-The order is defaults < ``extends`` < file < a campaign's ``set`` < ``--set``. Every fault is a line with its place.
+Precedence: defaults < ``extends`` < file < a campaign's ``set`` < ``--set``. Every error is one line with its location.
 """
 
 from scenarios.load.entry import ConfigEntry

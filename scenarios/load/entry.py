@@ -1,4 +1,4 @@
-"""Values that remember where they were written."""
+"""Configuration values with the file and line of their definition."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _LARGEST_EXACT = 2**53
 
 @dataclass(frozen=True, slots=True)
 class ConfigEntry:
-    """A value with its place, for example ``scenarios/x.yaml:12`` or ``--set camera.fov_deg=20``.
+    """A value with its location, for example ``scenarios/x.yaml:12`` or ``--set camera.fov_deg=20``.
 
     Parameters
     ----------
     value
         A scalar, a mapping of keys to entries, or a sequence of entries.
     place
-        Where the key (or the item) stands.
+        Location of the key (or of the list item).
     """
 
     value: Scalar | Mapping[str, ConfigEntry] | tuple[ConfigEntry, ...]
@@ -32,7 +32,7 @@ class ConfigEntry:
         return self.value if isinstance(self.value, Mapping) else None
 
     def plain(self) -> object:
-        """Return the value without places: dicts, lists and scalars; whole floats (3.1e6) become integers."""
+        """Return the value without locations: dicts, lists and scalars; whole floats (3.1e6) become integers."""
         if isinstance(self.value, Mapping):
             return {key: entry.plain() for key, entry in self.value.items()}
         if isinstance(self.value, tuple):
@@ -43,7 +43,7 @@ class ConfigEntry:
 
 
 def entry_of(value: object, place: str) -> ConfigEntry:
-    """Give every value of a plain structure the same place."""
+    """Convert a plain structure to entries with one common location."""
     if isinstance(value, Mapping):
         return ConfigEntry({str(key): entry_of(item, place) for key, item in value.items()}, place)
     if isinstance(value, Sequence) and not isinstance(value, str):
@@ -59,12 +59,12 @@ def nested(keys: Iterable[str], entry: ConfigEntry) -> ConfigEntry:
 
 
 def describe(entry: ConfigEntry) -> str:
-    """Write a value as YAML would in one line, shortened where it is long."""
+    """Return a value as one line of YAML, shortened if long."""
     return shortened(_inline(entry))
 
 
 def shortened(text: str) -> str:
-    """Cut a printable text to at most 60 characters."""
+    """Return a printable text of at most 60 characters."""
     text = printable(text)
     return text if len(text) <= 60 else text[:57] + "..."
 

@@ -1,4 +1,4 @@
-"""Scenario and campaign files to validated specifications."""
+"""Load scenario and campaign files as validated specifications."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Spec = TypeVar("Spec", bound=SpecModel)
 
 @dataclass(frozen=True, slots=True)
 class LoadedScenario:
-    """A scenario, the file that it came from, and the folders where its data may lie."""
+    """A scenario, its file, and the folders that are searched for its data."""
 
     spec: ScenarioSpec
     path: Path
@@ -36,7 +36,7 @@ class LoadedScenario:
 
 @dataclass(frozen=True, slots=True)
 class LoadedCampaign:
-    """A campaign, its file, and its overrides of every scenario with their places."""
+    """A campaign, its file, and its overrides of every scenario with their locations."""
 
     spec: CampaignSpec
     path: Path
@@ -45,7 +45,7 @@ class LoadedCampaign:
 
 @dataclass(frozen=True, slots=True)
 class _File:
-    """A file laid on what it extends; ``folders`` holds its own folder first, then those of its parents."""
+    """A file merged over those that it extends; ``folders`` are its own folder, then those of its parents."""
 
     root: ConfigEntry
     folders: tuple[Path, ...]
@@ -71,13 +71,13 @@ def load_scenario(
     name_or_path
         A name of the catalogue or the path of a YAML file.
     overrides
-        Texts ``key.key=value``, as on the command line, or such as are parsed already.
+        Texts ``key.key=value``, as on the command line, or parsed entries.
     base
-        Overrides that a campaign puts on its scenarios; keys may be dotted.
+        Overrides by a campaign of its scenarios; keys may be dotted.
     levels
         Overrides of the levels of a campaign's grid; keys may be dotted.
     near
-        Folder that a relative path starts from.
+        Base folder of a relative path.
 
     Raises
     ------
@@ -94,14 +94,14 @@ def load_scenario(
 
 
 def _without_nulls(root: ConfigEntry) -> ConfigEntry:
-    """Let ``section: null`` take a section back to its default, whatever the file builds on said."""
+    """Remove keys with null, so that ``section: null`` restores the default of an inherited section."""
     section = root.section or {}
     kept = {key: entry for key, entry in section.items() if entry.value is not None}
     return ConfigEntry(kept, root.place)
 
 
 def load_campaign(name_or_path: str, catalog: Path, overrides: Sequence[str] = ()) -> LoadedCampaign:
-    """Read a campaign; ``overrides`` are of its own keys, for example ``trials=20``.
+    """Read a campaign; ``overrides`` change its own keys, for example ``trials=20``.
 
     Raises
     ------
@@ -134,19 +134,19 @@ def _completed(model: type[SpecModel], plain: object) -> object:
 
 
 def file_kind(path: Path, known: Sequence[str] = ()) -> Literal["scenario", "campaign"]:
-    """Tell a campaign file from a scenario file by its keys.
+    """Return whether a file is a scenario or a campaign, by its keys.
 
     Parameters
     ----------
     path
         The file.
     known
-        Names that the user may have meant, besides the scenarios of the catalogue.
+        Further names for the suggestion in the error, besides the scenarios of the catalogue.
 
     Raises
     ------
     BoresightError
-        If the file cannot be read; where there is none, the line suggests a near name.
+        If the file cannot be read; if it does not exist, the message suggests a similar name.
     """
     if not exists(path):
         near = difflib.get_close_matches(path.name, [*known, *scenario_names()], n=1)
@@ -158,7 +158,7 @@ def file_kind(path: Path, known: Sequence[str] = ()) -> Literal["scenario", "cam
 
 
 def _read_chain(path: Path, catalog: Path, model: type[SpecModel], children: tuple[Path, ...] = ()) -> _File:
-    """Read a file and lay it on those that it extends, the first one at the bottom."""
+    """Read a file and merge it over those that it extends; later parents override earlier ones."""
     resolved = path.resolve()
     own = read(path)
     section = dict(own.section or {})

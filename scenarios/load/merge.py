@@ -16,17 +16,17 @@ Plain = dict[str, Any]
 
 
 def on_defaults(models: Models, given: Mapping[str, Any]) -> Plain:
-    """Lay the sections of a plain mapping on those that its model's fields have by default, at every depth.
+    """Merge the sections of a plain mapping over the defaults of its model's fields, at every depth.
 
-    ``craters: {roughness: {rms_m: 8}}`` keeps the other keys of the roughness that craters have by default, which need
-    not be those that the model of roughness has by itself.
+    ``craters: {roughness: {rms_m: 8}}`` keeps the other keys of the default roughness of craters, which may
+    differ from the defaults of the roughness model itself.
 
     Parameters
     ----------
     models
-        The models that the mapping may be of; the one that its ``kind`` or its keys say is taken.
+        Candidate models of the mapping; its ``kind`` or its keys select one.
     given
-        What a file, ``--set`` or a campaign says.
+        Values of a file, ``--set`` or a campaign.
     """
     model = _meant(models, given)
     if model is None:
@@ -43,7 +43,7 @@ def on_defaults(models: Models, given: Mapping[str, Any]) -> Plain:
 
 
 def _meant(models: Models, given: Mapping[str, Any]) -> type[SpecModel] | None:
-    """Return the model that a mapping is of; None where none or several fit."""
+    """Return the model of a mapping; None if none or several fit."""
     fitting = [model for model in models if not given or set(given) & set(model.model_fields)]
     if "kind" in given:
         fitting = [model for model in fitting if _admits(model, given["kind"])]
@@ -56,7 +56,7 @@ def _admits(model: type[SpecModel], kind: object) -> bool:
 
 
 def _laid_on(default: SpecModel, given: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Complete a section by the keys that its default states; another kind or form replaces the default whole."""
+    """Complete a section by the keys of its default; another kind or form replaces the whole default."""
     fields, kind = type(default).model_fields, getattr(default, "kind", None)
     if (given and not set(given) & set(fields)) or given.get("kind", kind) != kind:
         return given
@@ -72,12 +72,12 @@ def _laid_on(default: SpecModel, given: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def parse_override(text: str, place: str = "") -> ConfigEntry:
-    """Parse ``key.key=value``, whose value is YAML; ``place`` is what errors name, ``--set`` and the text unless given.
+    """Parse ``key.key=value`` with a YAML value; ``place`` is the location for errors, by default ``--set`` and the text.
 
     Raises
     ------
     BoresightError
-        If it is not of that form.
+        If it does not have that form.
     """
     place = place or f"--set {printable(text)}"
     dotted, equals, value = text.partition("=")
@@ -96,14 +96,14 @@ def settings(value: ConfigEntry | Mapping[str, object], models: Models) -> Confi
 
 
 def apply(base: ConfigEntry, layers: list[ConfigEntry], models: Models) -> ConfigEntry:
-    """Lay each layer on the ones before it, keeping the place of the first."""
+    """Merge layers in order over ``base``, keeping its location."""
     for layer in layers:
         base = ConfigEntry(merge(base, layer, models).value, base.place)
     return base
 
 
 def submodels(annotation: object) -> Models:
-    """Return the models that a field's annotation admits, through unions and Annotated but not through lists."""
+    """Return the models that a field's annotation allows, through unions and Annotated but not through lists."""
     if isinstance(annotation, type) and issubclass(annotation, SpecModel):
         return (annotation,)
     origin = get_origin(annotation)
@@ -113,26 +113,25 @@ def submodels(annotation: object) -> Models:
 
 
 def field_models(models: Models, key: str) -> Models:
-    """Return the models that ``key`` admits in any of ``models``."""
+    """Return the models that ``key`` allows in any of ``models``."""
     fields = [model.model_fields[key] for model in models if key in model.model_fields]
     return tuple(model for field in fields for model in submodels(field.annotation))
 
 
 def merge(base: ConfigEntry, over: ConfigEntry, models: Models) -> ConfigEntry:
-    """Lay ``over`` on ``base``.
+    """Merge ``over`` into ``base``.
 
-    Mappings merge key by key, lists and scalars replace. Where ``over`` says something else altogether,
-    nothing stale stays behind:
+    Mappings are merged key by key; lists and scalars are replaced. Two rules remove keys that no longer apply:
 
-    - a section whose ``kind`` changes, or that picks another form of a distribution, replaces the whole;
-    - a key of a group of alternatives (``focal_px`` for ``fov_deg``) displaces the others of its group.
+    - a section with another ``kind``, or another form of a distribution, replaces the whole section;
+    - a key of a group of alternatives (``focal_px`` for ``fov_deg``) removes the others of its group.
 
     Parameters
     ----------
     base, over
         Two entries for the same key.
     models
-        The models that this key admits; empty where the schema says nothing.
+        The models that this key allows; empty if the schema does not define any.
     """
     if base.section is None or over.section is None or _is_other_form(base, over, models):
         return over

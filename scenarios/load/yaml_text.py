@@ -26,8 +26,8 @@ from scenarios.load.entry import ConfigEntry, Scalar
 MAX_VALUES = 20_000
 MAX_DEPTH = 40
 
-# What the parser raises beside its own: a version that it does not know ("%YAML 1.9") is an assertion of it, an escape
-# beyond Unicode ("\\U00110000") chr()'s own error.
+# Exceptions of the parser other than YAMLError: an unknown version ("%YAML 1.9") is an AssertionError, an escape beyond
+# Unicode ("\\U00110000") an error of chr().
 _FAULTS = (ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
 
 # The tag resolution of YAML 1.2's core schema, section 10.3.2.
@@ -41,19 +41,19 @@ _INFINITY = re.compile(r"[-+]?\.(inf|Inf|INF)")
 _NAN = frozenset({".nan", ".NaN", ".NAN"})
 
 
-# Scenarios extend each other, so that a campaign reads the same text several times, and a list of campaigns many.
+# Scenarios extend each other, so that the same text is parsed many times.
 @lru_cache(maxsize=512)
 def parse_yaml(text: str, source: str, *, place: str | None = None) -> ConfigEntry:
-    """Parse one YAML document; the same text gives the same entries, which nobody changes.
+    """Parse one YAML document; results are cached and immutable.
 
     Parameters
     ----------
     text
         The document.
     source
-        Name of the file, for places and errors.
+        Name of the file, for locations and errors.
     place
-        One place for every value, in place of ``source:line``.
+        One location for all values, instead of ``source:line``.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def parse_yaml(text: str, source: str, *, place: str | None = None) -> ConfigEnt
 
 
 def _events_of(text: str) -> Iterator[Any]:
-    """Parse a text, and let what else the parser raises for a wrong one be errors of YAML."""
+    """Yield the parser's events; convert its other exceptions to YAMLError."""
     try:
         yield from YAML(typ="safe", pure=True).parse(text)
     except _FAULTS as error:
@@ -84,7 +84,7 @@ def _invalid(place: str, what: object) -> BoresightError:
 
 
 def resolve_scalar(text: str) -> Scalar:
-    """Read a plain scalar by the core schema: null, bool, int, float or else a text."""
+    """Convert a plain scalar by the core schema: null, bool, int, float or text."""
     if text in _NULL:
         return None
     if text in _BOOL:
@@ -101,7 +101,7 @@ def resolve_scalar(text: str) -> Scalar:
 
 
 class _Builder:
-    """Builds entries from the parser's events; the alias of an anchor shares its entry."""
+    """Builder of entries from the parser's events; an alias shares the entry of its anchor."""
 
     def __init__(self, text: str, source: str, place: str | None) -> None:
         self._events = _events_of(text)
