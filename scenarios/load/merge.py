@@ -1,4 +1,4 @@
-"""One file on top of another: mappings merge, anything else replaces."""
+"""Merge configuration entries: files over files, overrides over files, sections over defaults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Draws a trial of orbit determination: the true motion, what is measured, and what is known before."""
+"""Simulate a trial of orbit determination: true orbit, sightings, radiometry and a priori knowledge."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ BoolArray = NDArray[np.bool_]
 
 
 def draw_knowledge(world: OrbitWorld, state: FloatArray, seed: int, trial: int) -> Knowledge:
-    """Draw how wrong is what is known before; ``state`` (6,) is the true one at the epoch."""
+    """Draw the a priori knowledge with its errors; ``state`` (6,) is the true one at the epoch."""
     rng, spec, known = generator(seed, Stream.ORBIT_KNOWLEDGE, trial), world.spec, world.spec.knowledge
     rate = np.sqrt(spec.asteroid.gm_m3_s2 / spec.arc.semi_major_axis_m**3)
     ways = rng.normal(size=(2, 3))
@@ -54,9 +54,9 @@ def draw_knowledge(world: OrbitWorld, state: FloatArray, seed: int, trial: int) 
 
 
 def _believed_rotation(world: OrbitWorld, rng: np.random.Generator) -> UniformRotation:
-    """Draw how the body is believed to turn: its axis and its rate wrong, of which nothing tells the estimator.
+    """Draw the onboard spin model, with errors of pole and rate that are not in the a priori covariance.
 
-    The phase at the epoch is right: it and the landmarks' longitudes are one unknown by two names.
+    The phase at the epoch has no error: it is equivalent to a common shift of the landmarks' longitudes.
     """
     known, true = world.spec.knowledge, world.rotation
     if not known.pole_sigma_deg and not known.spin_sigma:
@@ -68,7 +68,7 @@ def _believed_rotation(world: OrbitWorld, rng: np.random.Generator) -> UniformRo
 
 
 def draw_radiometry(world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) -> Radiometry | None:
-    """Measure range and Doppler along the flown orbit; None where the scenario has no radiometric data."""
+    """Simulate range and Doppler along the true orbit; None if the scenario has no radiometric data."""
     spec = world.spec.radiometry
     if spec is None:
         return None
@@ -76,7 +76,7 @@ def draw_radiometry(world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) 
     earth = np.array(world.spec.light.earth_dir) / np.linalg.norm(world.spec.light.earth_dir)
     n = len(flown.radio_s)
     bias = spec.range_bias_sigma_m * rng.normal()
-    # The station is on the Earth's side: the nearer the spacecraft is to it, the shorter the range.
+    # A displacement towards the Earth shortens the range.
     ranges = -flown.radio_states[:, :3] @ earth + bias + spec.range_sigma_m * rng.normal(size=n)
     rates = -flown.radio_states[:, 3:] @ earth + spec.range_rate_sigma_m_s * rng.normal(size=n)
     return Radiometry(
@@ -86,7 +86,7 @@ def draw_radiometry(world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrbitTruth:
-    """What only the score sees.
+    """True values of a trial, for scoring only.
 
     Parameters
     ----------
@@ -95,9 +95,9 @@ class OrbitTruth:
     image_states
         (I, 6) at the images.
     crater
-        (K,) of each sighting: the crater that it is of.
+        (K,) true crater of each sighting.
     wrong
-        (K,) sightings that carry the number of another crater, merged ones aside.
+        (K,) whether a sighting has the number of another crater, except for merged numbers.
     points_body_m
         (n, 3) of all craters.
     gm_m3_s2, light_m_s2
@@ -143,7 +143,7 @@ def draw_orbit(world: OrbitWorld, seed: int, trial: int) -> tuple[OrbitTruth, Or
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pointing:
-    """Where the camera looked, as reported and in truth, and with what focal length."""
+    """Reported and true attitudes of the images, the true camera, and the visible craters of each image."""
 
     reported: FloatArray
     true: FloatArray
@@ -152,7 +152,7 @@ class _Pointing:
 
     @classmethod
     def of(cls, world: OrbitWorld, flown: TrueOrbit, seed: int, trial: int) -> _Pointing:
-        """Point each image at a crater that is lit and seen, drawn at random, and at the origin where none is."""
+        """Point each image at a random lit and visible crater, or at the origin if there is none."""
         rng, images = generator(seed, Stream.ORBIT_POINTING, trial), len(flown.times_s)
         errors = PointingErrors.draw(world, images, rng)
         aims = rng.uniform(size=images)
@@ -168,7 +168,7 @@ class _Pointing:
 
 
 def _looking(state: FloatArray, target_m: FloatArray) -> FloatArray:
-    """R_cam_inertial of a camera that looks at a target, its x axis along the velocity as far as that goes."""
+    """R_cam_inertial with the boresight on a target and the x axis along the transverse velocity."""
     forward = target_m - state[:3]
     forward = forward / np.linalg.norm(forward)
     right = state[3:] - (state[3:] @ forward) * forward
@@ -179,7 +179,7 @@ def _looking(state: FloatArray, target_m: FloatArray) -> FloatArray:
 def _pictures(
     world: OrbitWorld, flown: TrueOrbit, pointing: _Pointing, seed: int, trial: int
 ) -> tuple[Pictures, IndexArray, BoolArray]:
-    """Find craters in the images and number them: also the true crater of each sighting, and which are wrong."""
+    """Simulate the numbered sightings; also return the true crater of each, and which numbers are wrong."""
     rng, spec, asteroid = generator(seed, Stream.ORBIT_SIGHTINGS, trial), world.spec.sightings, world.asteroid
     numbers = merged_numbers(asteroid.horizons.points_m, spec.merged_share, rng)
     turns = world.rotation.at(flown.times_s)
@@ -201,7 +201,7 @@ def _pictures(
 
 
 def _landmarks(world: OrbitWorld, knowledge: Knowledge, pictures: Pictures) -> LandmarkFile:
-    """Place each number where the line of sight of its first image meets the a priori shape, by the a priori orbit."""
+    """Compute a priori positions: first lines of sight by the a priori orbit, intersected with the a priori shape."""
     numbers, first = np.unique(pictures.landmark, return_index=True)
     image = pictures.image[first]
     used, place = np.unique(image, return_inverse=True)

@@ -1,4 +1,4 @@
-"""Planned images as they are taken: from the true orbit, with a camera that is not quite as it is reported."""
+"""True views of planned images: true orbit, pointing errors, misalignment and focal length error."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointingErrors:
-    """Errors of a trial's images.
+    """Pointing and camera errors of a trial's images.
 
     Parameters
     ----------
     R_true_reported
-        (I, 3, 3) from the camera's axes as they are reported to those that it has.
+        (I, 3, 3) rotation from the reported to the true camera axes.
     camera
-        The true one.
+        The true camera.
     """
 
     R_true_reported: FloatArray
@@ -35,7 +35,7 @@ class PointingErrors:
 
     @classmethod
     def draw(cls, world: OrbitWorld, images: int, rng: np.random.Generator) -> PointingErrors:
-        """Draw the mounting's error and the focal length once, the attitude's error for each image."""
+        """Draw one misalignment and one focal length, and an attitude error for each image."""
         spec, known = world.spec.pointing, world.camera
         mounting = 1e-6 * spec.misalignment_urad * rng.normal(size=3)
         shake = 1e-6 * spec.attitude_urad * rng.normal(size=(images, 3))
@@ -48,14 +48,14 @@ class PointingErrors:
 
 
 def imaging_of(world: OrbitWorld) -> ImagingSpec:
-    """Return the section of a world whose images are planned and taken."""
+    """Return the ``imaging`` section; raise `BoresightError` if it is missing."""
     if world.spec.imaging is None:
         raise BoresightError("orbit.imaging: missing, so there are no images to take")
     return world.spec.imaging
 
 
 def epochs_s(world: OrbitWorld) -> FloatArray:
-    """(I,) times at which an image can be taken: even steps over the arc, each in the middle of its part."""
+    """(I,) possible image times: centres of equal intervals of the arc."""
     count = imaging_of(world).epochs
     return (np.arange(count) + 0.5) / count * world.spec.arc.days * DAY_S
 
@@ -67,7 +67,7 @@ def sun_dir_inertial(world: OrbitWorld) -> FloatArray:
 
 
 def control_errors(world: OrbitWorld, images: int, seed: int, trial: int) -> FloatArray:
-    """(I, 3) rotation vectors, camera axes, from the planned pointing to the one that telemetry reports."""
+    """(I, 3) rotation vectors, rad, camera axes, from the planned to the reported pointing."""
     rng = generator(seed, Stream.ORBIT_CONTROL, trial)
     return 1e-6 * imaging_of(world).control_urad * rng.normal(size=(images, 3))
 
@@ -75,7 +75,7 @@ def control_errors(world: OrbitWorld, images: int, seed: int, trial: int) -> Flo
 def true_views(
     world: OrbitWorld, flown: TrueOrbit, R_cam_inertial: FloatArray, seed: int, trial: int
 ) -> tuple[View, ...]:
-    """Give the views of images whose attitude (I, 3, 3) telemetry reports, in the axes that the shape came with."""
+    """Return the true views of images with reported attitudes (I, 3, 3), in the axes of the shape model."""
     errors = PointingErrors.draw(world, len(flown.times_s), generator(seed, Stream.ORBIT_POINTING, trial))
     sun, turns = sun_dir_inertial(world), world.rotation.at(flown.times_s)
     attitudes = errors.R_true_reported @ R_cam_inertial

@@ -1,4 +1,4 @@
-"""Which craters an image shows, where, and under which number."""
+"""Simulated crater sightings: visibility by local horizons, detection, and wrong or merged numbers."""
 
 from __future__ import annotations
 
@@ -20,19 +20,18 @@ _AT_ONCE = 64
 
 @dataclass(frozen=True, eq=False)
 class Horizons:
-    """Elevation of the ground around places, by azimuth.
+    """Local horizons of surface points: elevation of the surrounding terrain by azimuth.
 
-    A line from a place to a camera or to the Sun, both farther off than any ground, is free where it is above the
-    horizon.
+    A line to a distant camera or to the Sun is unobstructed if it is above the horizon.
 
     Parameters
     ----------
     points_m, normals
-        (n, 3) places and outward unit normals.
+        (n, 3) points and outward unit normals.
     first, second
-        (n, 3) unit vectors across the normals: azimuth 0 and 90 deg.
+        (n, 3) tangent unit vectors: azimuth 0 and 90 deg.
     tangents
-        (n, bins) tangent of the elevation of the highest ground at the azimuths (k + 1/2) 360 deg / bins.
+        (n, bins) tangent of the horizon's elevation at the azimuths (k + 1/2) 360 deg / bins.
     """
 
     points_m: FloatArray
@@ -43,7 +42,7 @@ class Horizons:
 
     @classmethod
     def of(cls, mesh: TriangleMesh, points_m: FloatArray, normals: FloatArray) -> Horizons:
-        """Look around from each place at the corners and middles of all facets and edges."""
+        """Compute the horizons from the vertices, facet centres and edge midpoints of a mesh."""
         first, second = plane_axes(normals)
         corners = mesh.corners_m
         middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
@@ -56,7 +55,7 @@ class Horizons:
         return cls(points_m, normals, first, second, tangents)
 
     def free(self, rows: NDArray[np.int64], towards: FloatArray) -> BoolArray:
-        """(k,): whether lines from the places ``rows`` in directions (k, 3) are free of ground."""
+        """(k,) whether lines from the points ``rows`` in directions (k, 3) are unobstructed."""
         x = np.einsum("ki,ki->k", self.first[rows], towards)
         y = np.einsum("ki,ki->k", self.second[rows], towards)
         z = np.einsum("ki,ki->k", self.normals[rows], towards)
@@ -69,7 +68,7 @@ class Horizons:
 
 
 def _around(offsets: FloatArray, axes: FloatArray, spacing: float) -> FloatArray:
-    """(bins,) tangents of the horizon; ground nearer than two spacings is the place itself."""
+    """(bins,) tangents of the horizon; terrain nearer than two point spacings is ignored."""
     up = offsets @ axes[2]
     offsets, up = offsets[up > 0.0], up[up > 0.0]
     x, y = offsets @ axes[0], offsets @ axes[1]
@@ -88,7 +87,7 @@ def _around(offsets: FloatArray, axes: FloatArray, spacing: float) -> FloatArray
 def lit_and_seen(
     horizons: Horizons, camera_position_m: FloatArray, sun_dir: FloatArray, spec: CraterSightingSpec
 ) -> IndexArray:
-    """Rows of the craters within the limits of emission and incidence that nothing hides or shades; body axes."""
+    """Indices of the visible, sunlit craters within the limits of emission and incidence; body axes."""
     towards = camera_position_m - horizons.points_m
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     emission = np.einsum("ni,ni->n", horizons.normals, towards)
@@ -103,7 +102,7 @@ def lit_and_seen(
 def draw_found_craters(
     rows: IndexArray, prominence: FloatArray, spec: CraterSightingSpec, rng: np.random.Generator
 ) -> IndexArray:
-    """Draw which of the craters in view are found: places in ``rows``, in ascending order."""
+    """Draw which of the craters in view are detected: positions in ``rows``, ascending."""
     mean = spec.per_image * rng.gamma(spec.per_image_shape) / spec.per_image_shape
     count = min(int(rng.poisson(mean)), len(rows))
     if not count:
@@ -113,7 +112,7 @@ def draw_found_craters(
 
 
 def merged_numbers(points_m: FloatArray, share: float, rng: np.random.Generator) -> IndexArray:
-    """(n,) number of each crater: its own, but for a share of them that carry the number of their neighbour as well."""
+    """(n,) number of each crater; a share of the craters have the number of their nearest neighbour."""
     numbers = np.arange(len(points_m))
     free = np.ones(len(points_m), dtype=bool)
     wanted = round(share * len(points_m))
@@ -134,16 +133,17 @@ def merged_numbers(points_m: FloatArray, share: float, rng: np.random.Generator)
 def misidentify(
     numbers: IndexArray, chosen: IndexArray, uv_px: FloatArray, spec: CraterSightingSpec, rng: np.random.Generator
 ) -> tuple[IndexArray, BoolArray]:
-    """Numbers under which found craters are reported, and which of them are wrong.
+    """Return the reported numbers of detected craters, and which of them are wrong.
 
     Parameters
     ----------
     numbers
-        (n,) right numbers of the craters in view.
+        (n,) correct numbers of the craters in view.
     chosen
-        (k,) those of them that were found.
+        (k,) indices of the detected ones.
     uv_px
-        (n, 2) of all of them: a wrong number is that of another crater in view, the nearer the likelier.
+        (n, 2) pixels of all of them; a wrong number is that of another crater in view, weighted by a Gaussian of the
+        distance.
     """
     wrong = rng.uniform(size=len(chosen)) < spec.wrong_share
     reported = numbers[chosen].copy()

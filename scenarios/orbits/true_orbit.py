@@ -1,4 +1,4 @@
-"""The true motion of a trial: forces with what nothing models, and the states at all times that are asked for."""
+"""True orbit of a trial: forces with unmodelled accelerations, and the states at all requested times."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ANOMALOUS = (2, 3)
 
 
 def state_at_epoch(arc: ArcSpec, gm_m3_s2: float) -> FloatArray:
-    """(6,) position, m, and velocity, m/s, inertial axes."""
+    """(6,) position, m, and velocity, m/s, inertial axes, from Keplerian elements."""
     a, e, mean = arc.semi_major_axis_m, arc.eccentricity, np.radians(arc.anomaly_deg % 360.0)
     eccentric = float(brentq(lambda x: x - e * np.sin(x) - mean, -1.0, 2.0 * np.pi + 1.0, xtol=1e-14))
     root, c, s = np.sqrt(1.0 - e * e), np.cos(eccentric), np.sin(eccentric)
@@ -57,7 +57,7 @@ class TrueOrbit:
 
 
 def propagate_truth(world: OrbitWorld, times_s: FloatArray, seed: int, trial: int) -> TrueOrbit:
-    """Follow the true orbit of a trial, with images at ``times_s``, ascending.
+    """Propagate the true orbit of a trial, with images at ``times_s``, ascending.
 
     Raises
     ------
@@ -80,7 +80,10 @@ def propagate_truth(world: OrbitWorld, times_s: FloatArray, seed: int, trial: in
 
 
 def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[HarmonicField, PiecewiseAcceleration]:
-    """Gravity with its anomalies, and what nothing models: a Gauss-Markov process, held over quarters of its time."""
+    """Return gravity with anomalies, and the unmodelled acceleration: a Gauss-Markov process.
+
+    The process is held constant over quarters of its correlation time.
+    """
     rng = generator(seed, Stream.ORBIT_FORCES, trial)
     harmonics, arc, light = world.asteroid.harmonics, world.spec.arc, world.spec.light
     c, s = harmonics.c.copy(), harmonics.s.copy()

@@ -1,4 +1,4 @@
-"""Sequences: an orbit, the ground below it, and what a vision layer tracks of it."""
+"""Simulated image sequences: camera trajectory, landmark surface, tracks and onboard knowledge."""
 
 from scenarios.dynamics.propagation import OrbitLostError
 from scenarios.sequences.draw import SequenceTruth, draw_sequence

@@ -1,4 +1,4 @@
-"""A trial of a sequence: the truth, and what the spacecraft measures of it."""
+"""Simulate a trial of a sequence: the truth, and the measured tracks."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceTruth:
-    """What is true of a sequence; it never reaches an estimator.
+    """True values of a sequence, for scoring only.
 
     Parameters
     ----------
     poses
         T_cam_body of each frame.
     anomaly_deg
-        (F,) anomaly gone through since the first frame.
+        (F,) anomaly since the first frame.
     points_m
         (T, 3) landmark of each track, body frame.
     wrong
-        For each frame, (n,) which of its tracks were seen at a wrong place.
+        For each frame, (n,) which of its tracks are outliers.
     trajectory
         Motion of camera and body in inertial space.
     gm_m3_s2
@@ -62,8 +62,8 @@ def draw_sequence(
 ) -> tuple[SequenceTruth, TrackSequence]:
     """Draw the truth of a trial and the measured sequence, from streams by address.
 
-    Landmarks, noise, motion errors and wrong matches have streams of their own, so that what is changed of one of
-    them leaves the others as they were.
+    Landmarks, noise, motion errors and wrong matches have separate streams, so that a change of one leaves the
+    draws of the others unchanged.
     """
     trajectory = _path(spec, ground, seed, trial)
     visibility = Visibility(ground, spec.vision.lit_only)
@@ -84,7 +84,7 @@ def draw_sequence(
 
 
 def _path(spec: SequenceSpec, ground: LandmarkGround, seed: int, trial: int) -> CameraTrajectory:
-    """Move along the orbit; one that chance has no part in is worked out once for all trials."""
+    """Return the trajectory; one without random acceleration is computed once for all trials."""
     if spec.orbit.forces.noise_m_s2:
         return camera_trajectory(spec, ground, draw_unmodelled_m_s2(spec.orbit, seed, trial))
     return _undisturbed(spec, ground)
@@ -97,7 +97,7 @@ def _undisturbed(spec: SequenceSpec, ground: LandmarkGround) -> CameraTrajectory
 
 @lru_cache(maxsize=8)
 def _population(spec: SequenceSpec, camera: Camera, ground: LandmarkGround) -> float:
-    """Work out how many tracks the whole ground must have for N in a frame on average, by the undisturbed orbit."""
+    """Return the number of tracks on the whole surface for N in a frame on average, on the nominal orbit."""
     share = Visibility(ground, spec.vision.lit_only).share(_undisturbed(spec, ground).views(camera))
     return spec.vision.landmarks_per_frame / share
 
@@ -105,7 +105,7 @@ def _population(spec: SequenceSpec, camera: Camera, ground: LandmarkGround) -> f
 def _see(
     simulated: SimulatedTracks, poses: Sequence[Pose], camera: Camera, vision: VisionSpec, seed: int, trial: int
 ) -> list[tuple[FrameTracks, BoolArray]]:
-    """Measure the tracks of each frame, and tell, (n,), which of them are at a wrong place."""
+    """Simulate the measurements of each frame; also return, (n,), which tracks are outliers."""
     noise_rng, wrong_rng = generator(seed, Stream.TRACK_NOISE, trial), generator(seed, Stream.MISMATCH, trial)
     seen = []
     older = np.empty(0, dtype=np.int64)
@@ -123,7 +123,7 @@ def _see(
 def _misplace(
     uv_px: FloatArray, tracked: BoolArray, camera: Camera, vision: VisionSpec, rng: np.random.Generator
 ) -> tuple[FloatArray, BoolArray]:
-    """Put some of the tracked points to the nearest other point or anywhere in the image; new ones are right."""
+    """Move some tracked points to the nearest other point or anywhere in the image; new tracks are not changed."""
     luck, anywhere = rng.uniform(size=len(uv_px)), rng.uniform(size=uv_px.shape) * [camera.width_px, camera.height_px]
     mismatched = tracked & (luck < vision.mismatch_share) & (len(uv_px) > 1)
     outlying = tracked & ~mismatched & (luck > 1.0 - vision.outlier_share)

@@ -1,4 +1,4 @@
-"""What the spacecraft knows beside its images: motion, attitude, forces and distances, each as wrong as asked."""
+"""Onboard knowledge of a sequence, with its errors: predicted motion, attitude, forces and ranges."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 _ALL_LATITUDES_RAD = (-0.5 * np.pi, 0.5 * np.pi)
-# What is exact is believed to be this good: weights without bounds are of no use to an estimator.
+# Lower bounds of the stated sigmas of exact data: infinite weights are numerically useless.
 _LEAST_NOISE_PX = 1e-2
 _LEAST_MOTION_ERROR = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameTracks:
-    """What the vision layer gives of a frame: tracks (n,), pixels (n, 2), and the true landmarks (n, 3) m, body axes.
+    """Tracks of a frame: numbers (n,), pixels (n, 2), and the true landmarks (n, 3), m, body axes.
 
-    ``again`` are the pairs (track, older track) that it takes for one landmark.
+    ``again`` are loop closures: pairs (track, older track) identified as the same landmark.
     """
 
     tracks: IndexArray
@@ -45,9 +45,9 @@ def onboard_sequence(
     sightings: Sequence[FrameTracks],
     address: tuple[int, int],
 ) -> TrackSequence:
-    """Put together what the spacecraft knows of a trajectory and its sightings; ``address`` is (seed, trial).
+    """Simulate the onboard data of a trajectory and its sightings; ``address`` is (seed, trial).
 
-    Positions of the camera are known in inertial axes, and turned into the body's as these are known.
+    Camera positions are known in inertial axes and converted to body axes by the onboard rotation model.
     """
     knowledge, (seed, trial) = spec.knowledge, address
     attitudes = onboard_rotation(trajectory, spec, generator(seed, Stream.ROTATION, trial))
@@ -82,16 +82,16 @@ def onboard_sequence(
 
 
 def _known_attitude(pose: Pose, true: FloatArray, known: FloatArray, turn: FloatArray) -> FloatArray:
-    """R_cam_body from the star tracker, wrong by a rotation vector, and the body's attitude as it is known."""
+    """R_cam_body from the star tracker, with a rotation error, and from the onboard attitude of the body."""
     rotation = pose.rotation if np.array_equal(known, true) else pose.rotation @ true @ known.T
     return Rotation.from_rotvec(turn).as_matrix() @ rotation if turn.any() else rotation
 
 
 def onboard_rotation(trajectory: CameraTrajectory, spec: SequenceSpec, rng: np.random.Generator) -> FloatArray:
-    """R_body_inertial, (F, 3, 3), as it follows from an angular velocity that is known with errors.
+    """R_body_inertial, (F, 3, 3), propagated from an angular velocity with errors.
 
-    The first attitude is known: it says what the body's axes are. What is wrong of the pole and the rate grows from
-    there on by the body's own equations.
+    The first attitude is exact, as it defines the body axes. Errors of pole and rate grow from there by the rotational
+    equations of motion.
     """
     motion, knowledge = spec.body_motion, spec.knowledge
     if not knowledge.pole_sigma_deg and not knowledge.spin_sigma:
@@ -104,10 +104,10 @@ def onboard_rotation(trajectory: CameraTrajectory, spec: SequenceSpec, rng: np.r
 
 
 def rotation_sigma_rad(times_s: FloatArray, spec: SequenceSpec) -> FloatArray:
-    """(F,) standard deviation about each axis of the error of a spin, by its own law: the mean over the axes.
+    """(F,) standard deviation of the attitude error of a spinning body about each axis, RMS over the axes.
 
-    About the pole the angle is wrong by its relative error; a tilt of the pole turns the body about an axis across it
-    by 2 tilt |sin(angle / 2)|. Of tumbling this tells the order of magnitude.
+    The error about the pole is the relative rate error times the angle; a tilt of the pole gives a rotation of
+    2 tilt |sin(angle / 2)| about a perpendicular axis. For tumbling this is the order of magnitude only.
     """
     motion, knowledge = spec.body_motion, spec.knowledge
     angle = np.linalg.norm(angular_velocity(motion)) * times_s
@@ -117,7 +117,7 @@ def rotation_sigma_rad(times_s: FloatArray, spec: SequenceSpec) -> FloatArray:
 
 
 def _across(axis: FloatArray) -> FloatArray:
-    """(2, 3) rows at a right angle to an axis and to each other."""
+    """(2, 3) unit vectors perpendicular to an axis and to each other."""
     first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     first /= np.linalg.norm(first)
     second = np.cross(axis, first)
@@ -130,8 +130,8 @@ def predicted_moves(
     """Predict the displacement before each frame, (3,) in body axes, and the covariance of its error, (3, 3).
 
     The error has a random direction and the length lambda |displacement| in inertial space: lambda^2 |d|^2 / 3 on each
-    axis. To it comes how the body turns below the camera, by its ``known`` attitude, (F, 3, 3): at the camera's true
-    place, for which a navigator would put its own, which differs by the angle of a step times its own error.
+    axis. The rotation of the body by its onboard attitude ``known``, (F, 3, 3), is added at the camera's true position;
+    a navigator would use the estimated one, a difference of the rotation per step times the position error.
     """
     moves = [(np.zeros(3), np.zeros((3, 3)))]
     frames = zip(trajectory.positions_m, known, strict=True)
@@ -151,7 +151,7 @@ def _later_ranges(
     knowledge: SequenceKnowledgeSpec,
     rng: np.random.Generator,
 ) -> list[tuple[TrackRange, ...]]:
-    """Measure distances in the frames after the first, where that is asked for."""
+    """Simulate ranges in the frames after the first, every ``range_every``-th one."""
     every = knowledge.range_every
     return [
         measured_ranges(sightings[i:], trajectory.poses[i], camera, knowledge, rng) if every and i % every == 0 else ()
@@ -166,9 +166,9 @@ def measured_ranges(
     knowledge: SequenceKnowledgeSpec,
     rng: np.random.Generator,
 ) -> tuple[TrackRange, ...]:
-    """Measure the distances of some landmarks of the first of the sightings.
+    """Simulate ranges to some landmarks of the first of the sightings.
 
-    The later sightings choose them with ``range_to: lasting`` alone, which no spacecraft can do.
+    The later sightings are used only to select landmarks with ``range_to: lasting``, which is not possible on board.
     """
     here = sightings[0]
     off_axis = np.linalg.norm(here.uv_px - [camera.cx_px, camera.cy_px], axis=1)
@@ -184,7 +184,7 @@ def measured_ranges(
 
 
 def onboard_forces(trajectory: CameraTrajectory, spec: SequenceSpec, rng: np.random.Generator) -> Forces | None:
-    """Return what the spacecraft knows of the forces; None where it knows nothing of them."""
+    """Return the onboard force model with its errors; None if there is none."""
     knowledge, orbit = spec.knowledge, spec.orbit
     if not knowledge.dynamics:
         return None

@@ -1,4 +1,4 @@
-"""Which landmarks are tracked in which frame: births, survival and death of tracks."""
+"""Simulation of landmark tracks: birth, survival and death of tracks along a trajectory."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _MOST_ROUNDS = 1000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedTracks:
-    """Landmarks and their tracks.
+    """Simulated landmarks and their tracks.
 
     Parameters
     ----------
     points_m
         (T, 3) true landmark of every track, body frame.
     landmarks
-        (T,) its number; tracks of one number are of one landmark.
+        (T,) landmark number of every track.
     seen
-        The tracks of every frame, ascending.
+        Track numbers of every frame, ascending.
     """
 
     points_m: FloatArray
@@ -46,7 +46,7 @@ def simulate_tracks(
     total: float,
     rng: np.random.Generator,
 ) -> SimulatedTracks:
-    """Let tracks be born and die along the frames, ``total`` on the whole ground if all of it were in view."""
+    """Simulate tracks along the frames; ``total`` is the expected number if the whole surface were in view."""
     simulate = _renewed_tracks if vision.field == "renewed" else _fixed_field_tracks
     return simulate(vision, visibility, views, total, rng)
 
@@ -58,13 +58,12 @@ def _renewed_tracks(
     total: float,
     rng: np.random.Generator,
 ) -> SimulatedTracks:
-    """Draw a new landmark for every track: the field is renewed.
+    """Simulate a renewed field: every track has a new landmark.
 
     A track that is visible in the next frame continues with probability ``k^(change / step)``, the change being the
-    angle at the body's origin between the two camera positions; one that is not visible is dead for good. A visible
-    place is occupied anew with the probability that it has no live track: 1 where it was not visible before, else
-    1 - k. With ``count: average`` the live tracks of each frame are then a Poisson field of one density over all that
-    is visible.
+    angle at the body's origin between the two camera positions; one that is not visible ends. A visible place gets a
+    new track with the probability that it has none: 1 if it was not visible before, else 1 - k. With
+    ``count: average`` the tracks of each frame are then a Poisson field of constant density over the visible surface.
     """
     points, normals = np.empty((0, 3)), np.empty((0, 3))
     alive = np.empty(0, dtype=np.int64)
@@ -87,11 +86,11 @@ def _fixed_field_tracks(
     total: float,
     rng: np.random.Generator,
 ) -> SimulatedTracks:
-    """Draw the landmarks once for all: one whose track is lost can be found again later, as another track.
+    """Simulate a fixed field: a landmark whose track is lost can be tracked again later, as another track.
 
     A landmark in view is tracked or not, a Markov chain of two states: a track continues with the repeatability k, and
-    one that is not tracked is found with the probability (1 - k) f / (1 - f), so that f, ``tracked_share``, of those in
-    view are tracked at all times. Of the landmarks that come into view, f are found at once.
+    an untracked one is found with the probability (1 - k) f / (1 - f), so that the stationary share of tracked landmarks
+    in view is f, ``tracked_share``. Of the landmarks that come into view, f are tracked at once.
     """
     share = vision.tracked_share
     points, normals = visibility.ground.sample(int(rng.poisson(total / share)), rng)
@@ -116,10 +115,10 @@ def _fixed_field_tracks(
 
 
 def recognise_landmarks(simulated: SimulatedTracks, vision: VisionSpec, rng: np.random.Generator) -> list[IndexArray]:
-    """For each frame, (k, 2): new tracks and the lost ones that the vision layer takes for the same landmark.
+    """Simulate loop closures: for each frame, (k, 2) new tracks and lost ones identified as the same landmark.
 
     A landmark that was tracked before is recognised with the probability ``recognised``, by its last track. With the
-    probability ``mistaken`` a new track is taken for that of the nearest other lost landmark.
+    probability ``mistaken`` a new track is identified with that of the nearest other lost landmark.
     """
     if not vision.recognised and not vision.mistaken:
         return [np.zeros((0, 2), dtype=np.int64) for _ in simulated.seen]
@@ -139,7 +138,7 @@ def recognise_landmarks(simulated: SimulatedTracks, vision: VisionSpec, rng: np.
 def _taken_for(
     track: int, lost: IndexArray, last: Mapping[int, int], simulated: SimulatedTracks, vision: VisionSpec, luck: float
 ) -> tuple[int, int] | None:
-    """Return a new track with the lost one that it is taken for; None if it counts as new."""
+    """Return a new track and the lost one that it is identified with; None if it has none."""
     landmark = int(simulated.landmarks[track])
     others = lost[simulated.landmarks[lost] != landmark]
     if luck < vision.mistaken and len(others):
@@ -159,7 +158,7 @@ def _change_deg(before: Pose, pose: Pose) -> float:
 def _survivors(
     alive: IndexArray, visible: BoolArray, keep: float, vision: VisionSpec, rng: np.random.Generator
 ) -> IndexArray:
-    """Choose the tracks that live on; where chance leaves too few, the luckiest of the visible ones do."""
+    """Choose the surviving tracks; at least ``min_connection`` of the visible ones, those with the smallest draws."""
     luck = np.where(visible, rng.uniform(size=len(alive)), np.inf)
     floor = min(vision.min_connection, int(visible.sum()))
     threshold = np.sort(luck)[floor - 1] if floor else -np.inf
@@ -174,7 +173,7 @@ def _births(
     numbers: tuple[float, int],
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw the points of new tracks and their normals, for frames ``around`` and (population, survivors)."""
+    """Draw points and normals of new tracks; ``around`` are two frames, ``numbers`` (population, survivors)."""
     total, alive = numbers
     if vision.count == "average":
         return _draw_births(visibility, around, keep, int(rng.poisson(total)), rng)

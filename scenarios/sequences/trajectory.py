@@ -1,4 +1,4 @@
-"""Where the camera and the body are at every frame."""
+"""True motion of camera and body in a sequence: circular or propagated orbit, spin or tumbling."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ _TOLERANCE = 1e-12
 
 R_PAPER_CAMERA: FloatArray = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """``x_C = R_PAPER_CAMERA x_cam``: the paper's R_C, z along the boresight, x along the sensor's vertical and y along its
-horizontal. It does not say which way; x down the columns of the image makes y point left."""
+horizontal. The paper does not give their signs; x down the columns of the image makes y point left."""
 
 
 def anomalies_deg(orbit: SequenceOrbitSpec) -> FloatArray:
-    """(F,) anomaly that each frame has gone through since the first."""
+    """(F,) anomaly of each frame since the first."""
     return orbit.step_deg * np.arange(orbit.frames, dtype=np.float64)
 
 
@@ -44,7 +44,7 @@ def frame_times_s(orbit: SequenceOrbitSpec) -> FloatArray:
 def orbit_axes(orbit: SequenceOrbitSpec) -> FloatArray:
     """(3, 3) rows, inertial axes: the direction of zero anomaly, the one 90 deg on, and the orbit's normal.
 
-    Zero anomaly is where the orbit comes nearest the x axis; for a normal along that axis, the y axis.
+    Zero anomaly is the orbit's point nearest to the x axis, or to the y axis if the normal is along x.
     """
     normal = np.asarray(orbit.normal_body, dtype=np.float64)
     normal = normal / np.linalg.norm(normal)
@@ -55,7 +55,7 @@ def orbit_axes(orbit: SequenceOrbitSpec) -> FloatArray:
 
 
 def circular_poses(orbit: SequenceOrbitSpec) -> tuple[Pose, ...]:
-    """T_cam_inertial of each frame of a circular orbit, the camera as in ``pointed``."""
+    """T_cam_inertial of each frame of a circular orbit, the camera as in `nadir_pose`."""
     first, second, normal = orbit_axes(orbit)
     found = []
     for angle in np.radians(orbit.start_deg + anomalies_deg(orbit)):
@@ -87,7 +87,7 @@ def _rate_rad_s(orbit: SequenceOrbitSpec) -> float:
 
 
 def inertial_from_body(points_m: FloatArray, R_body_inertial: FloatArray) -> FloatArray:
-    """Turn points (..., 3) of the body frame R_A into ACRF; ``R_body_inertial`` is (..., 3, 3), m."""
+    """Convert points (..., 3) of the body frame R_A to ACRF; ``R_body_inertial`` is (..., 3, 3), m."""
     return np.asarray(np.einsum("...ji,...j->...i", R_body_inertial, points_m), dtype=np.float64)
 
 
@@ -105,7 +105,7 @@ def angular_velocity(motion: BodyMotionSpec) -> FloatArray:
 
 
 def attitude_function(motion: BodyMotionSpec, rate_rad_s: FloatArray, until_s: float) -> AttitudeFunction:
-    """Return the rotation of the body from its angular velocity at the first frame on.
+    """Return the body's attitude as a function of time, given its angular velocity at the first frame.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def attitude_function(motion: BodyMotionSpec, rate_rad_s: FloatArray, until_s: f
     rate_rad_s
         (3,) angular velocity at the first frame.
     until_s
-        Time that the law is to hold for.
+        End of the time span.
     """
     if motion.kind == "none" or not rate_rad_s.any():
         return lambda times_s: np.tile(np.eye(3), (len(times_s), 1, 1))
@@ -124,7 +124,7 @@ def attitude_function(motion: BodyMotionSpec, rate_rad_s: FloatArray, until_s: f
 
 
 def _tumbling(inertia: FloatArray, rate_rad_s: FloatArray, until_s: float) -> AttitudeFunction:
-    """Integrate Euler's equations and the attitude in units of the first angle per time."""
+    """Integrate Euler's equations and the attitude in units of the initial angular rate."""
     unit = float(np.linalg.norm(rate_rad_s))
 
     def change(_: float, state: FloatArray) -> FloatArray:
@@ -155,7 +155,7 @@ def _quat_rate(quat_xyzw: FloatArray, rate: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraTrajectory:
-    """The true motion of a trial.
+    """True motion of camera and body in a trial.
 
     Parameters
     ----------
@@ -182,20 +182,20 @@ class CameraTrajectory:
     radiation_m_s2: FloatArray
 
     def views(self, camera: Camera) -> tuple[View, ...]:
-        """Return what the camera poses at in each frame."""
+        """Return the views of all frames."""
         suns = self.R_body_inertial @ self.sun_dir
         return tuple(View(camera, pose, sun) for pose, sun in zip(self.poses, suns, strict=True))
 
 
 def camera_trajectory(spec: SequenceSpec, ground: LandmarkGround, unmodelled_m_s2: FloatArray) -> CameraTrajectory:
-    """Move the camera along its orbit over a body that turns.
+    """Compute the camera trajectory over the rotating body.
 
-    ``unmodelled_m_s2``, (F - 1, 3), acts on a propagated orbit alone.
+    ``unmodelled_m_s2``, (F - 1, 3), inertial axes, acts on propagated orbits only.
 
     Raises
     ------
     OrbitLostError
-        If a propagated orbit comes down to the body.
+        If a propagated orbit impacts on the body.
     """
     orbit, times = spec.orbit, frame_times_s(spec.orbit)
     sun_dir = orbit_axes(orbit)[2]
@@ -215,12 +215,12 @@ def camera_trajectory(spec: SequenceSpec, ground: LandmarkGround, unmodelled_m_s
 
 
 def nominal_trajectory(spec: SequenceSpec, ground: LandmarkGround) -> CameraTrajectory:
-    """Move the camera along its orbit without what no model knows."""
+    """Compute the camera trajectory without unmodelled acceleration."""
     return camera_trajectory(spec, ground, np.zeros((spec.orbit.frames - 1, 3)))
 
 
 def draw_unmodelled_m_s2(orbit: SequenceOrbitSpec, seed: int, trial: int) -> FloatArray:
-    """Draw the acceleration that no model knows, (F - 1, 3) m/s2, constant between two frames."""
+    """Draw the unmodelled acceleration, (F - 1, 3) m/s2, constant between two frames."""
     rng = generator(seed, Stream.ACCELERATION, trial)
     return orbit.forces.noise_m_s2 * rng.normal(size=(orbit.frames - 1, 3))
 
@@ -246,5 +246,5 @@ def _acceleration(gravity: Gravity, attitude: AttitudeFunction, radiation_m_s2: 
 
 
 def _to_body_axes(T_cam_inertial: Pose, R_body_inertial: FloatArray) -> Pose:
-    """Take the pose from inertial to body axes, which share their origin."""
+    """Convert T_cam_inertial to T_cam_body; both frames have the same origin."""
     return Pose(T_cam_inertial.rotation @ R_body_inertial.T, T_cam_inertial.translation_m)
