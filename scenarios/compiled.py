@@ -41,7 +41,7 @@ def compiler(*folders: Path) -> Callable[[_Kernel], _Kernel]:
 
 
 def _folder(folders: tuple[Path, ...]) -> Path:
-    """Return a folder keyed by all sources: Numba detects a change of a file, but not of the functions that it calls."""
+    """Return a folder keyed by all sources: Numba detects changes of a file, but not of functions that it calls."""
     sources = sorted(source for folder in folders for source in folder.glob("*.py"))
     content = hashlib.sha256(b"\0".join(source.read_bytes() for source in sources)).hexdigest()
     chosen = os.environ.get("NUMBA_CACHE_DIR")

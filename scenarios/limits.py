@@ -13,7 +13,7 @@ MOST_FOLD = 64
 
 
 def may_unfold(stored_bytes: int, unfolded_bytes: int) -> bool:
-    """Return whether the uncompressed size is plausible for the stored size (protection against decompression bombs)."""
+    """Return whether the uncompressed size is plausible for the stored size (decompression bombs are not)."""
     return unfolded_bytes <= max(_MOST_BYTES, MOST_FOLD * stored_bytes)
 
 

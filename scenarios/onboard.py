@@ -18,7 +18,7 @@ _EQUATOR_RAD = (0.0, 0.0)
 
 
 def onboard_spec(spec: ScenarioSpec) -> ScenarioSpec:
-    """Return the scenario with the onboard model in place of the truth; data bases and onboard shapes are made of it."""
+    """Return the scenario with the onboard model instead of the truth, for data bases and onboard shapes."""
     onboard = spec.onboard
     changes = {
         "body": _believed_body(spec.body, onboard),

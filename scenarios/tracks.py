@@ -36,8 +36,8 @@ class Forces:
     radiation_m_s2, radiation_sigma_m_s2
         (3,) acceleration by solar radiation pressure, and the standard deviation of the error of its size.
     noise_m_s2
-        Standard deviation of each coordinate of the unmodelled acceleration, constant between two frames and independent
-        from one interval to the next.
+        Standard deviation of each coordinate of the unmodelled acceleration, constant between two frames and
+        independent from one interval to the next.
     velocity_m_s, velocity_covariance_m2_s2
         (3,) and (3, 3): velocity at the first frame relative to the body's centre, and the covariance of its error.
     """
@@ -154,8 +154,8 @@ class TrackSequence:
     forces
         A priori force model; None if there is none.
     front_end
-        Produces the frames during the estimation (guided matching); those of ``frames`` have no tracks then. None if all
-        tracks are computed beforehand.
+        Produces the frames during the estimation (guided matching); those of ``frames`` have no tracks then. None if
+        all tracks are computed beforehand.
     """
 
     camera: Camera

@@ -95,7 +95,7 @@ def _ring(x: float, radius: float, count: int, shift: float) -> FloatArray:
 
 
 def _band(n: int, m: int, first: int, second: int, shift: float, next_shift: float) -> IndexArray:
-    """Faces between two rings of n and m points; each next triangle advances on the ring whose next azimuth is smaller."""
+    """Faces between two rings of n and m points; each triangle advances on the ring whose next azimuth is smaller."""
     faces, i, j = [], 0, 0
     while i < (n if n > 1 else 0) or j < (m if m > 1 else 0):
         next_i, next_j = (i + 1 + shift) / n, (j + 1 + next_shift) / m

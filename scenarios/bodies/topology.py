@@ -37,7 +37,7 @@ def directed_edge_keys(faces: IntArray) -> tuple[IndexArray, IndexArray]:
 
 
 def find_edges(faces: IntArray) -> MeshEdges:
-    """Number the undirected edges of a mesh."""
+    """Find the undirected edges of a mesh and number them."""
     forward, backward = directed_edge_keys(faces)
     key, of_face = np.unique(np.minimum(forward, backward), return_inverse=True)
     stride = int(faces.max()) + 1

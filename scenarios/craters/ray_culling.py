@@ -88,7 +88,7 @@ def candidate_facets(ground: CrateredSurface, tiles: IndexArray, fan: RayProject
 
 
 class _Cells(NamedTuple):
-    """Projected rays (N, 3) sorted into the cells of a grid with origin ``low`` (2,), and the first ray of each cell."""
+    """Projected rays (N, 3) sorted into cells of a grid with origin ``low`` (2,), and the first ray of each cell."""
 
     rays: FloatArray
     start: IndexArray

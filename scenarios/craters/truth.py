@@ -48,8 +48,8 @@ class CraterTruth:
     crater
         (n,) number of each in the population.
     ellipses
-        Least-squares ellipses of their projected crests; points removed by younger craters are excluded if at least half
-        remain.
+        Least-squares ellipses of their projected crests; points removed by younger craters are excluded if at
+        least half remain.
     deviation
         (n,) RMS distance of the crest in the image from its ellipse, in radii of the ellipse.
     centre_m

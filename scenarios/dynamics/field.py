@@ -202,8 +202,8 @@ def differentiate(
 ) -> None:
     """Write partial derivatives of the acceleration to ``tide`` (3, 3) and ``by_parameters`` (3, 2 + K).
 
-    ``tide`` is by the position; ``by_parameters`` by the ratio of GM, the factor on solar pressure and the coefficients.
-    ``work`` is (2, terms) of the higher degree of pull and tide.
+    ``tide`` is by the position; ``by_parameters`` by the ratio of GM, the factor on solar pressure and the
+    coefficients. ``work`` is (2, terms) of the higher degree of pull and tide.
     """
     R = body_attitude(field, time)
     x = R[0, 0] * position[0] + R[0, 1] * position[1] + R[0, 2] * position[2]

@@ -37,7 +37,7 @@ class PointMass:
 class Polyhedron:
     """A closed mesh of constant density, after Werner and Scheeres (1997), Celest. Mech. Dyn. Astron. 65, 313.
 
-    Their sums over edges are evaluated facet by facet: an edge's dyad is the sum of the contributions of its two facets,
+    Their sums over edges are evaluated facet by facet: an edge's dyad is the sum of its two facets' terms,
     ``E_e = n_A (m_A)^T + n_B (m_B)^T`` with m the normal of the edge in the plane of the facet, so that
 
     ``a = (G sigma) sum_f n_f [(n_f . r_f) omega_f - sum_(e of f) (m_fe . r_e) L_e]``,

@@ -28,7 +28,7 @@ def fit_conics(points: FloatArray, weights: FloatArray, ridge: float = 1e-12) ->
     weights
         (m, k), zero for entries to be ignored.
     ridge
-        Share of its trace that is added to the scatter matrix of the linear terms, which is singular for collinear points.
+        Share of its trace that is added to the scatter matrix of the linear terms, singular for collinear points.
 
     Returns
     -------

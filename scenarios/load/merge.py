@@ -72,7 +72,7 @@ def _laid_on(default: SpecModel, given: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def parse_override(text: str, place: str = "") -> ConfigEntry:
-    """Parse ``key.key=value`` with a YAML value; ``place`` is the location for errors, by default ``--set`` and the text.
+    """Parse ``key.key=value`` with a YAML value; ``place`` is the location for errors, by default the text.
 
     Raises
     ------

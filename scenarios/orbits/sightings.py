@@ -87,7 +87,7 @@ def _around(offsets: FloatArray, axes: FloatArray, spacing: float) -> FloatArray
 def lit_and_seen(
     horizons: Horizons, camera_position_m: FloatArray, sun_dir: FloatArray, spec: CraterSightingSpec
 ) -> IndexArray:
-    """Indices of the visible, sunlit craters within the limits of emission and incidence; body axes."""
+    """Return the indices of the visible, sunlit craters within the limits of emission and incidence; body axes."""
     towards = camera_position_m - horizons.points_m
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     emission = np.einsum("ni,ni->n", horizons.normals, towards)

@@ -67,7 +67,8 @@ class FacetTree:
         Returns
         -------
         tuple
-            (n,) distances in lengths of the ray, infinite for misses, and (n, 3, 3) corners of the facets, NaN for misses.
+            (n,) distances in lengths of the ray, infinite for misses, and (n, 3, 3) corners of the facets, NaN for
+            misses.
         """
         share = max(1, _PAIRS_AT_ONCE // 256)
         nearest, corners = np.full(len(rays_m), np.inf), np.full((len(rays_m), 3, 3), np.nan)

@@ -89,8 +89,8 @@ def _fixed_field_tracks(
     """Simulate a fixed field: a landmark whose track is lost can be tracked again later, as another track.
 
     A landmark in view is tracked or not, a Markov chain of two states: a track continues with the repeatability k, and
-    an untracked one is found with the probability (1 - k) f / (1 - f), so that the stationary share of tracked landmarks
-    in view is f, ``tracked_share``. Of the landmarks that come into view, f are tracked at once.
+    an untracked one is found with the probability (1 - k) f / (1 - f), so that the stationary share of tracked
+    landmarks in view is f, ``tracked_share``. Of the landmarks that come into view, f are tracked at once.
     """
     share = vision.tracked_share
     points, normals = visibility.ground.sample(int(rng.poisson(total / share)), rng)

@@ -1,4 +1,4 @@
-"""The campaign: scenarios x estimators x trials from one seed."""
+"""Campaign file: scenarios x estimators x trials from one seed, and grids of scenario variations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MOST_SCENARIOS = 1000
 
 
 class AxisSpec(SpecModel):
-    """One thing that is varied: a key of the scenario with its values, or named levels with their overrides."""
+    """One factor: a key of the scenario with its values, or named levels with their overrides."""
 
     alternatives: ClassVar = (("values", "levels"),)
 
@@ -42,7 +42,7 @@ class AxisSpec(SpecModel):
 
     @property
     def overrides(self) -> dict[str, Mapping[str, JsonValue]]:
-        """What each level overrides, by its name; a value's name is the value in six digits."""
+        """Overrides by the name of the level; a value's name is the value in six digits."""
         if self.levels is not None:
             return self.levels
         named = {f"{value:g}".replace("+", ""): value for value in self.values or ()}
@@ -54,7 +54,8 @@ class GridSpec(SpecModel):
 
     ``full`` runs every combination. ``one-at-a-time`` runs the reference, all axes at their first level, and each
     other level of each axis by itself. ``two-level`` runs a fraction of the combinations of the first and the last
-    level of every axis in which no main effect is mixed up with another or with an effect of two axes (resolution IV).
+    level of every axis in which main effects are not confounded with each other or with two-factor interactions
+    (resolution IV).
     """
 
     design: Literal["full", "one-at-a-time", "two-level"] = "full"
@@ -74,10 +75,10 @@ class GridSpec(SpecModel):
 
 
 class EstimatorSpec(SpecModel):
-    """An estimator with its options, under a label of its own in every table.
+    """An estimator with its options and a unique label for tables.
 
     A campaign writes the name alone, ``prior``, or the name with options, ``{landmark-harris: {images: 200}}``.
-    The option ``label`` tells apart two entries of the same estimator; it is the name by default.
+    The option ``label`` distinguishes two entries of the same estimator; it is the name by default.
     """
 
     name: str = Field(pattern=_LABEL)
@@ -86,7 +87,7 @@ class EstimatorSpec(SpecModel):
 
 
 def _read_estimator(value: object) -> EstimatorSpec:
-    """Turn ``name`` or ``{name: {option: value}}`` into an entry."""
+    """Convert ``name`` or ``{name: {option: value}}`` to an `EstimatorSpec`."""
     if isinstance(value, EstimatorSpec):
         return value
     if isinstance(value, str):
@@ -112,7 +113,7 @@ EstimatorEntry = Annotated[
 
 
 class CampaignSpec(SpecModel):
-    """What a campaign file says."""
+    """Content of a campaign file."""
 
     prose: ClassVar = frozenset({"name", "title", "description", "report"})
     own: ClassVar = frozenset({"name", "title", "description"})

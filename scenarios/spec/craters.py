@@ -1,4 +1,4 @@
-"""Craters section: a population whose every member is known, on a surface that is fine where a camera looks."""
+"""Crater sections: known populations on a cratered surface, and pairs of views with crater detections."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class PlaneCratersSpec(SizesSpec):
 
 
 class DetectionErrorSpec(SpecModel):
-    """How a simulated detector errs; standard deviations."""
+    """Error model of a simulated detector; standard deviations."""
 
     centre_px: float = Field(0.35, ge=0, description="Of a coordinate of a rim's centre")
     centre_radii: float = Field(0.04, ge=0, description="Its part that grows with the radius, in radii")
@@ -35,16 +35,16 @@ class DetectionErrorSpec(SpecModel):
 
 
 class RenderedLooksSpec(SpecModel):
-    """Images of the scenario's craters, in which detectors look for them."""
+    """Rendered images of the scenario's craters for crater detectors."""
 
     most_detections: int = Field(20, ge=1, description="Of an image by a detector, the most confident ones")
 
 
 class CraterPairsSpec(SpecModel):
-    """Two looks at one place of the body from one range, with the pose error of the scenario each.
+    """Two views of one place of the body from one range, each with the pose error of the scenario.
 
     Either craters are drawn here and detected by geometry, or images of the scenario's ``craters`` are rendered and
-    each matcher sees what the detector finds that its entry names.
+    each matcher gets the detections of the detector named in its options.
     """
 
     alternatives: ClassVar = (("craters", "images"),)
@@ -71,7 +71,7 @@ class CraterPairsSpec(SpecModel):
 class CratersSpec(SizesSpec):
     """Craters on a smoothed shape; their cumulative number follows N(>D) ~ D**-exponent, the same seed gives the same.
 
-    The defaults lie within what is known of Eros: depth over diameter 0.13 with a spread of 0.03 (Robinson et al. 2002,
+    The defaults are consistent with Eros: depth over diameter 0.13 with a spread of 0.03 (Robinson et al. 2002,
     Meteorit. Planet. Sci. 37, 1651), 0.2 for a fresh simple crater and a rim of 0.036 diameters (Pike 1977, Impact and
     Explosion Cratering, 489).
     """

@@ -1,4 +1,4 @@
-"""The scenario: one world, one camera, one way of being wrong about the pose."""
+"""Scenario file: body, camera, views or orbit, pose errors, sensors and onboard model."""
 
 from __future__ import annotations
 
@@ -22,17 +22,16 @@ _ONBOARD_OF = {
     "orbit": frozenset[str](),
     "crater_pairs": frozenset({"body", "facets", "relief", "height_error"}),
 }
-"""Keys of ``onboard`` that estimators of such scenarios are lent; what else they know is said in those sections."""
+"""Keys of ``onboard`` that apply to such scenarios; their other a priori knowledge is set in those sections."""
 
 NAME_PATTERN = r"^[a-z0-9][a-z0-9._-]*$"
 
 
 class OnboardSpec(SpecModel):
-    """Knowledge on board: what is left out is known as it is.
+    """Onboard model; parts that are left out are identical with the truth.
 
-    Everything that an estimator is lent is made from it: data bases, shapes, renderings, the camera. The image
-    alone comes from the truth. Errors that are drawn are drawn anew in each trial, and nothing tells the
-    spacecraft of them: they are not in the prior's covariance.
+    Data bases, shapes, renderings and the camera of estimators are made from it; only the image comes from the truth.
+    Random errors are drawn in each trial and are not included in the prior's covariance.
     """
 
     brdf: BrdfSpec | None = Field(None, description="Reflectance that the spacecraft believes in")
@@ -58,27 +57,27 @@ class OnboardSpec(SpecModel):
 
 
 class AltimeterSpec(SpecModel):
-    """A laser altimeter along the camera's boresight; its Gaussian error has no part in the prior's."""
+    """A laser altimeter along the camera's boresight; its Gaussian error is independent of the prior's."""
 
     sigma_m: float = Field(gt=0, description="Standard deviation of a range")
 
 
 class SensorsSpec(SpecModel):
-    """Sensors by name; those left out are not aboard."""
+    """Sensors by name; those left out are not on board."""
 
     altimeter: AltimeterSpec | None = Field(None, description="Measures the distance to the surface on the boresight")
 
     @property
     def aboard(self) -> frozenset[str]:
-        """Names of the sensors that are there."""
+        """Names of the sensors on board."""
         return frozenset(name for name in type(self).model_fields if getattr(self, name) is not None)
 
 
 class ScenarioSpec(SpecModel):
-    """What the YAML says. Its digest is part of every result's key.
+    """Content of a scenario file. Its digest is part of every result's key.
 
-    Images are either rendered from a ``viewpoint`` or read from ``images``; a ``sequence`` has tracks in their place,
-    ``crater_pairs`` have detections of craters, and an ``orbit`` has sightings of numbered ones.
+    Images are either rendered from a ``viewpoint`` or read from ``images``. Instead of images, a ``sequence`` gives
+    tracks, ``crater_pairs`` detections of craters, and an ``orbit`` sightings of numbered craters.
     """
 
     alternatives: ClassVar = (("viewpoint", "images", "sequence", "crater_pairs", "orbit"),)
@@ -90,7 +89,7 @@ class ScenarioSpec(SpecModel):
     body: BodySpec = BodySpec()
     craters: CratersSpec | None = Field(
         None,
-        # Left out of digests where it is not given: such a scenario is the same as ever.
+        # Excluded from digests if not given: keeps the digests of scenarios without it.
         exclude_if=lambda craters: craters is None,
         description="Craters that are all known, on a surface that is fine where the camera looks",
     )
@@ -105,7 +104,7 @@ class ScenarioSpec(SpecModel):
     crater_pairs: CraterPairsSpec | None = Field(None, description="Detections in two looks, instead of viewpoint")
     orbit: OrbitSpec | None = Field(
         None,
-        # Left out of digests where it is not given: other scenarios are the same as ever.
+        # Excluded from digests if not given: keeps the digests of scenarios without it.
         exclude_if=is_none,
         description="Weeks of images of craters from an orbit, instead of viewpoint",
     )
@@ -149,7 +148,7 @@ class ScenarioSpec(SpecModel):
 
     @property
     def _kind(self) -> str:
-        """Which of the sections that exclude each other is there."""
+        """Name of the one given section of those that exclude each other."""
         return next(key for key in self.alternatives[0] if getattr(self, key) is not None)
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""Sequence section: an orbit, landmarks, and a vision layer that tracks them from frame to frame."""
+"""Sequence section: orbit, forces, body rotation, simulated or image-based tracks, and a priori knowledge."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MOST_FRAMES = 1_000_000
 
 
 class ForcesSpec(SpecModel):
-    """Forces on a spacecraft about a small body: equation (6) of Delpech et al. (2015)."""
+    """Forces on a spacecraft near a small body: equation (6) of Delpech et al. (2015)."""
 
     gravity: Literal["point-mass", "polyhedral"] = Field(
         "point-mass", description="Of a point at the origin, or of the scenario's body with one density throughout"
@@ -28,10 +28,10 @@ class ForcesSpec(SpecModel):
 
 
 class BodyMotionSpec(SpecModel):
-    """How the body turns; its axes are those of inertial space at the first frame.
+    """Rotation of the body; body and inertial axes coincide at the first frame.
 
-    Tumbling is free of torques: the angular velocity of the first frame is that of a spin, and the inertia, in the
-    body's axes, changes it from then on by Euler's equations.
+    Tumbling is torque-free: the angular velocity starts like that of a spin and evolves by Euler's equations with the
+    inertia in body axes.
     """
 
     kind: Literal["none", "spin", "tumbling"] = "none"
@@ -63,8 +63,8 @@ class BodyMotionSpec(SpecModel):
 class ImageVisionSpec(SpecModel):
     """Features of the scenario's rendered images, matched from frame to frame.
 
-    The body stands still, so that the images of one revolution serve all others. Trials begin at ``starts`` places
-    around the orbit with the same images; every ``starts`` trials the detector exposes them anew.
+    The body does not rotate, so that the images of one revolution are used for all. Trials begin at ``starts`` places
+    around the orbit with the same images; every ``starts`` trials the detector noise is drawn again.
     """
 
     starts: int = Field(6, ge=1, le=360, description="Places around the orbit where trials begin, evenly spaced")
@@ -99,8 +99,8 @@ class ImageVisionSpec(SpecModel):
 class SequenceOrbitSpec(SpecModel):
     """An orbit about the body's origin; the boresight stays on the origin and x along the velocity.
 
-    It is a circle, or begins as one and is propagated under ``forces``; then radius and anomaly are those of the circle
-    at the same time. The Sun stands along its normal, as over the terminator. Inertial axes are the body's axes at the
+    It is a circle, or starts as one and is propagated under ``forces``; then radius and anomaly are those of the circle
+    at the same time. The Sun is along the orbit's normal (terminator orbit). Inertial axes are the body's axes at the
     first frame.
     """
 
@@ -179,12 +179,12 @@ class VisionSpec(SpecModel):
         return self
 
     def survival(self, change_deg: float) -> float:
-        """Return the share of the visible tracks that live through a change of view: k^(change / step)."""
+        """Return the survival probability of a visible track over a change of view: k^(change / step)."""
         return float(self.repeatability ** (change_deg / self.repeatability_step_deg))
 
 
 class SequenceKnowledgeSpec(SpecModel):
-    """What the spacecraft knows beside its images, and how well."""
+    """A priori knowledge in addition to the images, and its standard deviations."""
 
     motion_error: float = Field(
         0.5, ge=0, description="lambda: length of the error of a predicted displacement over the displacement's"
@@ -226,7 +226,7 @@ class SequenceKnowledgeSpec(SpecModel):
 
 
 class SequenceSpec(SpecModel):
-    """Frames along an orbit instead of single images."""
+    """An image sequence along an orbit, instead of single images."""
 
     sphere_radius_m: float | None = Field(
         None, gt=0, description="Landmarks on an ideal sphere of this radius; left out: on the scenario's body"
@@ -289,5 +289,5 @@ class SequenceSpec(SpecModel):
 
     @property
     def sigma_px(self) -> float:
-        """Standard deviation of a coordinate that estimators are told."""
+        """Standard deviation of a coordinate as given to estimators."""
         return self.vision.noise_px if self.images is None else self.images.sigma_px

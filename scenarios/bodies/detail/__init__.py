@@ -74,7 +74,7 @@ def add_detail(mesh: TriangleMesh, spec: DetailSpec) -> tuple[TriangleMesh, tupl
 
 
 def _redrawn(spec: DetailSpec) -> list[SmallScaleSeed | None]:
-    """Return the seeds of small boulders, craters and octaves of roughness; None where they have no seed of their own."""
+    """Return the separate seeds of small boulders, craters and roughness; None where there is none."""
     if spec.redrawn is None:
         return [None, None, None]
     return [

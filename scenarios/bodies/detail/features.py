@@ -15,12 +15,14 @@ from scenarios.spec.body import BoulderSpec, CraterSpec
 
 _SIDES = 7
 _TOPS = 3
-_WALL = 0.6  # share of the half-width over which a boulder rises; with height_ratio 0.35 the slope at its foot is 67 deg
+_WALL = (
+    0.6  # share of the half-width over which a boulder rises; with height_ratio 0.35 the slope at its foot is 67 deg
+)
 _RIM_WIDTH = 0.4  # width of the rounded rim, in crater radii
 _CRATER_REACH = 3.0  # the ejecta blanket ends at this many radii
 
 _PAIRS_AT_ONCE = 4_000_000
-# A ball about a feature may include the opposite side of a thin part: vertices whose normal differs by more are excluded.
+# A ball about a feature may include the opposite side of a thin part; this cosine between normals excludes it.
 _LEAST_FACING = 0.2
 
 

@@ -81,7 +81,7 @@ def limit(values: FloatArray, edges: MeshEdges) -> FloatArray:
 
 
 def _edge_points(values: FloatArray, faces: IntArray, edges: MeshEdges) -> FloatArray:
-    """New vertices: 3/8 of the two ends of each edge and 1/8 of the two corners opposite to it."""
+    """Return the new vertices: 3/8 of the two ends of each edge and 1/8 of the two corners opposite to it."""
     opposite = np.roll(faces, 1, axis=1).ravel()
     edge = edges.of_face.ravel()
     wings = np.stack([np.bincount(edge, column[opposite], len(edges.ends)) for column in values.T], axis=1)
