@@ -1,4 +1,4 @@
-"""A key that is set to the value that it has changes nothing, wherever it stands."""
+"""Setting a key to its present value changes nothing, at any depth."""
 
 from __future__ import annotations
 

@@ -20,14 +20,14 @@ def quickstart(*overrides: str):
     return load_scenario("quickstart", overrides).spec
 
 
-def test_what_is_left_out_is_known_as_it_is():
+def test_onboard_model_is_the_truth_by_default():
     spec = quickstart()
     believed = onboard_spec(spec)
     assert believed == spec
     assert onboard_camera(spec) == spec.camera.camera()
 
 
-def test_only_what_is_said_differs():
+def test_only_the_given_keys_differ_on_board():
     spec = quickstart("onboard.facets=50000", "onboard.brdf={kind: oren-nayar}", "onboard.focal_error=0.01")
     believed = onboard_spec(spec)
     assert believed.body.detail.facets == 50000
@@ -64,7 +64,7 @@ def test_the_lens_may_be_known_wrongly_or_not_at_all():
         ("onboard.relief={below_m: 9, seed: 4}", "body={shape: sphere, detail: null}"),
     ],
 )
-def test_a_shape_said_twice_is_refused(overrides):
+def test_an_onboard_shape_given_twice_is_refused(overrides):
     with pytest.raises(BoresightError, match="onboard"):
         quickstart(*overrides)
 

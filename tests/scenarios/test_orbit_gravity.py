@@ -57,7 +57,7 @@ def test_an_ellipsoid_has_the_coefficients_of_the_closed_form():
     assert abs(found.s).max() < 1e-9 > abs(found.c[1]).max()
 
 
-def test_harmonics_pull_as_the_polyhedron_at_200_km(lump):
+def test_gravity_of_harmonics_agrees_with_the_polyhedron_at_200_km(lump):
     exact, field = Polyhedron(lump, GM), HarmonicField(homogeneous_harmonics(lump, GM, 10, 16_000.0), REST, np.zeros(3))
     for place in 200_000.0 * _directions():
         pull = exact.acceleration(place)
@@ -74,7 +74,7 @@ def test_a_truncated_expansion_falls_off_with_the_distance_as_its_degree_says(lu
     assert 0.9 * 2.0**7 < errors[0] / errors[1] < 1.1 * 2.0**8
 
 
-def test_harmonics_pull_as_the_package_polyhedral_gravity(lump):
+def test_gravity_of_harmonics_agrees_with_polyhedral_gravity(lump):
     package = pytest.importorskip("polyhedral_gravity")
     # It tests orientation by rays and calls some closed, consistently outward meshes mis-oriented, that of Eros among
     # them; the check is therefore left out here, and the volume's sign tells that normals point outward.
@@ -113,7 +113,7 @@ def test_derivatives_are_central_differences(lump):
         np.testing.assert_allclose(by[:, j], (ends[0] - ends[1]) / 2e-3, atol=1e-9 * np.abs(by[:, 0]).max())
 
 
-def test_a_turning_body_pulls_as_one_that_is_turned(lump):
+def test_gravity_of_a_rotating_body_is_that_of_the_rotated_body(lump):
     harmonics = homogeneous_harmonics(lump, GM, 6, 16_000.0)
     spin = UniformRotation(np.eye(3), 2 * np.pi / 18_972.0)
     place = np.array([60_000.0, 10_000.0, -5_000.0])
@@ -123,7 +123,7 @@ def test_a_turning_body_pulls_as_one_that_is_turned(lump):
     assert np.linalg.norm(found - expected) < 1e-4 * np.linalg.norm(expected)
 
 
-def test_harmonics_refuse_what_is_none():
+def test_invalid_coefficients_are_refused():
     with pytest.raises(BoresightError, match="square tables"):
         Harmonics(GM, 1.0, np.ones((2, 1)), np.ones((2, 2)))
     with pytest.raises(BoresightError, match="finite"):

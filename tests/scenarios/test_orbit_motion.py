@@ -1,4 +1,4 @@
-"""Motion: Kepler's closed form, scipy's integration, energy, pushes, and derivatives by central differences."""
+"""Propagation against Kepler's closed form, scipy, the energy integral, and central differences of the partials."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ START = np.array([200_000.0, 0.0, 0.0, 0.0, 1.22, 0.857])
 
 
 @pytest.mark.parametrize("way", ["adaptive", "fixed"])
-def test_two_bodies_move_as_kepler_says(way):
+def test_two_body_motion_is_keplerian(way):
     times = np.linspace(0.0, 24 * DAY, 50)
     exact = _kepler(200_000.0, 0.1, times)
     field, pushes = (
@@ -49,7 +49,7 @@ def test_two_bodies_move_as_kepler_says(way):
     assert np.abs(found - exact)[:, :3].max() < 1e-3  # of 200 km, after 2.5 revolutions
 
 
-def test_sunlight_alone_moves_as_a_constant_force():
+def test_solar_pressure_alone_is_a_constant_acceleration():
     far = np.array([1e9, 0.0, 0.0, 0.0, 0.5, 0.0])  # where gravity is 4e-13 m/s2
     light = np.array([0.0, 2e-8, -5e-8])
     field = HarmonicField(Harmonics.point(GM, 16_000.0), REST, light)
@@ -71,7 +71,7 @@ def test_fixed_steps_are_as_good_as_the_adaptive_ones_of_scipy():
     assert np.abs(apart[:, :3]).max() < 1e-3
 
 
-def test_the_energy_in_turning_axes_stays():
+def test_the_jacobi_integral_is_constant():
     # Jacobi's integral: v^2 / 2 - U - w . (r x v), of a field that is at rest in axes that turn with w.
     field = _lumpy()
     states = propagate_partials(field, START, np.linspace(0, 10 * DAY, 30), PiecewiseAcceleration.none(10 * DAY)).states
@@ -125,7 +125,7 @@ def test_derivatives_are_central_differences():
 
 
 @pytest.mark.parametrize("way", [propagate_states, propagate_partials])
-def test_an_orbit_that_leads_into_the_body_is_told(way):
+def test_an_impact_raises_an_error(way):
     falling = np.array([100_000.0, 0.0, 0.0, -0.5, 0.05, 0.0])
     with pytest.raises(OrbitLostError, match="into the body"):
         way(_lumpy(), falling, np.linspace(0, 5 * DAY, 10), PiecewiseAcceleration.none(5 * DAY))

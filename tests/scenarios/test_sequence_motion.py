@@ -46,7 +46,7 @@ def calm(section):
     return np.zeros((section.orbit.frames - 1, 3))
 
 
-def test_a_polyhedron_pulls_like_a_point_from_afar_and_like_a_sphere_nearby():
+def test_gravity_of_a_polyhedron_is_that_of_a_point_far_away_and_of_a_sphere_nearby():
     cube = Polyhedron(mesh_of(CUBE), GM)
     for direction in ([1.0, 0.0, 0.0], [0.3, -0.5, 0.8]):
         far = 2e4 * np.array(direction) / np.linalg.norm(direction)
@@ -59,7 +59,7 @@ def test_a_polyhedron_pulls_like_a_point_from_afar_and_like_a_sphere_nearby():
 
 
 def test_a_polyhedron_agrees_with_the_sum_over_its_volume():
-    """A box outside of which it is looked at, cut into small cubes that pull like points."""
+    """A box seen from outside, divided into small cubes with the gravity of points."""
     size = np.array([300.0, 200.0, 100.0])
     axes = [np.arange(-s / 2 + 1.25, s / 2, 2.5) for s in size]
     cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -71,7 +71,7 @@ def test_a_polyhedron_agrees_with_the_sum_over_its_volume():
 
 
 @pytest.mark.parametrize("at", [(150.0, 20.0, 30.0), (40.0, -30.0, 20.0)], ids=["outside", "inside"])
-def test_the_divergence_of_the_pull_is_poissons(at):
+def test_the_divergence_of_gravity_obeys_poissons_equation(at):
     cube = Polyhedron(mesh_of(CUBE), GM)
     step = 1e-2
     divergence = sum(
@@ -84,7 +84,7 @@ def test_the_divergence_of_the_pull_is_poissons(at):
     assert divergence == pytest.approx(expected, abs=1e-11)
 
 
-def test_sunlight_presses_as_astropys_sun_would():
+def test_solar_pressure_agrees_with_astropy_constants():
     sun = astropy.constants.L_sun / (4 * np.pi * astropy.constants.au**2 * astropy.constants.c)
     expected = 1.4 * 0.02 * sun.to_value(astropy.units.Pa) / 0.9**2
     forces = ForcesSpec(area_to_mass_m2_kg=0.02, reflectivity=1.4, sun_distance_au=0.9)
@@ -148,7 +148,7 @@ def test_unmodelled_acceleration_has_the_asked_deviation_and_its_own_draws():
     assert not np.array_equal(drawn, draw_unmodelled_m_s2(orbit, 1, 1))
 
 
-def test_a_turning_polyhedron_keeps_the_jacobi_integral():
+def test_a_rotating_polyhedron_conserves_the_jacobi_integral():
     egg = trimesh.creation.icosphere(subdivisions=2, radius=150.0).apply_scale([1.3, 1.0, 0.8])
     section = SequenceSpec.model_validate(
         {
@@ -171,7 +171,7 @@ def test_a_turning_polyhedron_keeps_the_jacobi_integral():
 
 
 def _potential(gravity, at):
-    """Work of the pull from 1000 times as far, on nodes of Gauss and Legendre in 1 / r; beyond, that of a point."""
+    """Potential by Gauss-Legendre quadrature of gravity in 1 / r from 1000 times the distance, a point mass beyond."""
     radius = np.linalg.norm(at)
     nodes, weights = np.polynomial.legendre.leggauss(40)
     inverse = 0.5 * (nodes + 1) / radius
@@ -179,7 +179,7 @@ def _potential(gravity, at):
     return -0.5 / radius * float(weights @ np.array(pull))
 
 
-def test_an_orbit_that_comes_down_is_refused():
+def test_an_orbit_that_impacts_is_refused():
     section = spec({"model": "propagated"})
     with pytest.raises(BoresightError, match=r"the orbit leads into the body, which reaches .* after .* h"):
         camera_trajectory(section, SphereGround(780.0), calm(section) + np.array([1e-6, 0.0, 0.0]))
@@ -260,7 +260,7 @@ def test_errors_of_pole_and_rate_grow_as_their_law_says():
     assert sigmas[30] > 3 * sigmas[5]
 
 
-def test_forces_are_known_as_well_as_asked():
+def test_onboard_forces_have_the_stated_errors():
     forces = {"area_to_mass_m2_kg": 0.02, "noise_m_s2": 1e-7}
     knowledge = {"dynamics": True, "gm_sigma": 0.05, "radiation_sigma": 0.2, "velocity_sigma_m_s": 0.001}
     section = spec({"model": "propagated", "forces": forces, "revolutions": 0.1}, knowledge=knowledge)
@@ -280,7 +280,7 @@ def test_forces_are_known_as_well_as_asked():
     assert draw_sequence(spec(), CAMERA, SPHERE, 5, 0)[1].forces is None
 
 
-def test_ranges_come_again_every_so_many_frames():
+def test_ranges_are_repeated_at_the_given_interval():
     section = spec(knowledge={"range_every": 10, "ranges": 2, "range_sigma_m": 0.5})
     truth, sequence = draw_sequence(section, CAMERA, SPHERE, 5, 0)
     with_ranges = [i for i, frame in enumerate(sequence.frames) if frame.ranges]
@@ -310,6 +310,6 @@ def test_ranges_come_again_every_so_many_frames():
         ({"knowledge": {"gm_sigma": 0.1}}, "say dynamics: true"),
     ],
 )
-def test_what_cannot_be_is_refused_with_its_reason(section, said):
+def test_inconsistent_sections_are_refused_with_the_reason(section, said):
     with pytest.raises(ValidationError, match=said):
         SequenceSpec.model_validate({"sphere_radius_m": 190.0, **section})

@@ -1,4 +1,4 @@
-"""Sequences of tracks: held against OpenCV, ray tests of our own making, closed forms and the statistics asked for."""
+"""Sequences of tracks against OpenCV, brute-force ray tests, closed forms and the stated statistics."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_the_noise_has_the_asked_deviation_and_changes_nothing_else():
     assert all(np.array_equal(a.motion_m, b.motion_m) for a, b in zip(clean.frames, noisy.frames, strict=True))
 
 
-def test_a_sphere_is_seen_where_the_ray_meets_it_first():
+def test_visible_points_of_a_sphere_are_first_ray_intersections():
     rng = np.random.default_rng(3)
     points, normals = SPHERE.sample(3000, rng)
     pose = circular_poses(SequenceOrbitSpec())[17]
@@ -96,7 +96,7 @@ def test_a_sphere_is_seen_where_the_ray_meets_it_first():
     np.testing.assert_array_equal(Visibility(SPHERE).visible(points, normals, look(narrow, pose)), expected)
 
 
-def test_a_mesh_hides_what_stands_before_it_and_is_sampled_by_area():
+def test_a_mesh_occludes_points_and_is_sampled_by_area():
     torus = trimesh.creation.torus(150.0, 60.0, major_sections=24, minor_sections=12)
     ground = MeshGround(TriangleMesh(torus.vertices, torus.faces))
     points, normals = ground.sample(400, np.random.default_rng(1))
@@ -116,7 +116,7 @@ def test_a_mesh_hides_what_stands_before_it_and_is_sampled_by_area():
 
 
 def _stands_before(triangles, camera_m, point):
-    """Solve camera + t ray = a + u e1 + v e2 for every triangle; trimesh's own rays need a package more."""
+    """Solve camera + t ray = a + u e1 + v e2 for every triangle; trimesh needs another package for rays."""
     ray = point - camera_m
     edges = triangles[:, 1:] - triangles[:, :1]
     columns = np.stack([edges[:, 0], edges[:, 1], np.broadcast_to(-ray, (len(triangles), 3))], axis=2)
@@ -125,7 +125,7 @@ def _stands_before(triangles, camera_m, point):
 
 
 @pytest.mark.parametrize(("step_deg", "k"), [(2.0, 0.9), (4.0, 0.81)])
-def test_the_tracks_that_stay_visible_live_on_with_the_repeatability(step_deg, k):
+def test_visible_tracks_survive_with_the_repeatability(step_deg, k):
     lived = could = 0
     for trial in range(6):
         truth, sequence = drawn(trial, vision={"landmarks_per_frame": 60}, step_deg=step_deg)
@@ -139,7 +139,7 @@ def test_the_tracks_that_stay_visible_live_on_with_the_repeatability(step_deg, k
     assert lived / could == pytest.approx(k, abs=4 * np.sqrt(k * (1 - k) / could))
 
 
-def test_a_dead_track_never_returns_and_each_is_seen_once_a_frame():
+def test_a_lost_track_never_returns_and_each_is_observed_once_a_frame():
     _, sequence = drawn(revolutions=2.0)
     last: dict[int, int] = {}
     for i, frame in enumerate(sequence.frames):
@@ -291,7 +291,7 @@ def test_one_range_to_the_landmark_nearest_the_boresight_fixes_the_scale():
 
 
 def test_the_ranged_landmark_is_chosen_by_the_first_frame_alone():
-    """Only the bound for studies, ``lasting``, asks the frames to come."""
+    """Only ``lasting``, a bound for studies, uses the later frames."""
     chosen = {"central": [], "lasting": []}
     for trial in range(10):
         truth, sequence = drawn(trial)
@@ -308,7 +308,7 @@ def test_the_ranged_landmark_is_chosen_by_the_first_frame_alone():
     assert load_scenario("apophis-sphere-sequence").spec.sequence.knowledge.range_to == "central"
 
 
-def test_wrong_points_come_in_the_asked_share_and_lie_wrong():
+def test_outliers_have_the_given_share_and_are_displaced():
     vision = {"noise_px": 0.0, "landmarks_per_frame": 80, "mismatch_share": 0.05, "outlier_share": 0.03}
     truth, sequence = drawn(vision=vision)
     wrong = np.concatenate(truth.wrong)
@@ -333,7 +333,7 @@ def test_the_same_address_gives_the_same_bits_and_another_trial_another_field():
     assert all(f.uv_px.tobytes() == g.uv_px.tobytes() for f, g in zip(one.frames, two.frames, strict=True))
 
 
-def test_attitude_and_first_position_are_as_wrong_as_asked():
+def test_attitude_and_first_position_have_the_stated_errors():
     truth, sequence = drawn(knowledge={"attitude_sigma_deg": 0.1, "position_sigma_m": 2.0})
     angle = [
         np.linalg.norm(cv2.Rodrigues(frame.R_cam_body @ pose.rotation.T)[0])
@@ -345,7 +345,7 @@ def test_attitude_and_first_position_are_as_wrong_as_asked():
     assert not any(frame.attitude_bias_sigma_rad for frame in sequence.frames)
 
 
-def test_a_misaligned_camera_is_wrong_by_the_same_turn_in_all_frames():
+def test_misalignment_is_the_same_rotation_in_all_frames():
     errors = []
     for trial in range(60):
         truth, sequence = drawn(trial, knowledge={"misalignment_sigma_deg": 0.2}, revolutions=0.05)

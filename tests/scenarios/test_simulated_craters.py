@@ -1,4 +1,4 @@
-"""Detections drawn by geometry, and the lines of sight that meet a mesh, against linear equations and closed forms."""
+"""Simulated crater detections, and ray intersections with a mesh, against linear equations and closed forms."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def ground():
     return ellipsoid(3)
 
 
-def test_lines_of_sight_meet_a_mesh_where_linear_equations_say(ground) -> None:
+def test_ray_intersections_with_a_mesh_solve_the_linear_equations(ground) -> None:
     rng = np.random.default_rng(1)
     origins = rng.normal(size=(60, 3))
     origins *= 40e3 / np.linalg.norm(origins, axis=1, keepdims=True)
@@ -52,7 +52,7 @@ def _view() -> View:
     return View(CAMERA, Pose(pose.rotation, pose.translation_m), np.array([0.5, 0.4, 0.9]))
 
 
-def test_detections_have_the_errors_the_misses_and_the_false_ones_that_were_asked_for(ground) -> None:
+def test_detections_have_the_given_errors_misses_and_false_detections(ground) -> None:
     rng = np.random.default_rng(3)
     craters, view = population(ground, 4, 4000), _view()
     visible = in_view(craters, ground, view, (60.0, 0.0, 75.0))
