@@ -86,26 +86,26 @@ class Cache:
         found = self.find(kind, key)
         if found is not None:
             return found
-        final = self._place(kind, key)
+        final = self._entry_folder(kind, key)
         _discard(final)
         try:
-            aside = self._aside()
+            build_folder = self._new_build_folder()
         except OSError as error:
             return self._uncached(error, build)
         try:
-            build(aside)
-            _write_manifest(aside)
-            self._publish(aside, final)
+            build(build_folder)
+            _write_manifest(build_folder)
+            self._publish(build_folder, final)
         except OSError as error:
             return self._uncached(error, build)
         finally:
-            shutil.rmtree(aside, ignore_errors=True)
+            shutil.rmtree(build_folder, ignore_errors=True)
         self._evict(keep=final)
         return final
 
     def find(self, kind: str, key: str) -> Path | None:
         """Return the folder of an entry; None if it is missing or damaged."""
-        final = self._place(kind, key)
+        final = self._entry_folder(kind, key)
         return final if self._is_sound(final) else None
 
     def put(self, kind: str, key: str, write: Callable[[Path], None]) -> bool:
@@ -113,22 +113,22 @@ class Cache:
 
         If the cache cannot be written, log a warning and store nothing.
         """
-        final = self._place(kind, key)
+        final = self._entry_folder(kind, key)
         try:
-            aside = self._aside()
+            build_folder = self._new_build_folder()
             try:
-                write(aside)
-                size = sum(file.stat().st_size for file in _files(aside))
-                _write_manifest(aside)
+                write(build_folder)
+                size = sum(file.stat().st_size for file in _files(build_folder))
+                _write_manifest(build_folder)
                 _discard(final)
-                self._publish(aside, final)
+                self._publish(build_folder, final)
             finally:
-                shutil.rmtree(aside, ignore_errors=True)
+                shutil.rmtree(build_folder, ignore_errors=True)
         except OSError as error:
             _log.warning("%s cannot be written (%s): nothing is kept there", self.root, error.strerror or error)
             return False
-        _UNSEEN_BYTES[self] = _UNSEEN_BYTES.get(self, 0.0) - size
-        if _UNSEEN_BYTES[self] < 0.0:
+        _WRITABLE_BYTES[self] = _WRITABLE_BYTES.get(self, 0.0) - size
+        if _WRITABLE_BYTES[self] < 0.0:
             self._evict(keep=final)
         return True
 
@@ -154,28 +154,28 @@ class Cache:
         entries = [entry for entry in self.entries() if kind in (None, entry.kind)]
         for entry in entries:
             _discard(entry.path)
-        for leftover in self._workshop().glob("*"):
+        for leftover in self._build_root().glob("*"):
             shutil.rmtree(leftover, ignore_errors=True)
         return len(entries)
 
-    def _place(self, kind: str, key: str) -> Path:
+    def _entry_folder(self, kind: str, key: str) -> Path:
         for name in (kind, key):
             if not _NAME.fullmatch(name):
                 raise BoresightError(f"cache entry {kind}/{key}: a name has only letters, digits and . _ -")
         return self.root / kind / key
 
-    def _workshop(self) -> Path:
+    def _build_root(self) -> Path:
         return self.root / ".building"
 
-    def _aside(self) -> Path:
-        self._workshop().mkdir(parents=True, exist_ok=True)
-        for leftover in self._workshop().iterdir():
+    def _new_build_folder(self) -> Path:
+        self._build_root().mkdir(parents=True, exist_ok=True)
+        for leftover in self._build_root().iterdir():
             with contextlib.suppress(OSError):
                 if time.time() - leftover.stat().st_mtime > _STALE_S:
                     shutil.rmtree(leftover, ignore_errors=True)
-        aside = self._workshop() / uuid.uuid4().hex
-        aside.mkdir()
-        return aside
+        build_folder = self._build_root() / uuid.uuid4().hex
+        build_folder.mkdir()
+        return build_folder
 
     def _is_sound(self, folder: Path) -> bool:
         try:
@@ -188,11 +188,11 @@ class Cache:
                 os.utime(folder / _MANIFEST)
         return sound
 
-    def _publish(self, aside: Path, final: Path) -> None:
+    def _publish(self, build_folder: Path, final: Path) -> None:
         """Rename into place; keep an entry that another process has stored meanwhile."""
         final.parent.mkdir(parents=True, exist_ok=True)
         try:
-            aside.rename(final)
+            build_folder.rename(final)
         except OSError:
             if not self._is_sound(final):
                 raise
@@ -220,11 +220,11 @@ class Cache:
                 _discard(entry.path)
                 total -= entry.size_bytes
         free = self.limit_bytes - total
-        _UNSEEN_BYTES[self] = max(_SHARE_OF_FREE * free, _SHARE_OF_ALL * self.limit_bytes)
+        _WRITABLE_BYTES[self] = max(_SHARE_OF_FREE * free, _SHARE_OF_ALL * self.limit_bytes)
 
 
 # Bytes that this process may still write to each cache before it lists the entries again.
-_UNSEEN_BYTES: dict[Cache, float] = {}
+_WRITABLE_BYTES: dict[Cache, float] = {}
 
 
 def default_cache() -> Cache:

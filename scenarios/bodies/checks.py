@@ -43,7 +43,7 @@ def checked_mesh(
     BoresightError
         The extent does not fit, the mesh is open or inconsistently wound, or the origin lies outside.
     """
-    vertices, faces, notes = _tidied(shape.vertices * METRES[unit], shape.faces)
+    vertices, faces, notes = _repaired(shape.vertices * METRES[unit], shape.faces)
     _check_extent(vertices, where, unit, expected_diameter_m)
     _check_closed(faces, where)
     mesh = TriangleMesh(vertices, faces.astype(np.int32))
@@ -58,7 +58,7 @@ def checked_mesh(
     return mesh, tuple(notes)
 
 
-def _tidied(vertices: FloatArray, faces: IndexArray) -> tuple[FloatArray, IndexArray, list[str]]:
+def _repaired(vertices: FloatArray, faces: IndexArray) -> tuple[FloatArray, IndexArray, list[str]]:
     notes = []
     if not is_closed(faces):
         welded, group = np.unique(vertices, axis=0, return_inverse=True)
@@ -98,12 +98,12 @@ def _check_closed(faces: IndexArray, where: Path) -> None:
     if is_closed(faces):
         return
     forward, backward = directed_edge_keys(faces)
-    lonely = ~np.isin(forward, backward)
+    unpaired = ~np.isin(forward, backward)
     _, count = np.unique(forward, return_counts=True)
-    if lonely.any():
-        facet = int(np.argmax(lonely)) // 3
+    if unpaired.any():
+        facet = int(np.argmax(unpaired)) // 3
         raise BoresightError(
-            f"{where}: the mesh is not closed: {int(lonely.sum())} facet edges have no partner in the opposite"
+            f"{where}: the mesh is not closed: {int(unpaired.sum())} facet edges have no partner in the opposite"
             f" direction, the first at facet {facet + 1}; mend the holes and the winding in the shape file"
         )
     raise BoresightError(

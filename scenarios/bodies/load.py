@@ -34,7 +34,7 @@ EVEN_VERSION = 1
 """Part of the digest of every resampled body: increase it when the same spec gives another mesh."""
 
 _ICOSAHEDRON_FACETS = 20
-_AT_ONCE = 1 << 22  # pairs of a direction and a facet
+_PAIRS_AT_ONCE = 1 << 22  # pairs of a direction and a facet
 
 
 def evenly_meshed(mesh: TriangleMesh, facets: int, source: str) -> TriangleMesh:
@@ -66,17 +66,17 @@ def evenly_meshed(mesh: TriangleMesh, facets: int, source: str) -> TriangleMesh:
         )
     net = icosphere(rounds_for(_ICOSAHEDRON_FACETS, facets), 1.0)
     directions = net.vertices_m
-    facet, weights = _met(directions, opposite)
+    facet, weights = _intersections(directions, opposite)
     points_m = np.einsum("nk,nki->ni", weights, corners[facet])
     albedo = None if mesh.albedo is None else np.einsum("nk,nk->n", weights, mesh.albedo[mesh.faces[facet]])
     return TriangleMesh(points_m, net.faces, albedo)
 
 
-def _met(directions: FloatArray, opposite: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+def _intersections(directions: FloatArray, opposite: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
     """(n,) facet that each direction intersects, and barycentric coordinates (n, 3) of the intersection."""
     found = np.empty(len(directions), dtype=np.int64)
     weights = np.empty((len(directions), 3))
-    step = max(1, _AT_ONCE // len(opposite))
+    step = max(1, _PAIRS_AT_ONCE // len(opposite))
     for first in range(0, len(directions), step):
         part = slice(first, first + step)
         products = np.einsum("ni,fki->nfk", directions[part], opposite, optimize=True)
@@ -213,13 +213,13 @@ def _bytes(path: Path) -> bytes:
 
 
 def _coarse(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:
-    mesh, notes = _given(spec, path)
+    mesh, notes = _original(spec, path)
     if spec.even_facets is not None:
         mesh = evenly_meshed(mesh, spec.even_facets, spec.shape if path is None else str(path))
     return mesh, notes
 
 
-def _given(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:
+def _original(spec: BodySpec, path: Path | None) -> tuple[TriangleMesh, tuple[str, ...]]:
     """Return the shape of the file or the built-in one, before resampling and detail."""
     if path is None:
         return EMBEDDED[spec.shape](), ()

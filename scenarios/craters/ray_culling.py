@@ -81,8 +81,16 @@ def candidate_facets(ground: CrateredSurface, tiles: IndexArray, fan: RayProject
     found = np.empty((int((ground.tiling.tile_pieces[tiles] ** 2).sum()), 3), dtype=np.int64)
     radius_m = float(np.linalg.norm(ground.corners_m, axis=1).max())
     axes, slack_m = np.ascontiguousarray(fan.axes), (_SLACK * radius_m, _DEPTH_SLACK * radius_m)
-    count = _find_met(
-        found, tiles, ground.vertices_m, axes, fan.origin_m, fan.pencil, slack_m, _in_cells(rays), ground.tiling.layout
+    count = _find_candidates(
+        found,
+        tiles,
+        ground.vertices_m,
+        axes,
+        fan.origin_m,
+        fan.pencil,
+        slack_m,
+        _sorted_by_cell(rays),
+        ground.tiling.layout,
     )
     return np.asarray(ground.vertices_m[found[:count].ravel()]).reshape(-1, 3, 3)
 
@@ -98,7 +106,7 @@ class _Cells(NamedTuple):
     n_rows: int
 
 
-def _in_cells(rays: FloatArray) -> _Cells:
+def _sorted_by_cell(rays: FloatArray) -> _Cells:
     low, high = rays[:, :2].min(axis=0), rays[:, :2].max(axis=0)
     step = max(
         float(np.sqrt(np.prod(high - low) * _RAYS_A_CELL / len(rays))),
@@ -138,7 +146,7 @@ def _sorted_into_cells(
 
 
 @kernel
-def _find_met(
+def _find_candidates(
     found: IndexArray,
     tiles: IndexArray,
     vertices: SingleArray,
@@ -179,7 +187,7 @@ def _find_met(
                 for half in range(1 if i + j == n - 1 else 2):
                     a, b = i + half, j + half
                     near = min(slack[a, j], slack[i + 1, b], slack[i, j + 1])
-                    if near > 0.0 and _is_met(
+                    if near > 0.0 and _may_be_hit(
                         (u[a, j], v[a, j], depth_m[a, j]),
                         (u[i + 1, b], v[i + 1, b], depth_m[i + 1, b]),
                         (u[i, j + 1], v[i, j + 1], depth_m[i, j + 1]),
@@ -211,7 +219,7 @@ def _any_near(left: float, top: float, right: float, bottom: float, cells: _Cell
 
 
 @kernel
-def _is_met(p: _Point, q: _Point, r: _Point, slack: float, depth_slack_m: float, cells: _Cells) -> bool:
+def _may_be_hit(p: _Point, q: _Point, r: _Point, slack: float, depth_slack_m: float, cells: _Cells) -> bool:
     """Return whether a ray lies in the triangle p q r, within the tolerance, and starts before it."""
     left, right = min(p[0], q[0], r[0]) - slack, max(p[0], q[0], r[0]) + slack
     top, bottom = min(p[1], q[1], r[1]) - slack, max(p[1], q[1], r[1]) + slack

@@ -139,7 +139,7 @@ class HarmonicField:
         )
 
     @cached_property
-    def _room(self) -> FloatArray:
+    def _work_array(self) -> FloatArray:
         return self.work()
 
     def work(self) -> FloatArray:
@@ -160,7 +160,7 @@ class HarmonicField:
     def acceleration(self, time_s: float, position_m: FloatArray) -> FloatArray:
         """(3,) m/s2 at a position (3,) in inertial axes."""
         out = np.empty(3)
-        accelerate(self.flat, time_s, np.ascontiguousarray(position_m, dtype=np.float64), self._room, out)
+        accelerate(self.flat, time_s, np.ascontiguousarray(position_m, dtype=np.float64), self._work_array, out)
         return out
 
 

@@ -77,7 +77,7 @@ def propagate_partials(
         np.array(DOP853.B),
         np.array(DOP853.C[:stages]),
     )
-    seen, ended = _fly(
+    seen, ended = _integrate(
         flat, np.array(state), np.array(times_s), pushes.edges_s, pushes.acceleration_m_s2, LONGEST_STEP_S, *tableau
     )
     if not (np.isfinite(seen).all() and np.isfinite(ended).all()):
@@ -105,7 +105,7 @@ def _by_pushes(seen: FloatArray, ended: FloatArray, pushes: PiecewiseAcceleratio
 
 
 @kernel
-def _fly(
+def _integrate(
     field: FlatField,
     state: FloatArray,
     times: FloatArray,
@@ -128,11 +128,11 @@ def _fly(
     for p in range(len(pushes)):
         last = p == len(pushes) - 1
         while row < len(times) and (times[row] <= edges[p + 1] or last):
-            y = _advance(field, y, now, times[row], pushes[p], longest, a, b, c, slopes, work)
+            y = _integrate_interval(field, y, now, times[row], pushes[p], longest, a, b, c, slopes, work)
             now = times[row]
             seen[row] = y
             row += 1
-        y = _advance(field, y, now, edges[p + 1], pushes[p], longest, a, b, c, slopes, work)
+        y = _integrate_interval(field, y, now, edges[p + 1], pushes[p], longest, a, b, c, slopes, work)
         now = edges[p + 1]
         ended[p] = y
         y[:, columns - 3 :] = 0.0
@@ -142,7 +142,7 @@ def _fly(
 
 
 @kernel
-def _advance(
+def _integrate_interval(
     field: FlatField,
     start: FloatArray,
     begin: float,
@@ -169,7 +169,7 @@ def _advance(
             for j in range(i):
                 if a[i, j] != 0.0:
                     _add(at, slopes[j], h * a[i, j])
-            if not _slope(field, t + c[i] * h, at, push, work, slopes[i]):
+            if not _time_derivative(field, t + c[i] * h, at, push, work, slopes[i]):
                 y[:] = np.nan
                 return y
         for i in range(len(b)):
@@ -186,7 +186,9 @@ def _add(total: FloatArray, added: FloatArray, factor: float) -> None:
 
 
 @kernel
-def _slope(field: FlatField, time: float, y: FloatArray, push: FloatArray, work: FloatArray, out: FloatArray) -> bool:
+def _time_derivative(
+    field: FlatField, time: float, y: FloatArray, push: FloatArray, work: FloatArray, out: FloatArray
+) -> bool:
     """Write the time derivative of state and partials to ``out``; return False inside the reference radius."""
     if not y[0, 0] ** 2 + y[1, 0] ** 2 + y[2, 0] ** 2 > field.radius_m**2:
         return False

@@ -162,12 +162,12 @@ class _Pointing:
         for i, state in enumerate(flown.image_states):
             seen = lit_and_seen(horizons, turns[i] @ state[:3], turns[i] @ sun, world.spec.sightings)
             target = turns[i].T @ horizons.points_m[seen[int(aims[i] * len(seen))]] if len(seen) else np.zeros(3)
-            reported[i] = _looking(state, target)
+            reported[i] = _pointed_at(state, target)
             rows.append(seen)
         return cls(reported, errors.R_true_reported @ reported, errors.camera, tuple(rows))
 
 
-def _looking(state: FloatArray, target_m: FloatArray) -> FloatArray:
+def _pointed_at(state: FloatArray, target_m: FloatArray) -> FloatArray:
     """R_cam_inertial with the boresight on a target and the x axis along the transverse velocity."""
     forward = target_m - state[:3]
     forward = forward / np.linalg.norm(forward)

@@ -51,7 +51,9 @@ class Horizons:
         tangents = np.zeros((len(points_m), _BINS))
         for start in range(0, len(points_m), _AT_ONCE):
             for i in range(start, min(start + _AT_ONCE, len(points_m))):
-                tangents[i] = _around(ground - points_m[i], np.stack([first[i], second[i], normals[i]]), spacing)
+                tangents[i] = _horizon_tangents(
+                    ground - points_m[i], np.stack([first[i], second[i], normals[i]]), spacing
+                )
         return cls(points_m, normals, first, second, tangents)
 
     def free(self, rows: NDArray[np.int64], towards: FloatArray) -> BoolArray:
@@ -67,7 +69,7 @@ class Horizons:
         return above
 
 
-def _around(offsets: FloatArray, axes: FloatArray, spacing: float) -> FloatArray:
+def _horizon_tangents(offsets: FloatArray, axes: FloatArray, spacing: float) -> FloatArray:
     """(bins,) tangents of the horizon; terrain nearer than two point spacings is ignored."""
     up = offsets @ axes[2]
     offsets, up = offsets[up > 0.0], up[up > 0.0]

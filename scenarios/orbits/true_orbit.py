@@ -19,9 +19,9 @@ from scenarios.spec.orbit import ArcSpec
 FloatArray = NDArray[np.float64]
 
 DAY_S = 86_400.0
-_PUSHES_A_TIME = 4
+_STEPS_PER_CORRELATION_TIME = 4
 _WANTED_S = 6 * 3600.0
-_ANOMALOUS = (2, 3)
+_ANOMALY_DEGREES = (2, 3)
 
 
 def state_at_epoch(arc: ArcSpec, gm_m3_s2: float) -> FloatArray:
@@ -87,7 +87,7 @@ def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[HarmonicFiel
     rng = generator(seed, Stream.ORBIT_FORCES, trial)
     harmonics, arc, light = world.asteroid.harmonics, world.spec.arc, world.spec.light
     c, s = harmonics.c.copy(), harmonics.s.copy()
-    for n in (n for n in _ANOMALOUS if n <= harmonics.degree):
+    for n in (n for n in _ANOMALY_DEGREES if n <= harmonics.degree):
         c[n, : n + 1] += world.spec.asteroid.anomaly_sigma * rng.normal(size=n + 1)
         s[n, 1 : n + 1] += world.spec.asteroid.anomaly_sigma * rng.normal(size=n)
     field = world.field(Harmonics(harmonics.gm_m3_s2, harmonics.radius_m, c, s))
@@ -95,9 +95,9 @@ def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[HarmonicFiel
     sigma = light.noise_share * float(np.linalg.norm(world.light_m_s2))
     if sigma == 0.0:
         return field, PiecewiseAcceleration.none(end)
-    step = light.noise_days * DAY_S / _PUSHES_A_TIME
+    step = light.noise_days * DAY_S / _STEPS_PER_CORRELATION_TIME
     pieces = int(np.ceil(end / step))
-    kept = np.exp(-1.0 / _PUSHES_A_TIME)
+    kept = np.exp(-1.0 / _STEPS_PER_CORRELATION_TIME)
     push = np.empty((pieces, 3))
     now = rng.normal(size=3)
     for p in range(pieces):

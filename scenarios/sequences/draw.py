@@ -71,7 +71,7 @@ def draw_sequence(
     simulated = simulate_tracks(
         spec.vision, visibility, trajectory.views(camera), _population(spec, camera, ground), field_rng
     )
-    seen = _see(simulated, trajectory.poses, camera, spec.vision, seed, trial)
+    seen = _measure_tracks(simulated, trajectory.poses, camera, spec.vision, seed, trial)
     truth = SequenceTruth(
         trajectory.poses,
         anomalies_deg(spec.orbit),
@@ -102,25 +102,25 @@ def _population(spec: SequenceSpec, camera: Camera, ground: LandmarkGround) -> f
     return spec.vision.landmarks_per_frame / share
 
 
-def _see(
+def _measure_tracks(
     simulated: SimulatedTracks, poses: Sequence[Pose], camera: Camera, vision: VisionSpec, seed: int, trial: int
 ) -> list[tuple[FrameTracks, BoolArray]]:
     """Simulate the measurements of each frame; also return, (n,), which tracks are outliers."""
     noise_rng, wrong_rng = generator(seed, Stream.TRACK_NOISE, trial), generator(seed, Stream.MISMATCH, trial)
     seen = []
-    older = np.empty(0, dtype=np.int64)
+    previous = np.empty(0, dtype=np.int64)
     again = recognise_landmarks(simulated, vision, generator(seed, Stream.REVISIT, trial))
     for tracks, pose, pairs in zip(simulated.seen, poses, again, strict=True):
         points = simulated.points_m[tracks]
         uv = camera.project(pose.transform(points))
-        placed, wrong = _misplace(uv, np.isin(tracks, older), camera, vision, wrong_rng)
+        placed, wrong = _displace_outliers(uv, np.isin(tracks, previous), camera, vision, wrong_rng)
         noisy = placed + vision.noise_px * noise_rng.normal(size=uv.shape)
         seen.append((FrameTracks(tracks, noisy, points, pairs), wrong))
-        older = tracks
+        previous = tracks
     return seen
 
 
-def _misplace(
+def _displace_outliers(
     uv_px: FloatArray, tracked: BoolArray, camera: Camera, vision: VisionSpec, rng: np.random.Generator
 ) -> tuple[FloatArray, BoolArray]:
     """Move some tracked points to the nearest other point or anywhere in the image; new tracks are not changed."""

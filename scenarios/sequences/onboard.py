@@ -99,7 +99,7 @@ def onboard_rotation(trajectory: CameraTrajectory, spec: SequenceSpec, rng: np.r
     rate = angular_velocity(motion)
     tilts = np.radians(knowledge.pole_sigma_deg) * rng.normal(size=2)
     longer = 1.0 + knowledge.spin_sigma * rng.normal()
-    believed = longer * Rotation.from_rotvec(_across(rate).T @ tilts).apply(rate)
+    believed = longer * Rotation.from_rotvec(_perpendicular(rate).T @ tilts).apply(rate)
     return attitude_function(motion, believed, float(trajectory.times_s[-1]))(trajectory.times_s)
 
 
@@ -116,7 +116,7 @@ def rotation_sigma_rad(times_s: FloatArray, spec: SequenceSpec) -> FloatArray:
     return np.asarray(np.sqrt((about**2 + 2.0 * across**2) / 3.0), dtype=np.float64)
 
 
-def _across(axis: FloatArray) -> FloatArray:
+def _perpendicular(axis: FloatArray) -> FloatArray:
     """(2, 3) unit vectors perpendicular to an axis and to each other."""
     first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     first /= np.linalg.norm(first)

@@ -128,14 +128,14 @@ def recognise_landmarks(simulated: SimulatedTracks, vision: VisionSpec, rng: np.
     for tracks in simulated.seen:
         lost = np.array(sorted(set(last.values()) - set(tracks.tolist())), dtype=np.int64)
         new = np.setdiff1d(tracks, before)
-        found = [_taken_for(int(one), lost, last, simulated, vision, float(rng.uniform())) for one in new]
+        found = [_identified_with(int(one), lost, last, simulated, vision, float(rng.uniform())) for one in new]
         pairs.append(np.array([p for p in found if p is not None], dtype=np.int64).reshape(-1, 2))
         last.update(zip(simulated.landmarks[new].tolist(), new.tolist(), strict=True))
         before = tracks
     return pairs
 
 
-def _taken_for(
+def _identified_with(
     track: int, lost: IndexArray, last: Mapping[int, int], simulated: SimulatedTracks, vision: VisionSpec, luck: float
 ) -> tuple[int, int] | None:
     """Return a new track and the lost one that it is identified with; None if it has none."""

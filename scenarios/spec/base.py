@@ -75,7 +75,7 @@ def canonical_json(spec: SpecModel) -> str:
 
 def digest(spec: SpecModel) -> str:
     """Return the SHA-256 of the canonical form without names and descriptions, which results do not depend on."""
-    text = _dump(_without_prose(spec))
+    text = _dump(_without_texts(spec))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -83,10 +83,10 @@ def _dump(value: object) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
-def _without_prose(spec: SpecModel) -> dict[str, object]:
+def _without_texts(spec: SpecModel) -> dict[str, object]:
     kept: dict[str, object] = spec.model_dump(mode="json", by_alias=True, exclude=set(spec.prose))
     for key in type(spec).model_fields:
         value = getattr(spec, key)
         if isinstance(value, SpecModel) and key in kept:
-            kept[key] = _without_prose(value)
+            kept[key] = _without_texts(value)
     return kept

@@ -147,14 +147,14 @@ def _scatter(
 ) -> tuple[IndexArray, FloatArray, int, np.random.Generator]:
     """Draw positions and diameters, largest first, and count those that the mesh resolves."""
     rng = np.random.default_rng(seed)
-    diameters_m, places = _strewn(spec, ground, rng)
+    diameters_m, places = _draw_sizes_and_places(spec, ground, rng)
     if small is not None:
-        _, elsewhere = _strewn(spec, ground, np.random.default_rng(small.seed))
+        _, elsewhere = _draw_sizes_and_places(spec, ground, np.random.default_rng(small.seed))
         places = np.where(diameters_m < small.below_m, elsewhere, places)
     return places, diameters_m, int(np.count_nonzero(diameters_m >= ground.resolution_m)), rng
 
 
-def _strewn(
+def _draw_sizes_and_places(
     spec: BoulderSpec | CraterSpec, ground: RefinedSurface, rng: np.random.Generator
 ) -> tuple[FloatArray, IndexArray]:
     diameters_m = power_law_diameters(spec.count, spec.min_diameter_m, spec.max_diameter_m, spec.exponent, rng)
