@@ -72,7 +72,7 @@ _ESTIMATORS: Registry[Estimator] = Registry(
         "whole-image": "estimators.dense.whole_image:WholeImageRecognizer",
         "photometric": "estimators.dense.photometric:PhotometricEstimator",
         "lmaps": "estimators.maplets.recognizer:MapletNavigator",
-        "crater-pose": "estimators.craters.pose.estimator:CraterPose",
+        "crater-pose": "estimators.craters.pose:CraterPose",
         "prior": "estimators.prior:PriorEstimator",
     },
     group="boresight.estimators",

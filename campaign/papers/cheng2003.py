@@ -9,7 +9,7 @@ from campaign.kinds.crater_detection.examples import detected, stages_of
 from campaign.kinds.crater_matching.show import matching_example
 from campaign.papers.gather import FinishedRun
 from campaign.papers.kinds import Draw, Paper, PaperFigure, Runs
-from estimators.craters.planning.plan import PLANNER
+from estimators.craters.planning import PLANNER
 from reports.kinds.crater_navigation import counts_figure
 from reports.kinds.image_survey import survey_figures
 from reports.kinds.orbit_determination import reference_scenarios, residual_figure

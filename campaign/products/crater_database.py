@@ -12,10 +12,10 @@ from campaign.products.database_images import DatabaseImage, database_images
 from campaign.products.spread import over_images
 from estimators.contract import NoProductError
 from estimators.craters.contract import CraterDetections, CraterDetector, CraterImage
+from estimators.craters.database.build import build_database, triangulate_landmarks
 from estimators.craters.database.files import CraterDatabase
-from estimators.craters.database.triangulation import build_database, triangulated
 from estimators.craters.matching.preliminary import PreliminaryOptions
-from estimators.craters.pose.options import PRODUCT, CraterDatabaseOptions
+from estimators.craters.pose import PRODUCT, CraterDatabaseOptions
 from estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
 from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
@@ -62,7 +62,7 @@ def build(scenario: LoadedScenario, options: SpecModel, folder: Path, jobs: int,
     )
     preliminary = PreliminaryOptions(height_sigma_m=wanted.height_sigma_m)
     built = build_database(images, matcher, MeshGround(world.body.mesh), preliminary)
-    triangulated(built.database, wanted.height_sigma_m, wanted.association).save(folder)
+    triangulate_landmarks(built.database, wanted.height_sigma_m, wanted.association).save(folder)
     return {
         "images": wanted.images,
         "images_from_store": sum(stored for _, stored in found),

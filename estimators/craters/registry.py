@@ -1,4 +1,4 @@
-"""Detectors and matchers of craters by name: our own tables, and entry points of third-party packages."""
+"""Crater detectors and matchers by name: the built-in tables, and entry points of third-party packages."""
 
 from __future__ import annotations
 

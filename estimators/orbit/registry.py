@@ -1,4 +1,4 @@
-"""Estimators of orbits by name: our own table, and entry points of third-party packages."""
+"""Orbit estimators by name: the built-in table, and entry points of third-party packages."""
 
 from __future__ import annotations
 

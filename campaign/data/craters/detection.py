@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from campaign.data.craters.msi_image import RealImage, open_msi
 from campaign.data.craters.named_craters import Predicted, predict, read_gazetteer
 from estimators.craters.contract import CraterDetections, CraterDetector
-from estimators.craters.detection.classic import CraterClassic, Stages
+from estimators.craters.detection.classic import CraterClassic, DetectionStages
 from reports.figures.craters import draw_detections, draw_stages
 from reports.figures.style import save_figure
 from scenarios.atomic import write_text
@@ -40,7 +40,7 @@ class RealDetection:
     detections: CraterDetections
     predicted: Predicted
     nearest: NDArray[np.int64]
-    stages: Stages | None
+    stages: DetectionStages | None
 
     def summary(self) -> list[str]:
         """One line for each named crater that the image should show."""

@@ -20,7 +20,7 @@ from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
 from campaign.trial.methods import Unbuilt, able, methods, missing
 from campaign.trial.work import Work
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
-from estimators.craters.matching.epipolar import epipolar_offsets
+from estimators.craters.matching.context import epipolar_offsets
 from estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
 from scenarios.bodies import load_body
 from scenarios.craters.pairs import CraterPair, CraterView

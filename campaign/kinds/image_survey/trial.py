@@ -19,10 +19,10 @@ from campaign.kinds.orbit_determination.trial import checked_orbit_section, empt
 from campaign.products import BuiltProduct, Shelf
 from campaign.resolved import ResolvedCampaign
 from campaign.trial.kind import Bench, Record, Records, Witness, each_trial
-from estimators.craters.contract import Ground
+from estimators.craters.contract import GroundModel
 from estimators.craters.matching.preliminary import lit_points
-from estimators.craters.navigation.stages import Stages
-from estimators.craters.planning.plan import PLANNER, PLANNER_VERSION
+from estimators.craters.navigation.stages import StageFiles
+from estimators.craters.planning import PLANNER, PLANNER_VERSION
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
 from scenarios.geometry import View
@@ -54,7 +54,7 @@ class Coverage:
     similar: NDArray[np.int64]
 
 
-def coverage(views: Sequence[View], ground: Ground) -> Coverage:
+def coverage(views: Sequence[View], ground: GroundModel) -> Coverage:
     """Count, for each of n views of one camera, the others that show the same lit ground.
 
     A point of an image's grid is shown by another where that faces it and has it in the frame; what stands between and
@@ -145,7 +145,7 @@ class ImageSurvey:
         """Plan the images of an arc, take them and count: records without their key."""
         try:
             taken = NavigationTrial.take(
-                self.world, self.sights, self.seed, trial, Stages(self.folder / f"{trial:07d}")
+                self.world, self.sights, self.seed, trial, StageFiles(self.folder / f"{trial:07d}")
             )
         except BoresightError as error:
             return {"rows": [{**empty_row(), "status": "failed", "reason": f"there is no such arc: {error}"}]}

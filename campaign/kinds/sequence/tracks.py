@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from campaign.kinds.sequence.images import WRONG_PX, OrbitImages
 from campaign.trial.kind import Record
-from estimators.slam.vision.carriers import Look
-from estimators.slam.vision.tracker import Tracked, Tracker
+from estimators.slam.vision.point_trackers import MatchedImage
+from estimators.slam.vision.tracker import TrackedFrame, Tracker
 from scenarios.draw import Stream, estimator_generator, generator
 from scenarios.sequences import (
     CameraTrajectory,
@@ -69,7 +69,7 @@ class Watch:
         blind = onboard_sequence(spec, self._images.camera, self.path, [_NOTHING] * len(self._slots), self._address)
         self.sequence = replace(blind, front_end=_GuidedFrames(lambda predict: self.frames(predict)))
         self._made: list[TrackFrame] = []
-        self._tracked: list[Tracked] = []
+        self._tracked: list[TrackedFrame] = []
         self._points_m = np.empty((0, 3))
 
     def frames(self, predict: LandmarkPredictor) -> Iterator[TrackFrame]:
@@ -109,12 +109,12 @@ class Watch:
             return ()
         return measured_ranges([here], self.path.poses[index], self._images.camera, knowledge, rng)
 
-    def _look(self, index: int) -> Look:
+    def _look(self, index: int) -> MatchedImage:
         slot = self._slots[index]
         pairs = np.empty((0, 2), dtype=np.int64)
         if index:
             pairs = self._images.pairs(self._realisation, self._slots[index - 1], slot).rows
-        return Look(
+        return MatchedImage(
             self._images.image(self._realisation, slot), self._images.found(self._realisation, slot).features, pairs
         )
 

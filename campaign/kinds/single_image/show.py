@@ -20,7 +20,7 @@ from campaign.trial.in_turn import part_of
 from campaign.trial.kind import Record
 from estimators.contract import Estimate
 from estimators.craters.database.landmarks import Landmarks
-from estimators.craters.pose.estimator import CraterPose
+from estimators.craters.pose import CraterPose
 from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.projection import visible_landmarks
 from estimators.landmark.recognizer import LandmarkRecognizer

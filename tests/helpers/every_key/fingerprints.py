@@ -21,7 +21,7 @@ from campaign.kinds.sequence.trial import ground_of
 from campaign.kinds.single_image.trial import SingleImage
 from campaign.products import Shelf
 from estimators.craters.navigation.rounds import CraterNavigation
-from estimators.craters.navigation.stages import Stages
+from estimators.craters.navigation.stages import StageFiles
 from estimators.slam.registry import sequence_estimator_class
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError
@@ -93,8 +93,8 @@ def imaging_fingerprint(scenario: LoadedScenario) -> str:
     world = open_orbit_world(scenario, 3)
     sights = open_sights(scenario, imaging_of(world), choose_variant().name)
     with tempfile.TemporaryDirectory() as folder:
-        taken = NavigationTrial.take(world, sights, 3, 0, Stages(Path(folder)))
-        searched = taken.search(CraterNavigation.from_options({}), Stages(Path(folder)))
+        taken = NavigationTrial.take(world, sights, 3, 0, StageFiles(Path(folder)))
+        searched = taken.search(CraterNavigation.from_options({}), StageFiles(Path(folder)))
     arrays = [taken.flown.image_states, taken.task.shape.ground.mesh.vertices_m]
     for view, image in zip(taken.views, searched, strict=True):
         shown, rims = image.exposure, image.exposure.detections.ellipses
