@@ -11,11 +11,11 @@ from functools import cached_property
 from campaign.imaging.real_images import images_digest
 from renderers.detector import Detector
 from renderers.mitsuba3 import MitsubaRenderer
-from scenarios.beliefs import believed_spec
 from scenarios.bodies import body_digest
 from scenarios.craters import shape_digest
-from scenarios.designs import Variation
+from scenarios.designs import GridVariation
 from scenarios.load import LoadedScenario, canonical_json, digest
+from scenarios.onboard import onboard_spec
 from scenarios.spec.campaign import CampaignSpec
 
 DRAFT_VERSION = 3
@@ -46,7 +46,7 @@ class ResolvedCampaign:
     seed: int
     versions: Versions
     variant: str = ""
-    variations: Mapping[str, Variation] = field(default_factory=dict)
+    variations: Mapping[str, GridVariation] = field(default_factory=dict)
     overrides: tuple[str, ...] = ()
     draft: float = 1.0
 
@@ -62,7 +62,7 @@ class ResolvedCampaign:
                     "name": s.spec.name,
                     "digest": digest(s.spec),
                     "body": shape_digest(s.spec, s.search_dirs),
-                    "onboard": body_digest(believed_spec(s.spec).body, s.search_dirs),
+                    "onboard": body_digest(onboard_spec(s.spec).body, s.search_dirs),
                     "images": images_digest(s),
                 }
                 for s in self.scenarios

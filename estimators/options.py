@@ -8,7 +8,7 @@ from typing import TypeVar
 from pydantic import ValidationError
 
 from scenarios.errors import BoresightError, printable
-from scenarios.load.partial import on_defaults
+from scenarios.load.merge import on_defaults
 from scenarios.spec.base import SpecModel
 
 Model = TypeVar("Model", bound=SpecModel)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from campaign.cli.terminal import console
 from estimators.craters.registry import crater_detector_class, crater_detector_names
-from scenarios.atomic import explain
+from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def _craters(arguments: argparse.Namespace) -> int:
     try:
         written = write_real(found, arguments.out)
     except OSError as error:
-        raise BoresightError(explain(error.filename or arguments.out, error)) from error
+        raise BoresightError(explain_write_error(error.filename or arguments.out, error)) from error
     out = console()
     out.print(f"{found.image.name}: {len(found.detections.ellipses)} craters by {detector.name}")
     for line in found.summary():

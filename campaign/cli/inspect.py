@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from campaign.cli.runs import find_run, not_negative, positive
 from campaign.cli.terminal import console
-from scenarios.atomic import explain
+from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def _look(arguments: argparse.Namespace) -> int:
         try:
             write_recording(look, arguments.rerun)
         except OSError as error:
-            raise BoresightError(explain(error.filename or arguments.rerun, error)) from error
+            raise BoresightError(explain_write_error(error.filename or arguments.rerun, error)) from error
         written.append(arguments.rerun)
     for path in written:
         console().print(f"look: {path}")
@@ -104,7 +104,7 @@ def _cases(arguments: argparse.Namespace) -> int:
             try:
                 found = inspect_case(campaign, folder, case, out)
             except OSError as error:
-                raise BoresightError(explain(error.filename or out, error)) from error
+                raise BoresightError(explain_write_error(error.filename or out, error)) from error
             same = same and not found.comparison.differences
             reason = f" ({found.row['reason']})" if found.row["reason"] else ""
             printer.print(f"{case}: {found.row['status']}{reason}; {found.comparison}")

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from campaign.imaging.world import TrialImage, World
 from renderers.rectify import rectify
-from scenarios.beliefs import believed_attitude, believed_camera, believed_sun
 from scenarios.draw import Stream, degrade, generator, prior_covariance
 from scenarios.geometry import View
 from scenarios.observation import Frame, Observation, RangeReading
+from scenarios.onboard import onboard_attitude, onboard_camera, onboard_sun_dir
 
 T = TypeVar("T", bound=np.generic)
 
@@ -44,12 +44,12 @@ def observe(world: World, trial_image: TrialImage, seed: int, trial: int) -> Obs
     true = trial_image.view.T_cam_body
     prior = degrade(true, spec.pose_error, world.camera, generator(seed, Stream.POSE_ERROR, trial))
     knowledge = generator(seed, Stream.KNOWLEDGE, trial)
-    prior = believed_attitude(prior, spec.onboard, knowledge)
+    prior = onboard_attitude(prior, spec.onboard, knowledge)
     range_m = float(np.linalg.norm(prior.translation_m))
-    camera = believed_camera(spec)
+    camera = onboard_camera(spec)
     frame = Frame(
         image=_read_only(rectify(trial_image.image, camera)),
-        sun_dir_cam=_read_only(believed_sun(true.rotate(trial_image.view.sun_dir_body), spec.onboard, knowledge)),
+        sun_dir_cam=_read_only(onboard_sun_dir(true.rotate(trial_image.view.sun_dir_body), spec.onboard, knowledge)),
         prior_T_cam_body=prior,
         prior_covariance=_read_only(prior_covariance(spec.pose_error, range_m, world.camera)),
         time_s=trial_image.time_s,

@@ -13,14 +13,13 @@ from campaign.imaging.image_store import Imager, open_renderer
 from campaign.imaging.real_images import images_digest, open_images
 from renderers.images import ImageSet, keep_clear_violation
 from renderers.mitsuba3 import BodyRenderer
-from scenarios.aim import draw_aimed_view
-from scenarios.beliefs import believed_spec
 from scenarios.bodies import Body, load_body
 from scenarios.craters import CrateredSurface, check_size, cratered_surface, shape_digest
-from scenarios.draw import Stream, draw_view, generator
+from scenarios.draw import Stream, draw_aimed_view, draw_view, generator
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, TriangleMesh, View
 from scenarios.load import LoadedScenario
+from scenarios.onboard import onboard_spec
 from scenarios.spec.world import ViewpointSpec
 
 _MOST_DRAWS = 1000
@@ -154,7 +153,7 @@ class World:
 
 def believed(scenario: LoadedScenario) -> LoadedScenario:
     """Return a scenario as the spacecraft believes it to be."""
-    return replace(scenario, spec=believed_spec(scenario.spec))
+    return replace(scenario, spec=onboard_spec(scenario.spec))
 
 
 def trial_limit(scenario: LoadedScenario) -> int | None:
@@ -189,7 +188,7 @@ def check_bodies(scenario: LoadedScenario) -> None:
     """
     spec = scenario.spec
     mesh = load_body(spec.body, scenario.search_dirs).mesh
-    load_body(believed_spec(spec).body, scenario.search_dirs)
+    load_body(onboard_spec(spec).body, scenario.search_dirs)
     if spec.viewpoint is not None:
         _check_range(scenario, mesh, spec.viewpoint)
 

@@ -24,7 +24,7 @@ from campaign.products.databases import (
 )
 from estimators.contract import ImageRenderer, NoProductError
 from renderers.mitsuba3 import MitsubaRenderer, choose_variant
-from scenarios.atomic import explain
+from scenarios.atomic import explain_write_error
 from scenarios.bodies import load_body
 from scenarios.cache import default_cache
 from scenarios.errors import BoresightError, MachineError, text_of
@@ -270,7 +270,7 @@ def _in_words(kind: str) -> str:
 def _raise_machine_error(folder: Path, error: BaseException) -> None:
     """Raise `MachineError` for a fault of the machine, such as a full disk: the same command can succeed later."""
     if isinstance(error, OSError):
-        raise MachineError(explain(error.filename or folder, error)) from error
+        raise MachineError(explain_write_error(error.filename or folder, error)) from error
     if isinstance(error, BoresightError) and isinstance(error.__cause__, OSError):
         raise MachineError(str(error)) from error
 
@@ -307,4 +307,4 @@ def _write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
         temporary.replace(folder)
     except OSError as error:
         shutil.rmtree(temporary, ignore_errors=True)
-        raise MachineError(explain(folder, error)) from error
+        raise MachineError(explain_write_error(folder, error)) from error

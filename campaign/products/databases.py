@@ -17,7 +17,7 @@ from renderers.mitsuba3 import renderer_version
 from scenarios.craters import shape_digest
 from scenarios.load import LoadedScenario, canonical_json
 from scenarios.spec.base import SpecModel
-from scenarios.spec.onboard import OnboardSpec
+from scenarios.spec.scenario import OnboardSpec
 
 Options = TypeVar("Options", bound=SpecModel)
 

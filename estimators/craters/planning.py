@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from estimators.craters.database.records import TextRecord, format_record, read_records, write_records
-from scenarios.aim import KINDS, Kind, angles_deg, is_lit, of_kind
-from scenarios.dynamics.flight import flight
-from scenarios.dynamics.propagation import Pushes
+from scenarios.draw import TARGET_KINDS, TargetKind, emission_incidence_deg, is_lit_and_facing, near_limb_or_terminator
+from scenarios.dynamics.propagation import PiecewiseAcceleration
+from scenarios.dynamics.variational import propagate_partials
 from scenarios.errors import BoresightError
 from scenarios.geometry import look_at
 from scenarios.orbits.data import Knowledge
@@ -56,7 +56,9 @@ def plan_arc(
     OrbitLostError
         If the a priori orbit hits the body.
     """
-    flown = flight(knowledge.field, knowledge.state, times_s, Pushes.none(float(times_s[-1])))
+    flown = propagate_partials(
+        knowledge.field, knowledge.state, times_s, PiecewiseAcceleration.none(float(times_s[-1]))
+    )
     attitudes = knowledge.field.rotation.at(times_s)
     positions = flown.states[:, :3] + np.einsum("nji,j->ni", attitudes, centre_of_mass_m)
     suns = np.broadcast_to(sun_dir_inertial, positions.shape)
@@ -111,14 +113,16 @@ class PlannedImage:
 
     number: int
     time_s: float
-    kind: Kind
+    kind: TargetKind
     target_body_m: FloatArray
     planned_R_cam_inertial: FloatArray
     actual_R_cam_inertial: FloatArray
     sun_dir_nadir: FloatArray
 
 
-def plan_images(ephemeris: Ephemeris, ground: MeshGround, kinds: Sequence[Kind] = KINDS) -> tuple[PlannedImage, ...]:
+def plan_images(
+    ephemeris: Ephemeris, ground: MeshGround, kinds: Sequence[TargetKind] = TARGET_KINDS
+) -> tuple[PlannedImage, ...]:
     """Plan one image for each epoch, the kinds in turn.
 
     If no ground of the kind in turn is lit and visible, the next kind is tried; an epoch without ground of any kind has
@@ -152,14 +156,14 @@ def with_telemetry(images: Sequence[PlannedImage], turned_rad: FloatArray) -> tu
 
 
 def find_target(
-    ground: MeshGround, position_body_m: FloatArray, sun_dir_body: FloatArray, kind: Kind
+    ground: MeshGround, position_body_m: FloatArray, sun_dir_body: FloatArray, kind: TargetKind
 ) -> FloatArray | None:
     """Find lit and visible ground of a kind, (3,): that nearest to the line of sight to the nadir; None if none."""
     if kind == "nadir":
         return _lit_nadir(ground, position_body_m, sun_dir_body)
     places, normals = ground.mesh.corners_m.mean(axis=1), ground.mesh.normals
-    emission, incidence = angles_deg(places, normals, position_body_m, sun_dir_body)
-    rows = np.flatnonzero(of_kind(kind, emission, incidence) & is_lit(emission, incidence))
+    emission, incidence = emission_incidence_deg(places, normals, position_body_m, sun_dir_body)
+    rows = np.flatnonzero(near_limb_or_terminator(kind, emission, incidence) & is_lit_and_facing(emission, incidence))
     rays = places[rows] - position_body_m
     off_nadir = rays @ -position_body_m / np.linalg.norm(rays, axis=1)
     # Tested from the nadir outwards, so that the first visible facet is the nearest.
@@ -177,8 +181,8 @@ def _lit_nadir(ground: MeshGround, position: FloatArray, sun: FloatArray) -> Flo
     points, normals = ground.intersect(position[None], -position[None] / np.linalg.norm(position))
     if not np.isfinite(points).all():
         return None
-    emission, incidence = angles_deg(points, normals, position, sun)
-    return points[0] if is_lit(emission, incidence)[0] else None
+    emission, incidence = emission_incidence_deg(points, normals, position, sun)
+    return points[0] if is_lit_and_facing(emission, incidence)[0] else None
 
 
 def write_plan(path: Path, images: Sequence[PlannedImage]) -> None:
@@ -214,7 +218,7 @@ def read_plan(path: Path) -> tuple[PlannedImage, ...]:
 
 
 def _image(record: TextRecord) -> PlannedImage:
-    kinds: tuple[Kind, ...] = get_args(Kind)
+    kinds: tuple[TargetKind, ...] = get_args(TargetKind)
     kind = next((one for one in kinds if one == record.fields[2]), None)
     if kind is None:
         raise record.error(f"{record.fields[2]!r} is no kind of image; there are: {', '.join(kinds)}")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from estimators.orbit.parameters import ParameterLayout
-from scenarios.dynamics.flight import Flight, flight
+from scenarios.dynamics.variational import OrbitPartials, propagate_partials
 from scenarios.orbits.data import OrbitData, Radiometry
 
 FloatArray = NDArray[np.float64]
@@ -113,11 +113,11 @@ class MeasurementModel:
     layout: ParameterLayout
     measured: Measurements
 
-    def propagate(self, x: FloatArray) -> Flight:
+    def propagate(self, x: FloatArray) -> OrbitPartials:
         """Propagate the orbit over the arc."""
         return propagate_orbit(self.layout, x, self.measured.epochs_s)
 
-    def shared(self, unknowns: Unknowns, flown: Flight) -> FloatArray:
+    def shared(self, unknowns: Unknowns, flown: OrbitPartials) -> FloatArray:
         """Return (I, 7, n) derivatives of each camera's position, rotation and focal length by the shared unknowns."""
         layout, known = self.layout, self.layout.knowledge
         found = np.zeros((len(self.measured.times_s), 7, layout.size))
@@ -128,7 +128,7 @@ class MeasurementModel:
         found[:, 6, layout.part("focal")] = known.focal_sigma
         return found
 
-    def sightings(self, unknowns: Unknowns, flown: Flight) -> SightingResiduals:
+    def sightings(self, unknowns: Unknowns, flown: OrbitPartials) -> SightingResiduals:
         """Predict the pixel of each sighting."""
         measured, layout = self.measured, self.layout
         image, camera = measured.image, layout.knowledge.camera
@@ -159,7 +159,7 @@ class MeasurementModel:
         mounting = Rotation.from_rotvec(self.layout.mounting(unknowns.x)).as_matrix()
         return np.asarray(_tilt_rotations(unknowns.tilts) @ mounting @ self.measured.R_cam_inertial)
 
-    def passes(self, x: FloatArray, flown: Flight) -> TrackingResiduals:
+    def passes(self, x: FloatArray, flown: OrbitPartials) -> TrackingResiduals:
         """Predict ranges and range rates."""
         layout, radio = self.layout, self.measured.radiometry
         if radio is None:
@@ -184,19 +184,19 @@ def _tilt_rotations(tilts: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
-def propagate_orbit(layout: ParameterLayout, x: FloatArray, times_s: FloatArray) -> Flight:
+def propagate_orbit(layout: ParameterLayout, x: FloatArray, times_s: FloatArray) -> OrbitPartials:
     """Propagate the orbit for given unknowns; one of the last propagations is returned if it is the same."""
     key = (x.tobytes(), times_s.tobytes())
     if key not in layout.flights:
         end = float(times_s[-1]) if len(times_s) else 1.0
-        flown = flight(layout.field_at(x), layout.state(x), times_s, layout.pushes(x, end))
+        flown = propagate_partials(layout.field_at(x), layout.state(x), times_s, layout.pushes(x, end))
         if len(layout.flights) == _FLIGHTS_KEPT:
             del layout.flights[next(iter(layout.flights))]
         layout.flights[key] = flown
     return layout.flights[key]
 
 
-def state_derivatives(layout: ParameterLayout, x: FloatArray, flown: Flight, rows: slice) -> FloatArray:
+def state_derivatives(layout: ParameterLayout, x: FloatArray, flown: OrbitPartials, rows: slice) -> FloatArray:
     """Return the (T, rows, n) derivatives of the propagated state by the shared unknowns."""
     found = np.zeros((len(flown.states), rows.stop - rows.start, layout.size))
     found[:, :, layout.part("state")] = flown.by_state[:, rows] * layout.state_sigma

@@ -13,8 +13,8 @@ from pydantic import Field
 from scipy.linalg import toeplitz
 
 from scenarios.dynamics.field import HarmonicField
-from scenarios.dynamics.flight import Flight
-from scenarios.dynamics.propagation import Pushes
+from scenarios.dynamics.propagation import PiecewiseAcceleration
+from scenarios.dynamics.variational import OrbitPartials
 from scenarios.orbits.data import Knowledge, OrbitData
 from scenarios.spec.base import SpecModel
 
@@ -74,7 +74,7 @@ class ParameterLayout:
     edges_s: FloatArray
     force_sigma: FloatArray
     bias_sigma_m: float
-    flights: dict[tuple[bytes, bytes], Flight] = dataclasses.field(default_factory=dict, repr=False)
+    flights: dict[tuple[bytes, bytes], OrbitPartials] = dataclasses.field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, data: OrbitData, options: OrbitOptions) -> ParameterLayout:
@@ -171,11 +171,11 @@ class ParameterLayout:
         """Return the range bias, m."""
         return self.bias_sigma_m * float(x[self.part("bias")].sum())
 
-    def pushes(self, x: FloatArray, end_s: float) -> Pushes:
+    def pushes(self, x: FloatArray, end_s: float) -> PiecewiseAcceleration:
         """Return the estimated piecewise-constant unmodelled acceleration."""
         if not self.pieces:
-            return Pushes.none(end_s)
-        return Pushes(self.edges_s, self.knowledge.noise_m_s2 * x[self.part("pushes")].reshape(-1, 3))
+            return PiecewiseAcceleration.none(end_s)
+        return PiecewiseAcceleration(self.edges_s, self.knowledge.noise_m_s2 * x[self.part("pushes")].reshape(-1, 3))
 
     @cached_property
     def information(self) -> FloatArray:

@@ -10,8 +10,8 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from estimators.orbit.kernels import shared_links, subtract_landmarks, whiten_landmarks
 from estimators.orbit.model import MeasurementModel, SightingResiduals, TrackingResiduals, Unknowns
-from scenarios.dynamics.flight import Flight
 from scenarios.dynamics.propagation import OrbitLostError
+from scenarios.dynamics.variational import OrbitPartials
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -58,7 +58,7 @@ class Linearisation:
     """Residuals with derivatives and the cost, at given values of the unknowns."""
 
     unknowns: Unknowns
-    flown: Flight
+    flown: OrbitPartials
     sightings: SightingResiduals
     passes: TrackingResiduals
     lengths: FloatArray

@@ -105,7 +105,7 @@ class PoseState(FilterState):
         cls, position_m: FloatArray, covariance_m2: FloatArray, frame: TrackFrame, turn_noise_rad: float
     ) -> PoseState:
         """Return a state without landmarks, at the attitude of the star tracker."""
-        lasting = frame.attitude_lasting_rad**2 * np.eye(3)
+        lasting = frame.attitude_bias_sigma_rad**2 * np.eye(3)
         covariance = np.zeros((cls.CAMERA, cls.CAMERA))
         covariance[_POSITION, _POSITION] = covariance_m2
         covariance[_VELOCITY, _VELOCITY] = _FIRST_VELOCITY_M_S**2 * np.eye(3)
@@ -117,7 +117,15 @@ class PoseState(FilterState):
         none = np.zeros(0, dtype=np.int64)
         anchors, settled = np.zeros((0, 3, 3)), np.zeros((0, 4))
         return cls(
-            x, covariance, none, anchors, settled, frame, frame.R_cam_body, turn_noise_rad, frame.attitude_lasting_rad
+            x,
+            covariance,
+            none,
+            anchors,
+            settled,
+            frame,
+            frame.R_cam_body,
+            turn_noise_rad,
+            frame.attitude_bias_sigma_rad,
         )
 
     @property
@@ -163,10 +171,10 @@ class PoseState(FilterState):
         The estimated lasting error is split between the body's rotation and the misalignment by their variances.
         """
         position, covariance, points = FilterState.estimate(self, camera)
-        grown = max(self.frame.attitude_lasting_rad**2 - self.misalignment_rad**2, 0.0)
+        grown = max(self.frame.attitude_bias_sigma_rad**2 - self.misalignment_rad**2, 0.0)
         if grown == 0.0:
             return position, covariance, points
-        share = grown / self.frame.attitude_lasting_rad**2
+        share = grown / self.frame.attitude_bias_sigma_rad**2
         to_body, lever = self.attitude.T, cross_matrix(position)
         turn = rotation_of(-share * to_body @ self.x[_LASTING])
         J = np.zeros((3, self.CAMERA))
@@ -234,7 +242,7 @@ class PoseState(FilterState):
         accelerates[_RATE] = 2.0 / dt * np.eye(3)  # angular acceleration a: rotation a dt^2 / 2, rate a dt
         noise = moves @ frame.motion_covariance_m2 @ moves.T
         noise += self.turn_noise_rad**2 * accelerates @ accelerates.T
-        grown = max(frame.attitude_lasting_rad**2 - self.frame.attitude_lasting_rad**2, 0.0)
+        grown = max(frame.attitude_bias_sigma_rad**2 - self.frame.attitude_bias_sigma_rad**2, 0.0)
         noise[_LASTING, _LASTING] += grown * np.eye(3)
         return F, noise
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from estimators.options import parse_options
 from estimators.slam.contract import FrameEstimate, SequenceEstimate
 from scenarios.spec.base import SpecModel
-from scenarios.tracks import Predict, Prediction, TrackFrame, TrackSequence
+from scenarios.tracks import LandmarkPredictor, Prediction, TrackFrame, TrackSequence
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -156,9 +156,9 @@ def follow(sequence: TrackSequence, follower: Follower) -> SequenceEstimate:
     return SequenceEstimate("failed" if reason else "ok", tuple(done), reason, follower.diagnostics())
 
 
-def frames_of(sequence: TrackSequence, predict: Predict) -> Iterable[TrackFrame]:
+def frames_of(sequence: TrackSequence, predict: LandmarkPredictor) -> Iterable[TrackFrame]:
     """Return the stored frames, or those that the sequence's vision layer makes with the predictions of ``predict``."""
-    return sequence.frames if sequence.eye is None else sequence.eye.frames(predict)
+    return sequence.frames if sequence.front_end is None else sequence.front_end.frames(predict)
 
 
 def next_pixels(follower: Follower, frame: TrackFrame) -> Prediction | None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.mitsuba3.variant import Variant, load_mitsuba
-from scenarios.craters.facing import facet_normals
+from scenarios.craters.tiles import facet_normals
 from scenarios.geometry import TriangleMesh
 
 FloatArray = NDArray[np.float64]

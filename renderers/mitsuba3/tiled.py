@@ -16,8 +16,8 @@ from renderers.mitsuba3.scene import FacetScene
 from renderers.mitsuba3.variant import Variant, choose_variant, load_mitsuba
 from renderers.mitsuba3.wavefront import drjit_math
 from scenarios.craters import CrateredSurface
-from scenarios.craters.facing import may_face
-from scenarios.craters.meeting import Fan, facets_met
+from scenarios.craters.ray_culling import RayProjection, candidate_facets
+from scenarios.craters.tiles import may_face
 from scenarios.geometry import SurfaceHits, TriangleMesh, View
 from scenarios.spec.brdf import BrdfSpec
 from scenarios.spec.scenario import ScenarioSpec
@@ -126,7 +126,7 @@ class TiledRenderer:
 
     def clear(self, view: View, points_m: FloatArray, direction: FloatArray) -> BoolArray:
         """(N,) whether no facet near a view's frame blocks the rays from points (N, 3) along a unit vector (3,)."""
-        fan = Fan.of_parallel(direction)
+        fan = RayProjection.of_parallel(direction)
         clear = np.ones(len(points_m), dtype=bool)
         along = np.broadcast_to(direction, (len(points_m), 3))
         for part in self._parts(tiles_casting(self.ground, view), fan, fan.of_points(points_m)):
@@ -148,9 +148,9 @@ class TiledRenderer:
         under = self.ground.under
         return FacetScene.of(self._mi, under.vertices_m.astype(np.float32)[under.faces])
 
-    def _parts(self, tiles: IndexArray, fan: Fan, rays: FloatArray) -> list[FacetScene]:
+    def _parts(self, tiles: IndexArray, fan: RayProjection, rays: FloatArray) -> list[FacetScene]:
         """Scenes of the coarse body and of the fine facets, if any, of tiles that rays (N, 3) of a fan may hit."""
-        corners_m = facets_met(self.ground, tiles, fan, rays)
+        corners_m = candidate_facets(self.ground, tiles, fan, rays)
         return [self._under, FacetScene.of(self._mi, corners_m)] if len(corners_m) else [self._under]
 
     def _window(self, view: View, window: PixelWindow) -> SingleArray:
@@ -183,7 +183,7 @@ class TiledRenderer:
         hits = _Hits(np.full(n, np.inf, dtype=np.float32), np.zeros((n, 3), dtype=np.float32))
         if n == 0:
             return hits
-        fan = Fan.of_view(view)
+        fan = RayProjection.of_view(view)
         for part in self._parts(tiles_seen(self.ground, view), fan, fan.of_directions(directions)):
             distance, facet = part.first_hits(self._mi, origins_m, directions)
             nearer = distance < hits.distance_m

@@ -16,7 +16,7 @@ from estimators.craters.navigation.rounds import CraterNavigation, NavigationOpt
 from estimators.craters.navigation.stages import StageFiles
 from estimators.orbit.contract import OrbitEstimate
 from reports.schema.tables import TABLES
-from scenarios.craters.pairs import population
+from scenarios.craters.pairs import draw_plane_craters
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
 from scenarios.geometry import Pose, TriangleMesh
@@ -57,7 +57,7 @@ def _trials(tmp_path, world, navigators=None, sights=DrawnSights):
     mesh = world.asteroid.mesh
     ground = MeshGround(TriangleMesh(mesh.vertices_m + SHIFT_M, mesh.faces))
     spec = imaging_of(world)
-    drawn = sights(spec, ground, population(ground, spec.craters))
+    drawn = sights(spec, ground, draw_plane_craters(ground, spec.craters))
     navigators = navigators or {"vote": CraterNavigation.from_options({"matcher": "vote"})}
     return CraterNavigationTrials("small", world, drawn, navigators, 5, tmp_path)
 

@@ -18,9 +18,9 @@ from campaign.store import RunFolder
 from estimators.maplets.build import MapletOptions, spread_points
 from reports.pages.build import write_report
 from reports.pages.content import read_content
-from scenarios.beliefs import believed_spec
 from scenarios.bodies import load_body
 from scenarios.load import load_scenario
+from scenarios.onboard import onboard_spec
 
 DATABASES, TRIALS = 3, 12
 SCENE_ERRED = "onboard: {height_error: {rms_m: 1, min_wavelength_m: 20, seed: 5}}\n"
@@ -115,7 +115,7 @@ def test_the_knowledge_of_a_data_base_is_its_own(cache, tmp_path):
     other = with_database_knowledge(scenario, 2)
     assert other.spec.onboard.height_error.seed == 5 + 2 * SEED_STEP
     assert other.spec.model_copy(update={"onboard": scenario.spec.onboard}) == scenario.spec
-    shapes = [load_body(believed_spec(one.spec).body, ()).mesh.vertices_m for one in (scenario, other)]
+    shapes = [load_body(onboard_spec(one.spec).body, ()).mesh.vertices_m for one in (scenario, other)]
     assert shapes[0].shape == shapes[1].shape
     assert not np.allclose(shapes[0], shapes[1])
     assert with_database_knowledge(scenario, 0) is scenario

@@ -20,7 +20,7 @@ from campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from estimators.craters.contract import CraterMatches
 from estimators.orbit.contract import Orbit, OrbitEstimate
 from reports.pages.look import BAD, GOOD, Look, lifted_from, write_look
-from scenarios.craters.pairs import CraterLook, CraterPair
+from scenarios.craters.pairs import CraterPair, CraterView
 from scenarios.craters.simulated import NO_CRATER, LabelledDetections
 from scenarios.geometry import Ellipses
 from scenarios.orbits.draw import draw_orbit
@@ -118,7 +118,7 @@ def test_a_far_camera_is_drawn_nearer_and_a_near_one_where_it_is():
 def test_craters_of_a_pair_are_counted_by_hand():
     def look(craters):
         rims = Ellipses(np.zeros((len(craters), 2)), np.ones((len(craters), 2)), np.zeros(len(craters)))
-        return CraterLook(None, LabelledDetections(rims, np.array(craters)), None)
+        return CraterView(None, LabelledDetections(rims, np.array(craters)), None)
 
     pair = CraterPair(look([4, 7, NO_CRATER, 9]), look([9, 7, 4, NO_CRATER]), 1.0, 1.0)
     # 7 with 7 is right, 4 with 9 is wrong, no crater with no crater is nothing.

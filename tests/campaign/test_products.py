@@ -19,12 +19,12 @@ from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.database import LandmarkDatabase
 from estimators.maplets.build import MapletOptions, build_maplets
 from renderers.mitsuba3 import choose_variant
-from scenarios.beliefs import believed_spec
 from scenarios.bodies import load_body
 from scenarios.cache import default_cache
 from scenarios.errors import BoresightError
 from scenarios.geometry import View, look_at
 from scenarios.load import LoadedScenario, load_scenario
+from scenarios.onboard import onboard_spec
 
 KIND = landmark_database.KIND
 OPTIONS = DatabaseOptions.model_validate(DATABASE)
@@ -211,7 +211,7 @@ def test_all_that_is_lent_is_made_of_what_the_spacecraft_believes(tmp_path):
         SCENE + "onboard: {height_error: {rms_m: 3, min_wavelength_m: 20}, focal_error: 0.01}\n"
     )
     loaded = load_scenario(str(tmp_path / "scene.yaml"))
-    known = replace(loaded, spec=believed_spec(loaded.spec))
+    known = replace(loaded, spec=onboard_spec(loaded.spec))
     lends = scenario_assets(loaded, tmp_path / "run", 1)
     shapes = [load_body(one.spec.body, one.search_dirs).mesh for one in (loaded, known)]
     options = {"spacing_m": 10.0, "side": 9}

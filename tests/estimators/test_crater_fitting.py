@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 
 from estimators.craters.detection.candidates import fit_reweighted
 from scenarios.geometry import Ellipses
-from scenarios.geometry.conics import fit_conics, sampson_distances
+from scenarios.geometry.ellipse import fit_conics, sampson_distances
 
 
 def drawn(n, seed, ratio=(0.4, 0.95)):

@@ -27,13 +27,13 @@ from estimators.craters.navigation.rounds import reject_small_matches
 from estimators.craters.navigation.stages import StageFiles
 from estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
 from estimators.craters.navigation.trajectory import Trajectory, images_along_trajectory
-from scenarios.dynamics.flight import travelled
-from scenarios.dynamics.propagation import Pushes
+from scenarios.dynamics.field import UniformRotation
+from scenarios.dynamics.propagation import PiecewiseAcceleration
+from scenarios.dynamics.variational import propagate_states
 from scenarios.errors import BoresightError
 from scenarios.geometry import Ellipses, Pose
-from scenarios.orbits.flown import state_at_epoch
-from scenarios.orbits.known import draw_knowledge
-from scenarios.orbits.rotation import UniformRotation
+from scenarios.orbits.draw import draw_knowledge
+from scenarios.orbits.true_orbit import state_at_epoch
 from scenarios.sequences.ground import MeshGround
 
 SHIFT_M = np.array([3.0, -2.0, 5.0])
@@ -163,7 +163,7 @@ def test_a_stage_is_made_once_and_a_failure_leaves_nothing(tmp_path):
 
 def _placed(world, knowledge, times):
     """Make two images without craters, with prior poses from the a priori orbit."""
-    ground = MeshGround(world.believed.shape.mesh())
+    ground = MeshGround(world.onboard.shape.mesh())
     task = NavigationTask(knowledge, AprioriShape(ground, SHIFT_M, 1.0), None, times)
     pixels, rims = np.zeros((2, 2), np.float32), CraterDetections.none()
     ones = [Exposure(i, t, np.eye(3), np.array([0.0, 0.0, -1.0]), pixels, rims) for i, t in enumerate(times)]
@@ -179,11 +179,11 @@ def test_errors_that_images_share_go_together_as_in_draws_of_the_a_priori_orbit(
     np.testing.assert_allclose(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance).min() > -1e-6 * covariance.max()
     sigma = np.repeat([known.position_sigma_m, known.velocity_sigma_m_s], 3)
-    none, shifts = Pushes.none(float(times[-1])), []
-    nominal = travelled(known.field, known.state, times, none)[:, :3]
+    none, shifts = PiecewiseAcceleration.none(float(times[-1])), []
+    nominal = propagate_states(known.field, known.state, times, none)[:, :3]
     for _ in range(400):
         harmonics = replace(known.field.harmonics, gm_m3_s2=known.field.harmonics.gm_m3_s2 * (1 + 0.01 * rng.normal()))
-        moved = travelled(
+        moved = propagate_states(
             replace(known.field, harmonics=harmonics), known.state + sigma * rng.normal(size=6), times, none
         )
         shifts.append((nominal - moved[:, :3]).ravel())  # R_cam_inertial is the identity: the translation moves by -dr

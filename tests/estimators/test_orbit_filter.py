@@ -15,9 +15,9 @@ from estimators.orbit.model import Unknowns, propagate_orbit
 from estimators.orbit.parameters import OrbitOptions, ParameterLayout
 from estimators.orbit.registry import orbit_estimator_class
 from estimators.orbit.solve import HuberLoss, LandmarkPrior, StoppingCriteria, adjust, linearise
+from scenarios.dynamics.field import UniformRotation
 from scenarios.errors import BoresightError
 from scenarios.orbits.draw import draw_orbit
-from scenarios.orbits.rotation import UniformRotation
 
 LEAST_SQUARES = HuberLoss(np.inf, 1.0)
 

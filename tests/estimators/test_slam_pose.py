@@ -49,7 +49,7 @@ def frame_at(number: int, **values: object) -> TrackFrame:
 def state() -> PoseState:
     """Three landmarks anchored at the first pose, the camera a frame further on; all attitudes have errors on them."""
     rng = np.random.default_rng(3)
-    sigmas = {"attitude_sigma_rad": 0.02, "attitude_lasting_rad": 0.01}
+    sigmas = {"attitude_sigma_rad": 0.02, "attitude_bias_sigma_rad": 0.01}
     start = PoseState.at_first(on_orbit(0), 0.01 * np.eye(3), frame_at(0, **sigmas), TURN_NOISE_RAD)
     elements = np.column_stack([rng.uniform(300, 700, (3, 2)), np.full(3, 1.0 / 620.0)])
     noise = np.tile([0.4, 0.4, (0.1 / 620.0) ** 2], (3, 1))
@@ -197,16 +197,16 @@ def test_what_is_told_stands_in_the_axes_that_the_spacecraft_knows(state: PoseSt
     J[:, 6:9] = 0.0  # a turn of the axes is itself the error: of second order
     expected = J @ grown.covariance @ J.T
     np.testing.assert_allclose(covariance, expected, rtol=0.02, atol=0.02 * np.abs(expected).max())
-    still = replace(state.with_errors_reset(), misalignment_rad=state.frame.attitude_lasting_rad)
+    still = replace(state.with_errors_reset(), misalignment_rad=state.frame.attitude_bias_sigma_rad)
     np.testing.assert_array_equal(still.estimate(CAMERA)[0], still.position_m)
-    half = replace(grown, misalignment_rad=np.sqrt(0.5) * grown.frame.attitude_lasting_rad)
+    half = replace(grown, misalignment_rad=np.sqrt(0.5) * grown.frame.attitude_bias_sigma_rad)
     np.testing.assert_allclose(half.estimate(CAMERA)[0], 0.5 * (position + grown.position_m), atol=0.02)
 
 
 def test_star_tracker_without_landmarks_is_consistent() -> None:
     """Attitude, rate and misalignment of 200 drawn cameras: their NEES has the mean of a chi-square of 9."""
     rng, lasting, white, frames = np.random.default_rng(5), 0.01, 0.005, 6
-    sigmas = {"attitude_sigma_rad": float(np.hypot(lasting, white)), "attitude_lasting_rad": lasting}
+    sigmas = {"attitude_sigma_rad": float(np.hypot(lasting, white)), "attitude_bias_sigma_rad": lasting}
     total, runs = 0.0, 200
     for _ in range(runs):
         wrong, rate = lasting * rng.normal(size=3), rng.normal(0.0, 1e-5, 3)
@@ -265,7 +265,7 @@ def disturbed(sequence: TrackSequence, rng: np.random.Generator, noise_rad: floa
             frame,
             R_cam_body=Rotation.from_rotvec(wrong + noise_rad * rng.normal(size=3)).as_matrix() @ frame.R_cam_body,
             attitude_sigma_rad=float(np.hypot(noise_rad, lasting_rad)),
-            attitude_lasting_rad=lasting_rad,
+            attitude_bias_sigma_rad=lasting_rad,
         )
         for frame in sequence.frames
     ]

@@ -16,7 +16,7 @@ from estimators.slam.vision.point_trackers import MatchedImage, local_flow
 from estimators.slam.vision.registration import AffineWarps, Spline, cut_patches, register_patches
 from estimators.slam.vision.tracker import Tracker
 from scenarios.geometry import Camera
-from scenarios.spec.vision import ImageVisionSpec
+from scenarios.spec.sequence import ImageVisionSpec
 
 CAMERA = Camera.from_fov(256, 256, np.radians(30.0))
 LINEAR = np.array([[1.03, 0.04], [-0.05, 0.96]])

@@ -22,16 +22,16 @@ from campaign.trial.work import Work
 from estimators.craters.contract import CraterDetections, CraterImage, CraterMatcher, CraterMatches
 from estimators.craters.matching.context import epipolar_offsets
 from estimators.craters.registry import crater_detector_class, crater_detector_names, crater_matcher_class
-from scenarios.beliefs import believed_spec
 from scenarios.bodies import load_body
-from scenarios.craters.pairs import CraterLook, CraterPair
+from scenarios.craters.pairs import CraterPair, CraterView
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, View
 from scenarios.load import LoadedScenario
+from scenarios.onboard import onboard_spec
 from scenarios.sequences.ground import MeshGround
 from scenarios.spec.campaign import EstimatorSpec
-from scenarios.spec.crater_pairs import CraterPairsSpec
+from scenarios.spec.craters import CraterPairsSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +93,7 @@ class CraterMatching:
         """Load the shapes, draw the craters and build the matchers."""
         del bench
         spec = scenario.spec
-        known = MeshGround(load_body(believed_spec(spec).body, scenario.search_dirs).mesh)
+        known = MeshGround(load_body(onboard_spec(spec).body, scenario.search_dirs).mesh)
         detectors = _detectors(campaign)
         source = open_pairs(scenario, _section(scenario), campaign.variant, set(detectors.values()))
         camera = spec.camera.camera().pinhole
@@ -154,7 +154,7 @@ class CraterMatching:
         """Return what a matcher may see of a pair."""
         return self._image(0, pair.first), self._image(1, pair.second)
 
-    def _image(self, number: int, look: CraterLook) -> CraterImage:
+    def _image(self, number: int, look: CraterView) -> CraterImage:
         rims = look.detections.ellipses
         return CraterImage(number, look.frame, self.camera, CraterDetections(rims, np.ones(len(rims))))
 

@@ -14,7 +14,7 @@ from estimators.orbit.contract import OrbitEstimate
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.orbits.data import OrbitData
 from scenarios.orbits.draw import OrbitTruth
-from scenarios.orbits.flown import DAY_S
+from scenarios.orbits.true_orbit import DAY_S
 from scenarios.orbits.world import OrbitWorld
 
 FloatArray = NDArray[np.float64]

@@ -16,13 +16,13 @@ from estimators.craters.navigation.stages import StageFiles
 from estimators.craters.navigation.task import AprioriShape, Exposure, NavigationTask
 from estimators.craters.planning import PlannedImage, plan_arc, read_plan, with_telemetry, write_plan
 from scenarios.atomic import write_atomically
+from scenarios.dynamics.field import UniformRotation
 from scenarios.errors import BoresightError
 from scenarios.geometry import Pose, TriangleMesh, View
 from scenarios.observation import Frame
-from scenarios.orbits.flown import Flown, fly
+from scenarios.orbits.draw import draw_knowledge, draw_radiometry
 from scenarios.orbits.imaging import control_errors, epochs_s, sun_dir_inertial, true_views
-from scenarios.orbits.known import draw_knowledge, draw_radiometry
-from scenarios.orbits.rotation import UniformRotation
+from scenarios.orbits.true_orbit import TrueOrbit, propagate_truth
 from scenarios.orbits.world import OrbitWorld
 from scenarios.sequences.ground import MeshGround
 
@@ -61,7 +61,7 @@ class NavigationTrial:
 
     task: NavigationTask
     plan: tuple[PlannedImage, ...]
-    flown: Flown
+    flown: TrueOrbit
     views: tuple[View, ...]
     rotation: UniformRotation
     sights: CraterSights
@@ -81,7 +81,7 @@ class NavigationTrial:
         BoresightError
             If no ground is lit and in sight at any epoch.
         """
-        start = fly(world, np.zeros(0), seed, trial)
+        start = propagate_truth(world, np.zeros(0), seed, trial)
         knowledge, shape = draw_knowledge(world, start.wanted_states[0], seed, trial), apriori_shape(world)
         sun, times = sun_dir_inertial(world), epochs_s(world)
 
@@ -94,7 +94,7 @@ class NavigationTrial:
             raise BoresightError(
                 f"{len(plan)} of {len(times)} epochs have lit ground in sight: there is nothing to plan"
             )
-        flown = fly(world, np.array([image.time_s for image in plan]), seed, trial)
+        flown = propagate_truth(world, np.array([image.time_s for image in plan]), seed, trial)
         reported = np.stack([image.actual_R_cam_inertial for image in plan])
         views = true_views(world, flown, reported, seed, trial)
         task = NavigationTask(knowledge, shape, draw_radiometry(world, flown, seed, trial), flown.wanted_s)
@@ -147,7 +147,7 @@ def searched_in(navigator: CraterNavigation, stages: StageFiles) -> StageFiles:
 
 def apriori_shape(world: OrbitWorld) -> AprioriShape:
     """Return the believed shape, in the axes that the true one came with."""
-    believed, centre = world.believed.shape, world.asteroid.centre_m
+    believed, centre = world.onboard.shape, world.asteroid.centre_m
     mesh = believed.mesh()
     ground = MeshGround(TriangleMesh(mesh.vertices_m + centre, mesh.faces))
     return AprioriShape(ground, centre, believed.rms_m)

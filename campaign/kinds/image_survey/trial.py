@@ -27,8 +27,8 @@ from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
 from scenarios.geometry import View
 from scenarios.load import LoadedScenario
-from scenarios.orbits.flown import DAY_S
 from scenarios.orbits.imaging import imaging_of
+from scenarios.orbits.true_orbit import DAY_S
 from scenarios.orbits.world import OrbitWorld
 from scenarios.spec.orbit import ImagingSpec
 

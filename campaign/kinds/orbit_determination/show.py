@@ -16,10 +16,10 @@ from estimators.orbit.contract import Orbit
 from reports.figures.orbit import draw_orbit_case_errors, draw_residuals, draw_sightings_used
 from reports.pages.look import FAILED, Cameras, Look, Marks
 from reports.schema.named_figure import NamedFigure
+from scenarios.dynamics.field import UniformRotation
 from scenarios.errors import BoresightError
 from scenarios.orbits.draw import OrbitTruth
-from scenarios.orbits.flown import DAY_S
-from scenarios.orbits.rotation import UniformRotation
+from scenarios.orbits.true_orbit import DAY_S
 
 FloatArray = NDArray[np.float64]
 

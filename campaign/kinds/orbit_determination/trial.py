@@ -30,7 +30,7 @@ from scenarios.errors import BoresightError
 from scenarios.load import LoadedScenario
 from scenarios.orbits.data import OrbitData
 from scenarios.orbits.draw import OrbitTruth, draw_orbit
-from scenarios.orbits.world import Asteroid, BelievedShape, OrbitWorld
+from scenarios.orbits.world import Asteroid, OnboardShape, OrbitWorld
 from scenarios.spec.orbit import OrbitSpec
 
 _STATE = 6
@@ -194,8 +194,8 @@ def _asteroid(body: _Body, spec: OrbitSpec, seed: int) -> Asteroid:
 
 
 @lru_cache(maxsize=16)
-def _believed(asteroid: Asteroid, degree: int, spec: OrbitSpec) -> BelievedShape:
-    return BelievedShape.of(asteroid, spec, degree)
+def _believed(asteroid: Asteroid, degree: int, spec: OrbitSpec) -> OnboardShape:
+    return OnboardShape.of(asteroid, spec, degree)
 
 
 def _section(scenario: LoadedScenario) -> OrbitSpec:

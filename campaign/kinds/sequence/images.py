@@ -18,8 +18,8 @@ from scenarios.draw import Stream, generator
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, View
 from scenarios.load import LoadedScenario
-from scenarios.sequences import MeshGround, travel
-from scenarios.spec.vision import ImageVisionSpec
+from scenarios.sequences import MeshGround, camera_trajectory
+from scenarios.spec.sequence import ImageVisionSpec
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
@@ -87,7 +87,9 @@ class OrbitImages:
         mesh = load_body(spec.body, scenario.search_dirs).mesh
         camera = spec.camera.camera()
         circle = section.orbit.model_copy(update={"revolutions": 1.0})
-        path = travel(section.model_copy(update={"orbit": circle}), MeshGround(mesh), np.zeros((circle.frames - 1, 3)))
+        path = camera_trajectory(
+            section.model_copy(update={"orbit": circle}), MeshGround(mesh), np.zeros((circle.frames - 1, 3))
+        )
         imager = Imager.open(scenario, variant, open_renderer(scenario, variant), Stream.TRUTH, circle)
         return cls(section.images, path.views(camera)[:-1], camera.pinhole, imager, seed)
 

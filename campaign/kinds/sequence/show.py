@@ -72,7 +72,7 @@ def followed_of(
     sigma = np.full((n, 3), np.nan)
     for index, frame in enumerate(estimate.frames):
         if frame.covariance_m2 is not None:
-            turn = known_from_true(truth.path.R_body_inertial[index], sequence.frames[index].R_body_inertial)
+            turn = known_from_true(truth.trajectory.R_body_inertial[index], sequence.frames[index].R_body_inertial)
             own = orbit_frame(truth, index) @ turn.T
             sigma[index] = np.sqrt(np.maximum(np.diag(own @ frame.covariance_m2 @ own.T), 0.0))
     return Followed(
@@ -87,7 +87,7 @@ def followed_of(
 
 def _orbit_axes(truth: SequenceTruth) -> FloatArray:
     """(3, 3) rows, inertial: towards the first position, along the motion there, and across both."""
-    at, velocity = truth.path.positions_m[0], truth.path.velocities_m_s[0]
+    at, velocity = truth.trajectory.positions_m[0], truth.trajectory.velocities_m_s[0]
     radial = at / np.linalg.norm(at)
     cross = np.cross(radial, velocity)
     cross /= np.linalg.norm(cross)
@@ -101,7 +101,7 @@ def last_seen(
     errors: dict[int, FloatArray] = {}
     times: Counter[int] = Counter()
     for index, (frame, seen) in enumerate(zip(estimate.frames, sequence.frames, strict=False)):
-        turn = known_from_true(truth.path.R_body_inertial[index], seen.R_body_inertial)
+        turn = known_from_true(truth.trajectory.R_body_inertial[index], seen.R_body_inertial)
         held = dict(zip(frame.tracks.tolist(), frame.points_m, strict=True))
         times.update(seen.tracks.tolist())
         errors |= {t: turn.T @ held[t] - truth.points_m[t] for t in seen.tracks.tolist() if t in held}

@@ -27,11 +27,11 @@ from campaign.trial.work import Work
 from estimators.contract import Estimate, Estimator, Table
 from estimators.registry import estimator_class
 from reports.schema.common import FRESH_IMAGE, STORED_IMAGE
-from scenarios.beliefs import believed_camera
 from scenarios.draw import estimator_generator
 from scenarios.geometry import Pose
 from scenarios.load import LoadedScenario
 from scenarios.observation import Observation
+from scenarios.onboard import onboard_camera
 from scenarios.spec.campaign import EstimatorSpec
 
 T = TypeVar("T", bound=np.generic)
@@ -191,7 +191,7 @@ class SingleImage:
         if table is None or len(table["landmark"]) == 0:
             return []
         uv = _columns(table, "u_px", "v_px")
-        on_detector = believed_camera(self.world.scenario.spec).distorted(uv)
+        on_detector = onboard_camera(self.world.scenario.spec).distorted(uv)
         seen = self.world.renderer.surface(sight.view, on_detector).points_body_m
         offset = seen - _columns(table, "x_m", "y_m", "z_m")
         names = ("sxx", "sxy", "sxz", "sxy", "syy", "syz", "sxz", "syz", "szz")

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from estimators.craters.contract import CraterImage
 from estimators.craters.database.numbering import Numbering
+from scenarios.dynamics.field import UniformRotation
 from scenarios.errors import BoresightError
 from scenarios.geometry import Camera, Ellipses, Pose
 from scenarios.orbits.data import Pictures
-from scenarios.orbits.rotation import UniformRotation
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

@@ -14,7 +14,7 @@ from estimators.craters.detection.edges import EdgePixels
 from estimators.craters.detection.grouping import RimArc
 from estimators.craters.detection.preparation import PreparedImage
 from scenarios.geometry import Ellipses, pixel_to_opencv
-from scenarios.geometry.conics import fit_conics, sampson_distances
+from scenarios.geometry.ellipse import fit_conics, sampson_distances
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

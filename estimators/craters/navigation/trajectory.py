@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from estimators.craters.contract import CraterImage
 from estimators.craters.navigation.task import Exposure, NavigationTask
 from estimators.orbit.contract import Orbit
-from scenarios.dynamics.flight import flight
-from scenarios.dynamics.propagation import Pushes
+from scenarios.dynamics.propagation import PiecewiseAcceleration
+from scenarios.dynamics.variational import propagate_partials
 from scenarios.geometry import Pose, cross_matrix
 from scenarios.observation import Frame
 from scenarios.orbits.data import Knowledge
@@ -49,7 +49,9 @@ class Trajectory:
         OrbitLostError
             If the a priori orbit hits the body.
         """
-        flown = flight(knowledge.field, knowledge.state, times_s, Pushes.none(float(times_s[-1])))
+        flown = propagate_partials(
+            knowledge.field, knowledge.state, times_s, PiecewiseAcceleration.none(float(times_s[-1]))
+        )
         sigma = np.repeat([knowledge.position_sigma_m, knowledge.velocity_sigma_m_s], 3)
         forces = flown.by_parameters[:, :3, :2] * [knowledge.gm_sigma, knowledge.light_sigma]
         spread = np.concatenate([flown.by_state[:, :3] * sigma, forces], axis=2)

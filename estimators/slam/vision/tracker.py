@@ -27,7 +27,7 @@ from estimators.slam.vision.point_trackers import (
     local_flow,
 )
 from scenarios.geometry import Camera
-from scenarios.spec.vision import ImageVisionSpec
+from scenarios.spec.sequence import ImageVisionSpec
 from scenarios.tracks import Prediction
 
 FloatArray = NDArray[np.float64]

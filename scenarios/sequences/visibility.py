@@ -1,4 +1,4 @@
-"""What a camera sees of the ground, and how much of it."""
+"""Visibility of surface points from a camera, and the visible share of the surface."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
 from scenarios.geometry import View
-from scenarios.sequences.ground import Ground, SphereGround
+from scenarios.sequences.ground import LandmarkGround, SphereGround
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -22,22 +22,22 @@ _CENTRED_PX = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sightline:
-    """Tells what a camera sees of the ground.
+class Visibility:
+    """Visibility test of points on a surface.
 
     Parameters
     ----------
     ground
-        What hides its own far side.
+        The surface with its occlusion.
     lit_only
-        Whether only ground that faces the Sun is seen.
+        Whether points that do not face the Sun are invisible.
     """
 
-    ground: Ground
+    ground: LandmarkGround
     lit_only: bool = False
 
     def visible(self, points_m: FloatArray, normals: FloatArray, view: View) -> BoolArray:
-        """(n,): points in the field of view, in sight and, where that is asked for, lit."""
+        """(n,) whether points are in the field of view, not occluded and, with ``lit_only``, lit."""
         seen = view.camera.contains(view.camera.project(view.T_cam_body.transform(points_m)))
         if self.lit_only:
             seen &= normals @ view.sun_dir_body > 0.0
@@ -65,7 +65,7 @@ class Sightline:
 
 
 def _is_centred(view: View) -> bool:
-    """Whether the boresight meets the body's origin, in the image."""
+    """Return whether the boresight passes through the body's origin and the principal point is in the image."""
     camera = view.camera
     centre = np.array([camera.cx_px, camera.cy_px])
     off = camera.project(view.T_cam_body.translation_m) - centre
@@ -73,10 +73,10 @@ def _is_centred(view: View) -> bool:
 
 
 def sphere_share(radius_m: float, view: View, lit_only: bool) -> float:
-    """Return the visible share of a sphere about the point that the boresight meets.
+    """Return the visible share of a sphere whose centre is on the boresight.
 
-    On a circle of points about the nadir, at the angle theta, those in the image (and in the light) are arcs of the
-    azimuth phi, known in closed form. Their lengths are summed over cos(theta) from the limb, at R / r, to 1.
+    On a circle at the angle theta from the nadir, the points in the image (and in sunlight) are arcs of the azimuth
+    phi, known in closed form. Their lengths are summed over cos(theta) from the limb, at R / r, to 1.
     """
     limb = radius_m / float(np.linalg.norm(view.T_cam_body.translation_m))
     if limb >= 1.0:
@@ -95,7 +95,7 @@ def sphere_share(radius_m: float, view: View, lit_only: bool) -> float:
 
 
 def _arcs_in_image(slope: FloatArray, view: View) -> list[tuple[FloatArray, FloatArray]]:
-    """Bounds of the azimuth in each quadrant at which a cone of this slope about the boresight meets the image."""
+    """Return the azimuth limits, by quadrant, within which a cone of this slope about the boresight is in the image."""
     camera = view.camera
     right, left = (x / (camera.fx_px * slope) for x in (camera.width_px - camera.cx_px, camera.cx_px))
     down, up = (y / (camera.fy_px * slope) for y in (camera.height_px - camera.cy_px, camera.cy_px))
@@ -107,7 +107,7 @@ def _arcs_in_image(slope: FloatArray, view: View) -> list[tuple[FloatArray, Floa
 
 
 def _quadrant(start: float, sign: int, across: FloatArray, along: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """cos(psi) <= across and sin(psi) <= along for psi from 0 to 90 deg, where phi = start + sign psi."""
+    """Solve cos(psi) <= across and sin(psi) <= along for psi from 0 to 90 deg, with phi = start + sign psi."""
     nearest, farthest = np.arccos(np.minimum(across, 1.0)), np.arcsin(np.minimum(along, 1.0))
     farthest = np.maximum(nearest, farthest)
     ends = start + sign * nearest, start + sign * farthest
@@ -115,7 +115,7 @@ def _quadrant(start: float, sign: int, across: FloatArray, along: FloatArray) ->
 
 
 def _arc_in_light(cosine: FloatArray, sine: FloatArray, view: View) -> tuple[float, FloatArray]:
-    """Middle and half width of the arc of the azimuth on which the normals have the Sun above them."""
+    """Return centre and half width of the azimuth arc on which the surface is sunlit."""
     sun = view.T_cam_body.rotate(view.sun_dir_body)
     across = float(np.hypot(sun[0], sun[1]))
     with np.errstate(divide="ignore", invalid="ignore"):

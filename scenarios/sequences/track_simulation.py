@@ -1,4 +1,4 @@
-"""Which landmarks are tracked in which frame: births, survival and death of tracks."""
+"""Simulation of landmark tracks: birth, survival and death of tracks along a trajectory."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scenarios.errors import BoresightError
 from scenarios.geometry import Pose, View
-from scenarios.sequences.sightline import Sightline
+from scenarios.sequences.visibility import Visibility
 from scenarios.spec.sequence import VisionSpec
 
 FloatArray = NDArray[np.float64]
@@ -21,17 +21,17 @@ _MOST_ROUNDS = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lives:
-    """Landmarks and their tracks.
+class SimulatedTracks:
+    """Simulated landmarks and their tracks.
 
     Parameters
     ----------
     points_m
         (T, 3) true landmark of every track, body frame.
     landmarks
-        (T,) its number; tracks of one number are of one landmark.
+        (T,) landmark number of every track.
     seen
-        The tracks of every frame, ascending.
+        Track numbers of every frame, ascending.
     """
 
     points_m: FloatArray
@@ -39,32 +39,31 @@ class Lives:
     seen: tuple[IndexArray, ...]
 
 
-def live(
+def simulate_tracks(
     vision: VisionSpec,
-    sightline: Sightline,
+    visibility: Visibility,
     views: Sequence[View],
     total: float,
     rng: np.random.Generator,
-) -> Lives:
-    """Let tracks be born and die along the frames, ``total`` on the whole ground if all of it were in view."""
-    lives = _live_once if vision.field == "renewed" else _live_again
-    return lives(vision, sightline, views, total, rng)
+) -> SimulatedTracks:
+    """Simulate tracks along the frames; ``total`` is the expected number if the whole surface were in view."""
+    simulate = _renewed_tracks if vision.field == "renewed" else _fixed_field_tracks
+    return simulate(vision, visibility, views, total, rng)
 
 
-def _live_once(
+def _renewed_tracks(
     vision: VisionSpec,
-    sightline: Sightline,
+    visibility: Visibility,
     views: Sequence[View],
     total: float,
     rng: np.random.Generator,
-) -> Lives:
-    """Draw a new landmark for every track: the field is renewed.
+) -> SimulatedTracks:
+    """Simulate a renewed field: every track has a new landmark.
 
-    A track that is visible in the next frame lives on with probability ``k^(change / step)``, the change being the
-    angle at the body's origin between the two camera positions; one that is not visible is dead for good. A visible
-    place is occupied anew with the probability that it has no live track: 1 where it was not visible before, else
-    1 - k. With ``count: average`` the live tracks of each frame are then a Poisson field of one density over all that
-    is visible.
+    A track that is visible in the next frame continues with probability ``k^(change / step)``, the change being the
+    angle at the body's origin between the two camera positions; one that is not visible ends. A visible place gets a
+    new track with the probability that it has none: 1 if it was not visible before, else 1 - k. With
+    ``count: average`` the tracks of each frame are then a Poisson field of constant density over the visible surface.
     """
     points, normals = np.empty((0, 3)), np.empty((0, 3))
     alive = np.empty(0, dtype=np.int64)
@@ -72,36 +71,36 @@ def _live_once(
     for i, view in enumerate(views):
         before = views[i - 1] if i else None
         keep = 1.0 if before is None else vision.survival(_change_deg(before.T_cam_body, view.T_cam_body))
-        alive = _survivors(alive, sightline.visible(points[alive], normals[alive], view), keep, vision, rng)
-        born, born_normals = _births(vision, sightline, (before, view), keep, (total, len(alive)), rng)
+        alive = _survivors(alive, visibility.visible(points[alive], normals[alive], view), keep, vision, rng)
+        born, born_normals = _births(vision, visibility, (before, view), keep, (total, len(alive)), rng)
         alive = np.concatenate([alive, np.arange(len(points), len(points) + len(born))])
         points, normals = np.concatenate([points, born]), np.concatenate([normals, born_normals])
         seen.append(alive)
-    return Lives(points, np.arange(len(points)), tuple(seen))
+    return SimulatedTracks(points, np.arange(len(points)), tuple(seen))
 
 
-def _live_again(
+def _fixed_field_tracks(
     vision: VisionSpec,
-    sightline: Sightline,
+    visibility: Visibility,
     views: Sequence[View],
     total: float,
     rng: np.random.Generator,
-) -> Lives:
-    """Draw the landmarks once for all: one whose track is lost can be found again later, as another track.
+) -> SimulatedTracks:
+    """Simulate a fixed field: a landmark whose track is lost can be tracked again later, as another track.
 
-    A landmark in view is tracked or not, a Markov chain of two states: a track lives on with the repeatability k, and
-    one that is not tracked is found with the probability (1 - k) f / (1 - f), so that f, ``tracked_share``, of those in
-    view are tracked at all times. Of the landmarks that come into view, f are found at once.
+    A landmark in view is tracked or not, a Markov chain of two states: a track continues with the repeatability k, and
+    an untracked one is found with the probability (1 - k) f / (1 - f), so that the stationary share of tracked
+    landmarks in view is f, ``tracked_share``. Of the landmarks that come into view, f are tracked at once.
     """
     share = vision.tracked_share
-    points, normals = sightline.ground.sample(int(rng.poisson(total / share)), rng)
+    points, normals = visibility.ground.sample(int(rng.poisson(total / share)), rng)
     track = np.full(len(points), -1)
     landmarks: list[int] = []
     seen: list[IndexArray] = []
     older = np.zeros(len(points), dtype=bool)
     for i, view in enumerate(views):
         keep = 1.0 if i == 0 else vision.survival(_change_deg(views[i - 1].T_cam_body, view.T_cam_body))
-        visible, luck = sightline.visible(points, normals, view), rng.uniform(size=len(points))
+        visible, luck = visibility.visible(points, normals, view), rng.uniform(size=len(points))
         alive = np.flatnonzero(track >= 0)
         stayed = _survivors(alive, visible[alive], keep, vision, rng)
         chance = np.where(older, (1.0 - keep) * share / (1.0 - share), share)
@@ -112,38 +111,38 @@ def _live_again(
         seen.append(np.sort(track[track >= 0]))
         older = visible
     numbers = np.array(landmarks, dtype=np.int64)
-    return Lives(points[numbers], numbers, tuple(seen))
+    return SimulatedTracks(points[numbers], numbers, tuple(seen))
 
 
-def recognise(lives: Lives, vision: VisionSpec, rng: np.random.Generator) -> list[IndexArray]:
-    """For each frame, (k, 2): new tracks and the lost ones that the vision layer takes for the same landmark.
+def recognise_landmarks(simulated: SimulatedTracks, vision: VisionSpec, rng: np.random.Generator) -> list[IndexArray]:
+    """Simulate loop closures: for each frame, (k, 2) new tracks and lost ones identified as the same landmark.
 
     A landmark that was tracked before is recognised with the probability ``recognised``, by its last track. With the
-    probability ``mistaken`` a new track is taken for that of the nearest other lost landmark.
+    probability ``mistaken`` a new track is identified with that of the nearest other lost landmark.
     """
     if not vision.recognised and not vision.mistaken:
-        return [np.zeros((0, 2), dtype=np.int64) for _ in lives.seen]
+        return [np.zeros((0, 2), dtype=np.int64) for _ in simulated.seen]
     last: dict[int, int] = {}
     pairs: list[IndexArray] = []
     before = np.empty(0, dtype=np.int64)
-    for tracks in lives.seen:
+    for tracks in simulated.seen:
         lost = np.array(sorted(set(last.values()) - set(tracks.tolist())), dtype=np.int64)
         new = np.setdiff1d(tracks, before)
-        found = [_taken_for(int(one), lost, last, lives, vision, float(rng.uniform())) for one in new]
+        found = [_identified_with(int(one), lost, last, simulated, vision, float(rng.uniform())) for one in new]
         pairs.append(np.array([p for p in found if p is not None], dtype=np.int64).reshape(-1, 2))
-        last.update(zip(lives.landmarks[new].tolist(), new.tolist(), strict=True))
+        last.update(zip(simulated.landmarks[new].tolist(), new.tolist(), strict=True))
         before = tracks
     return pairs
 
 
-def _taken_for(
-    track: int, lost: IndexArray, last: Mapping[int, int], lives: Lives, vision: VisionSpec, luck: float
+def _identified_with(
+    track: int, lost: IndexArray, last: Mapping[int, int], simulated: SimulatedTracks, vision: VisionSpec, luck: float
 ) -> tuple[int, int] | None:
-    """Return a new track with the lost one that it is taken for; None if it counts as new."""
-    landmark = int(lives.landmarks[track])
-    others = lost[lives.landmarks[lost] != landmark]
+    """Return a new track and the lost one that it is identified with; None if it has none."""
+    landmark = int(simulated.landmarks[track])
+    others = lost[simulated.landmarks[lost] != landmark]
     if luck < vision.mistaken and len(others):
-        apart = np.linalg.norm(lives.points_m[others] - lives.points_m[track], axis=1)
+        apart = np.linalg.norm(simulated.points_m[others] - simulated.points_m[track], axis=1)
         return track, int(others[apart.argmin()])
     if landmark in last and luck > 1.0 - vision.recognised:
         return track, last[landmark]
@@ -159,7 +158,7 @@ def _change_deg(before: Pose, pose: Pose) -> float:
 def _survivors(
     alive: IndexArray, visible: BoolArray, keep: float, vision: VisionSpec, rng: np.random.Generator
 ) -> IndexArray:
-    """Choose the tracks that live on; where chance leaves too few, the luckiest of the visible ones do."""
+    """Choose the surviving tracks; at least ``min_connection`` of the visible ones, those with the smallest draws."""
     luck = np.where(visible, rng.uniform(size=len(alive)), np.inf)
     floor = min(vision.min_connection, int(visible.sum()))
     threshold = np.sort(luck)[floor - 1] if floor else -np.inf
@@ -168,34 +167,34 @@ def _survivors(
 
 def _births(
     vision: VisionSpec,
-    sightline: Sightline,
+    visibility: Visibility,
     around: tuple[View | None, View],
     keep: float,
     numbers: tuple[float, int],
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw the points of new tracks and their normals, for frames ``around`` and (population, survivors)."""
+    """Draw points and normals of new tracks; ``around`` are two frames, ``numbers`` (population, survivors)."""
     total, alive = numbers
     if vision.count == "average":
-        return _draw_births(sightline, around, keep, int(rng.poisson(total)), rng)
+        return _draw_births(visibility, around, keep, int(rng.poisson(total)), rng)
     missing = max(round(vision.landmarks_per_frame) - alive, 0)
     points, normals = np.empty((0, 3)), np.empty((0, 3))
     for _ in range(_MOST_ROUNDS):
         if len(points) >= missing:
             return points[:missing], normals[:missing]
-        more, more_normals = _draw_births(sightline, around, keep, int(np.ceil(total)), rng)
+        more, more_normals = _draw_births(visibility, around, keep, int(np.ceil(total)), rng)
         points, normals = np.concatenate([points, more]), np.concatenate([normals, more_normals])
     raise BoresightError(f"sequence.vision.count: no place for {missing} new landmarks in {_MOST_ROUNDS} draws")
 
 
 def _draw_births(
-    sightline: Sightline, around: tuple[View | None, View], keep: float, n: int, rng: np.random.Generator
+    visibility: Visibility, around: tuple[View | None, View], keep: float, n: int, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     before, view = around
-    points, normals = sightline.ground.sample(n, rng)
+    points, normals = visibility.ground.sample(n, rng)
     luck = rng.uniform(size=n)
-    free = sightline.visible(points, normals, view)
+    free = visibility.visible(points, normals, view)
     rows = np.flatnonzero(free & (luck < keep))
     if before is not None:
-        free[rows] &= ~sightline.visible(points[rows], normals[rows], before)
+        free[rows] &= ~visibility.visible(points[rows], normals[rows], before)
     return points[free], normals[free]

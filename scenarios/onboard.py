@@ -1,4 +1,4 @@
-"""What the spacecraft believes instead of the truth: the shape and camera it carries, the Sun and spin it computes."""
+"""Onboard model of a scenario: the shape, camera, Sun direction and spin state that the spacecraft assumes."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ from scenarios.geometry import Camera, Pose
 from scenarios.spec.body import BodySpec
 from scenarios.spec.camera import CameraSpec, DistortionSpec
 from scenarios.spec.distribution import Scalar
-from scenarios.spec.onboard import OnboardSpec
-from scenarios.spec.scenario import ScenarioSpec
+from scenarios.spec.scenario import OnboardSpec, ScenarioSpec
 
 FloatArray = NDArray[np.float64]
 _EQUATOR_RAD = (0.0, 0.0)
 
 
-def believed_spec(spec: ScenarioSpec) -> ScenarioSpec:
-    """Return the scenario as the spacecraft knows it: the one that data bases and onboard shapes are made of."""
+def onboard_spec(spec: ScenarioSpec) -> ScenarioSpec:
+    """Return the scenario with the onboard model instead of the truth, for data bases and onboard shapes."""
     onboard = spec.onboard
     changes = {
         "body": _believed_body(spec.body, onboard),
@@ -43,7 +42,7 @@ def _believed_body(body: BodySpec, onboard: OnboardSpec) -> BodySpec:
 
 
 def _believed_camera(camera: CameraSpec, onboard: OnboardSpec) -> CameraSpec:
-    """Put the errors of focal length, principal point and distortion on the true camera."""
+    """Apply the onboard errors of focal length, principal point and distortion to the true camera."""
     if camera.distortion is not None:
         scale = 1.0 + onboard.distortion_error
         lens = DistortionSpec(k1=camera.distortion.k1 * scale, k2=camera.distortion.k2 * scale)
@@ -61,13 +60,13 @@ def _believed_camera(camera: CameraSpec, onboard: OnboardSpec) -> CameraSpec:
     return camera.model_copy(update=changes)
 
 
-def believed_camera(spec: ScenarioSpec) -> Camera:
-    """Return the camera that the spacecraft calculates with."""
+def onboard_camera(spec: ScenarioSpec) -> Camera:
+    """Return the camera model that is used on board."""
     return _believed_camera(spec.camera, spec.onboard).camera()
 
 
-def believed_sun(sun_dir_cam: FloatArray, onboard: OnboardSpec, rng: np.random.Generator) -> FloatArray:
-    """Turn the Sun's direction, (3,) unit, about a random axis at right angles to it."""
+def onboard_sun_dir(sun_dir_cam: FloatArray, onboard: OnboardSpec, rng: np.random.Generator) -> FloatArray:
+    """Perturb the direction to the Sun, (3,) unit vector, by a rotation about a random axis perpendicular to it."""
     angle_rad, azimuth_rad = _angle_rad(onboard.sun_error_deg, rng), rng.uniform(0.0, 2.0 * np.pi)
     if angle_rad == 0.0:
         return sun_dir_cam
@@ -80,11 +79,11 @@ def believed_sun(sun_dir_cam: FloatArray, onboard: OnboardSpec, rng: np.random.G
     return turned
 
 
-def believed_attitude(T_cam_body: Pose, onboard: OnboardSpec, rng: np.random.Generator) -> Pose:
-    """Turn the body under the camera by what the spacecraft gets wrong of its spin.
+def onboard_attitude(T_cam_body: Pose, onboard: OnboardSpec, rng: np.random.Generator) -> Pose:
+    """Perturb the body's attitude relative to the camera by the onboard errors of pole and rotation phase.
 
-    The believed body axes lie off the true ones by a tilt of the pole about a random equatorial axis and by a
-    phase about the pole; the body's origin stays where it is in the camera.
+    The assumed body axes differ from the true ones by a tilt of the pole about a random equatorial axis and by a
+    phase error about the pole. The position of the body's origin in the camera frame is unchanged.
     """
     tilt_rad, phase_rad = _angle_rad(onboard.pole_error_deg, rng), _angle_rad(onboard.rotation_error_deg, rng)
     axis = draw_direction(_EQUATOR_RAD, rng)

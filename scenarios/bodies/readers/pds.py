@@ -1,4 +1,10 @@
-"""Latitude/longitude/radius grids of the Planetary Data System, as text."""
+"""Readers of text shapes of the Planetary Data System: plate tables and latitude/longitude/radius grids.
+
+Plate tables have two layouts:
+
+- `v`/`f` records (SPICE MKDSK format 3): ``v x y z`` lines, then ``f i j k`` lines;
+- counted tables (MKDSK format 1): the number of vertices, lines ``n x y z``, the number of plates, lines ``n i j k``.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +17,14 @@ def read_grid(source: ShapeFile, west: bool) -> RawShape:
     """Read lines ``latitude longitude radius`` (degrees, planetocentric) in any order.
 
     The rows must fill a whole grid from pole to pole. The poles, repeated for each longitude, become one
-    vertex each with the mean radius; a longitude that is there twice (0 and 360) counts once.
+    vertex each with the mean radius; a longitude that occurs twice (0 and 360) counts once.
 
     Parameters
     ----------
     source
         The file.
     west
-        Whether the longitudes grow westward; the product's label tells.
+        Whether longitudes increase westward, as stated in the product's label.
     """
     lines = source.lines()
     table = source.table(lines, source.filled(lines), (0, 1, 2))
@@ -73,3 +79,48 @@ def _faces(n_rings: int, n_lon: int) -> IndexArray:
         np.stack([last + here, last + east, pole], axis=-1),
     ]
     return np.concatenate(parts).astype(np.int64)
+
+
+def read_plates(source: ShapeFile) -> RawShape:
+    """Read a PDS plate table; indices may start at 0 or at 1.
+
+    The `v`/`f` layout resembles an OBJ file, but the base of its indices differs between products
+    (1 in 1620geographos.tab, 0 in eros022540.tab): a file that contains index 0 is 0-based.
+    """
+    lines = source.lines()
+    first = lines[source.filled(lines)[0]].split()
+    vertices, faces = _tagged(source, lines) if first[0] in ("v", "f", "#") else _counted(source, lines)
+    base = 0 if len(faces) and faces.min() == 0 else 1
+    return source.shape(vertices, faces - base)
+
+
+def _tagged(source: ShapeFile, lines: list[str]) -> tuple[FloatArray, FloatArray]:
+    rows: dict[str, list[int]] = {"v": [], "f": []}
+    for i, line in enumerate(lines):
+        tag = line.split(maxsplit=1)[0] if line.strip() else "#"
+        if tag in rows:
+            rows[tag].append(i)
+        elif not tag.startswith("#"):
+            raise source.fault(f"a line of a plate table starts with v or f, not {tag[:40]!r}", i + 1)
+    return source.table(lines, rows["v"], (1, 2, 3)), source.table(lines, rows["f"], (1, 2, 3))
+
+
+def _counted(source: ShapeFile, lines: list[str]) -> tuple[FloatArray, FloatArray]:
+    filled = source.filled(lines)
+    n_vertices = _count(source, lines, filled, 0)
+    n_plates = _count(source, lines, filled, n_vertices + 1)
+    end = n_vertices + n_plates + 2
+    if len(filled) != end:
+        raise source.fault(f"{n_vertices} vertices and {n_plates} plates need {end} lines, found {len(filled)}")
+    columns = (1, 2, 3)
+    vertices = source.table(lines, filled[1 : n_vertices + 1], columns)
+    return vertices, source.table(lines, filled[n_vertices + 2 :], columns)
+
+
+def _count(source: ShapeFile, lines: list[str], filled: list[int], at: int) -> int:
+    if at >= len(filled):
+        raise source.fault(f"the table ends after {len(filled)} lines, before its count of plates; is the file cut?")
+    word = lines[filled[at]].strip()
+    if not (word.isascii() and word.isdigit() and len(word) < 16):
+        raise source.fault(f"expected a count, found {word[:40]!r}; check body.format", filled[at] + 1)
+    return int(word)

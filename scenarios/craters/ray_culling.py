@@ -1,4 +1,4 @@
-"""Which facets of a fine surface a bundle of rays may meet, found without a tree."""
+"""Candidate facets of a tiled surface for a set of rays, by projecting facets and rays to a plane."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.bodies.detail.placement import tangent_axes
-from scenarios.craters.jit import kernel
-from scenarios.craters.kernels import Layout, number_tile, room_for_tile
+from scenarios.bodies.topology import tangent_axes
+from scenarios.craters.kernels import TileLayout, kernel, number_tile, tile_buffer
 from scenarios.craters.surface import CrateredSurface
 from scenarios.geometry import View
 
@@ -18,29 +17,30 @@ FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 IndexArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-_Point = tuple[float, float, float]  # on a fan's plane, and how far along its third axis
+_Point = tuple[float, float, float]  # on the projection plane, and distance along its third axis
 
 _RAYS_A_CELL = 2
-# Single precision moves a ray by some 1e-7 of the body's radius: facets are tried that it passes by so much farther.
+# Single precision of the tracer displaces a ray by some 1e-7 of the body's radius; the tolerance is 40 times that.
 _SLACK = 4e-6
-# Where a ray begins is known better, for it is the same place on a facet that counts: ten times the rounding.
+# The origin of a ray is a point on a facet and is known to rounding: ten times that.
 _DEPTH_SLACK = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fan:
-    """A plane on which each ray of a bundle is one point, and each facet that it may meet lies about that point.
+class RayProjection:
+    """Projection to a plane in which each ray of a bundle is one point.
 
-    With the point goes how far along the third axis the ray begins: it meets nothing before that.
+    A ray can only intersect facets whose projection contains its point. Each point has the depth along the third axis
+    at which the ray begins; there are no intersections before that.
 
     Parameters
     ----------
     axes
-        (3, 3) axes of the plane, and the direction of parallel rays or that of sight, as rows, body frame.
+        (3, 3) two axes of the plane and the direction of the parallel rays or of the boresight, as rows, body frame.
     origin_m
-        (3,) where the rays of a pencil meet; any place for parallel ones.
+        (3,) common point of the rays of a pencil; arbitrary for parallel rays.
     pencil
-        Whether the rays go through the origin; otherwise they are parallel.
+        Whether the rays pass through the origin (perspective); otherwise they are parallel.
     """
 
     axes: FloatArray
@@ -48,31 +48,32 @@ class Fan:
     pencil: bool
 
     @classmethod
-    def of_view(cls, view: View) -> Fan:
-        """Lines of sight of a camera, whatever its lens."""
+    def of_view(cls, view: View) -> RayProjection:
+        """Make the projection of a camera's lines of sight (with any lens distortion)."""
         return cls(view.T_cam_body.rotation, view.T_cam_body.camera_position_m, True)
 
     @classmethod
-    def of_parallel(cls, direction: FloatArray) -> Fan:
-        """Rays along one unit direction (3,)."""
+    def of_parallel(cls, direction: FloatArray) -> RayProjection:
+        """Make the projection along one unit direction (3,)."""
         return cls(np.concatenate([*tangent_axes(direction[None], np.zeros(1)), direction[None]]), np.zeros(3), False)
 
     def of_directions(self, directions: FloatArray) -> FloatArray:
-        """Points and beginnings (N, 3) of the rays of a pencil along (N, 3): they begin where they meet."""
+        """Return points and start depths (N, 3) of the rays of a pencil along (N, 3), which start at the origin."""
         rays = np.asarray(directions @ self.axes.T, dtype=np.float64)
         rays[:, :2] /= rays[:, 2:]
         rays[:, 2] = 0.0
         return rays
 
     def of_points(self, points_m: FloatArray) -> FloatArray:
-        """Points and beginnings (N, 3) of parallel rays from (N, 3)."""
+        """Return points and start depths (N, 3) of parallel rays from points (N, 3)."""
         return np.asarray((points_m - self.origin_m) @ self.axes.T, dtype=np.float64)
 
 
-def facets_met(ground: CrateredSurface, tiles: IndexArray, fan: Fan, rays: FloatArray) -> SingleArray:
-    """Find the facets of some tiles that rays (N, 3) of a fan may meet: their corners (F, 3, 3).
+def candidate_facets(ground: CrateredSurface, tiles: IndexArray, fan: RayProjection, rays: FloatArray) -> SingleArray:
+    """Find the facets of some tiles that projected rays (N, 3) may intersect: their corners (F, 3, 3).
 
-    None is left out that a tracer of single precision could find. A ray that is not a number meets nothing.
+    The selection is conservative: it contains every facet that a single-precision tracer could hit. Rays with NaN are
+    ignored.
     """
     rays = rays[np.isfinite(rays).all(axis=1)]
     if not len(rays) or not len(tiles):
@@ -80,14 +81,22 @@ def facets_met(ground: CrateredSurface, tiles: IndexArray, fan: Fan, rays: Float
     found = np.empty((int((ground.tiling.tile_pieces[tiles] ** 2).sum()), 3), dtype=np.int64)
     radius_m = float(np.linalg.norm(ground.corners_m, axis=1).max())
     axes, slack_m = np.ascontiguousarray(fan.axes), (_SLACK * radius_m, _DEPTH_SLACK * radius_m)
-    count = _find_met(
-        found, tiles, ground.vertices_m, axes, fan.origin_m, fan.pencil, slack_m, _in_cells(rays), ground.tiling.layout
+    count = _find_candidates(
+        found,
+        tiles,
+        ground.vertices_m,
+        axes,
+        fan.origin_m,
+        fan.pencil,
+        slack_m,
+        _sorted_by_cell(rays),
+        ground.tiling.layout,
     )
     return np.asarray(ground.vertices_m[found[:count].ravel()]).reshape(-1, 3, 3)
 
 
 class _Cells(NamedTuple):
-    """Rays (N, 3) of a fan by the cells of a grid from ``low`` (2,) on, and the first ray of each cell."""
+    """Projected rays (N, 3) sorted into cells of a grid with origin ``low`` (2,), and the first ray of each cell."""
 
     rays: FloatArray
     start: IndexArray
@@ -97,7 +106,7 @@ class _Cells(NamedTuple):
     n_rows: int
 
 
-def _in_cells(rays: FloatArray) -> _Cells:
+def _sorted_by_cell(rays: FloatArray) -> _Cells:
     low, high = rays[:, :2].min(axis=0), rays[:, :2].max(axis=0)
     step = max(
         float(np.sqrt(np.prod(high - low) * _RAYS_A_CELL / len(rays))),
@@ -111,7 +120,7 @@ def _in_cells(rays: FloatArray) -> _Cells:
 
 @kernel
 def _cell(x: float, low: float, per_m: float, n: int) -> int:
-    """Column or row of a place, moved into the grid."""
+    """Return the column or row of a coordinate, clamped to the grid."""
     return int(min(max((x - low) * per_m, 0.0), n - 1.0))
 
 
@@ -119,7 +128,7 @@ def _cell(x: float, low: float, per_m: float, n: int) -> int:
 def _sorted_into_cells(
     rays: FloatArray, low: FloatArray, step: float, n_columns: int, n_rows: int
 ) -> tuple[IndexArray, IndexArray]:
-    """First ray of each cell and one after the last, and the rays by cell, those of a cell in their order."""
+    """Return cell offsets (cells + 1,) and the order of the rays by cell (counting sort, stable)."""
     cell = np.empty(len(rays), dtype=np.int64)
     start = np.zeros(n_columns * n_rows + 1, dtype=np.int64)
     for k in range(len(rays)):
@@ -137,7 +146,7 @@ def _sorted_into_cells(
 
 
 @kernel
-def _find_met(
+def _find_candidates(
     found: IndexArray,
     tiles: IndexArray,
     vertices: SingleArray,
@@ -146,11 +155,11 @@ def _find_met(
     pencil: bool,
     slack_m: tuple[float, float],
     cells: _Cells,
-    layout: Layout,
+    layout: TileLayout,
 ) -> int:
-    """Write the vertices of the facets that rays may meet, and return how many they are."""
-    count, ids = 0, room_for_tile(layout)
-    # On the plane, how far along its normal, and how wide the slack is there; negative behind the camera.
+    """Write the vertices of the candidate facets and return their number."""
+    count, ids = 0, tile_buffer(layout)
+    # Plane coordinates, depth, and tolerance in the plane at that depth; the tolerance is negative behind the camera.
     u, v, depth_m, slack = np.empty(ids.shape), np.empty(ids.shape), np.empty(ids.shape), np.empty(ids.shape)
     low = cells.low
     right, bottom = low[0] + cells.step * cells.n_columns, low[1] + cells.step * cells.n_rows
@@ -178,7 +187,7 @@ def _find_met(
                 for half in range(1 if i + j == n - 1 else 2):
                     a, b = i + half, j + half
                     near = min(slack[a, j], slack[i + 1, b], slack[i, j + 1])
-                    if near > 0.0 and _is_met(
+                    if near > 0.0 and _may_be_hit(
                         (u[a, j], v[a, j], depth_m[a, j]),
                         (u[i + 1, b], v[i + 1, b], depth_m[i + 1, b]),
                         (u[i, j + 1], v[i, j + 1], depth_m[i, j + 1]),
@@ -193,7 +202,7 @@ def _find_met(
 
 @kernel
 def _cells_about(left: float, top: float, right: float, bottom: float, cells: _Cells) -> tuple[int, int, int, int]:
-    """First and last column and row of the cells that a box touches."""
+    """Return first and last column and row of the cells that a box overlaps."""
     low, per_m = cells.low, 1.0 / cells.step
     first, last = _cell(left, low[0], per_m, cells.n_columns), _cell(right, low[0], per_m, cells.n_columns)
     return first, last, _cell(top, low[1], per_m, cells.n_rows), _cell(bottom, low[1], per_m, cells.n_rows)
@@ -201,7 +210,7 @@ def _cells_about(left: float, top: float, right: float, bottom: float, cells: _C
 
 @kernel
 def _any_near(left: float, top: float, right: float, bottom: float, cells: _Cells) -> bool:
-    """Whether the cells that a box touches hold a ray."""
+    """Return whether the cells that a box overlaps contain a ray."""
     first, last, upper, lower = _cells_about(left, top, right, bottom, cells)
     for row in range(upper, lower + 1):
         if cells.start[row * cells.n_columns + first] < cells.start[row * cells.n_columns + last + 1]:
@@ -210,8 +219,8 @@ def _any_near(left: float, top: float, right: float, bottom: float, cells: _Cell
 
 
 @kernel
-def _is_met(p: _Point, q: _Point, r: _Point, slack: float, depth_slack_m: float, cells: _Cells) -> bool:
-    """Whether a ray's point lies in the triangle p q r, or outside by less than the slack, and it begins before it."""
+def _may_be_hit(p: _Point, q: _Point, r: _Point, slack: float, depth_slack_m: float, cells: _Cells) -> bool:
+    """Return whether a ray lies in the triangle p q r, within the tolerance, and starts before it."""
     left, right = min(p[0], q[0], r[0]) - slack, max(p[0], q[0], r[0]) + slack
     top, bottom = min(p[1], q[1], r[1]) - slack, max(p[1], q[1], r[1]) + slack
     nearest_m, farthest_m = min(p[2], q[2], r[2]), max(p[2], q[2], r[2]) + depth_slack_m
@@ -235,7 +244,7 @@ def _is_met(p: _Point, q: _Point, r: _Point, slack: float, depth_slack_m: float,
 
 @kernel
 def _left_of(a: _Point, b: _Point, x: float, y: float, slack: float) -> bool:
-    """Whether a point lies to the left of the line from a to b, or to the right of it within the slack."""
+    """Return whether a point lies left of the line from a to b, or right of it within the tolerance."""
     along, across = b[0] - a[0], b[1] - a[1]
     distance = along * (y - a[1]) - across * (x - a[0])
     return distance >= 0.0 or distance * distance <= slack * slack * (along * along + across * across)
@@ -243,7 +252,7 @@ def _left_of(a: _Point, b: _Point, x: float, y: float, slack: float) -> bool:
 
 @kernel
 def _behind(x: float, y: float, from_m: float, p: _Point, q: _Point, r: _Point, slack_m: float) -> bool:
-    """Whether a ray at a point begins beyond the plane through p, q and r; never where that is edge-on."""
+    """Return whether a ray starts beyond the plane through p, q and r; False if the plane is edge-on."""
     qu, qv, q_m = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     ru, rv, r_m = r[0] - p[0], r[1] - p[1], r[2] - p[2]
     area = qu * rv - qv * ru

@@ -1,7 +1,7 @@
-"""Motion under harmonics in fixed steps with its variational equations, for filters.
+"""Orbit propagation with variational equations in fixed steps, for filters.
 
-Dormand and Prince's method of eighth order (DOP853) with the coefficients of scipy, as `propagation` has it in adaptive
-steps for the truth. Steps end at each time that is asked for.
+The method is DOP853 with the coefficients of scipy, as in `propagation`, but with fixed steps that end at each
+requested time.
 """
 
 from __future__ import annotations
@@ -14,16 +14,18 @@ from scipy.integrate import DOP853
 
 from scenarios.dynamics import kernel
 from scenarios.dynamics.field import FlatField, HarmonicField, differentiate
-from scenarios.dynamics.propagation import OrbitLostError, Pushes, propagate
+from scenarios.dynamics.propagation import OrbitLostError, PiecewiseAcceleration, propagate
 
 FloatArray = NDArray[np.float64]
 
 LONGEST_STEP_S = 1800.0
-"""Of the fixed steps: a tenth of Eros's rotation, whose harmonics are what changes fastest at 200 km."""
+"""Longest step: a tenth of Eros's rotation period; the rotating harmonics change fastest at 200 km."""
 
 
-def travelled(field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes: Pushes) -> FloatArray:
-    """(T, 6) states at (T,) ascending times from the state (6,) at time 0, by `propagate` down to the reference radius.
+def propagate_states(
+    field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes: PiecewiseAcceleration
+) -> FloatArray:
+    """(T, 6) states at (T,) ascending times from the state (6,) at time 0, by `propagate`.
 
     Raises
     ------
@@ -34,8 +36,8 @@ def travelled(field: HarmonicField, state: FloatArray, times_s: FloatArray, push
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Flight:
-    """States with derivatives; by pushes of pieces that have not begun they are zero.
+class OrbitPartials:
+    """States with partial derivatives; those by the accelerations of later intervals are zero.
 
     Parameters
     ----------
@@ -46,7 +48,7 @@ class Flight:
     by_parameters
         (T, 6, p) derivatives by the field's parameters.
     by_pushes
-        (T, 6, 3 P).
+        (T, 6, 3 P) derivatives by the piecewise accelerations.
     """
 
     states: FloatArray
@@ -55,16 +57,18 @@ class Flight:
     by_pushes: FloatArray
 
 
-def flight(field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes: Pushes) -> Flight:
-    """Follow an orbit with its derivatives in fixed steps.
+def propagate_partials(
+    field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes: PiecewiseAcceleration
+) -> OrbitPartials:
+    """Propagate an orbit with its partial derivatives in fixed steps.
 
-    Derivatives by a push are integrated while it acts. From its end on they are those by the state at the epoch that
-    has the same effect, ``Phi^-1 Gamma`` there.
+    Derivatives by a piecewise acceleration are integrated over its interval. After its end they are the state
+    transition matrix times the equivalent change of the state at the epoch, ``Phi^-1 Gamma`` at the end.
 
     Raises
     ------
     OrbitLostError
-        If the orbit comes nearer the origin than the field's reference radius, or goes beyond all bounds.
+        If the orbit comes nearer the origin than the field's reference radius, or diverges.
     """
     flat, p = field.flat, field.parameters
     stages = DOP853.n_stages
@@ -73,17 +77,19 @@ def flight(field: HarmonicField, state: FloatArray, times_s: FloatArray, pushes:
         np.array(DOP853.B),
         np.array(DOP853.C[:stages]),
     )
-    seen, ended = _fly(
-        flat, np.array(state), np.array(times_s), pushes.edges_s, pushes.push_m_s2, LONGEST_STEP_S, *tableau
+    seen, ended = _integrate(
+        flat, np.array(state), np.array(times_s), pushes.edges_s, pushes.acceleration_m_s2, LONGEST_STEP_S, *tableau
     )
     if not (np.isfinite(seen).all() and np.isfinite(ended).all()):
         raise OrbitLostError("the orbit leads into the body or beyond all bounds")
-    return Flight(seen[:, :, 0], seen[:, :, 1:7], seen[:, :, 7 : 7 + p], _by_pushes(seen, ended, pushes, times_s))
+    return OrbitPartials(
+        seen[:, :, 0], seen[:, :, 1:7], seen[:, :, 7 : 7 + p], _by_pushes(seen, ended, pushes, times_s)
+    )
 
 
-def _by_pushes(seen: FloatArray, ended: FloatArray, pushes: Pushes, times_s: FloatArray) -> FloatArray:
-    """(T, 6, 3 P): what each push has done, by what it did at its own end."""
-    pieces = len(pushes.push_m_s2)
+def _by_pushes(seen: FloatArray, ended: FloatArray, pushes: PiecewiseAcceleration, times_s: FloatArray) -> FloatArray:
+    """(T, 6, 3 P) derivatives by each acceleration, from those at the end of its interval."""
+    pieces = len(pushes.acceleration_m_s2)
     scale = np.repeat([1.0, np.linalg.norm(ended[0, :3, 0]) / np.linalg.norm(ended[0, 3:, 0])], 3)
     transition = ended[:, :, 1:7] * scale[:, None] / scale
     at_epoch = np.linalg.solve(transition, ended[:, :, -3:] * scale[:, None]) / scale[:, None]
@@ -99,7 +105,7 @@ def _by_pushes(seen: FloatArray, ended: FloatArray, pushes: Pushes, times_s: Flo
 
 
 @kernel
-def _fly(
+def _integrate(
     field: FlatField,
     state: FloatArray,
     times: FloatArray,
@@ -110,7 +116,7 @@ def _fly(
     b: FloatArray,
     c: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (T, 6, n) at the times and (P', 6, n) at the ends of the pieces before the last time."""
+    """Integrate; return (T, 6, n) at the times and (P', 6, n) at the interval ends before the last time."""
     columns = 1 + 6 + 2 + field.parts.shape[1] + 3
     y = np.zeros((6, columns))
     for i in range(6):
@@ -122,11 +128,11 @@ def _fly(
     for p in range(len(pushes)):
         last = p == len(pushes) - 1
         while row < len(times) and (times[row] <= edges[p + 1] or last):
-            y = _advance(field, y, now, times[row], pushes[p], longest, a, b, c, slopes, work)
+            y = _integrate_interval(field, y, now, times[row], pushes[p], longest, a, b, c, slopes, work)
             now = times[row]
             seen[row] = y
             row += 1
-        y = _advance(field, y, now, edges[p + 1], pushes[p], longest, a, b, c, slopes, work)
+        y = _integrate_interval(field, y, now, edges[p + 1], pushes[p], longest, a, b, c, slopes, work)
         now = edges[p + 1]
         ended[p] = y
         y[:, columns - 3 :] = 0.0
@@ -136,7 +142,7 @@ def _fly(
 
 
 @kernel
-def _advance(
+def _integrate_interval(
     field: FlatField,
     start: FloatArray,
     begin: float,
@@ -149,7 +155,7 @@ def _advance(
     slopes: FloatArray,
     work: FloatArray,
 ) -> FloatArray:
-    """Integrate from one time to another in equal steps."""
+    """Integrate from one time to another in equal steps; NaN after an impact."""
     y = start.copy()
     if end <= begin:
         return y
@@ -163,7 +169,7 @@ def _advance(
             for j in range(i):
                 if a[i, j] != 0.0:
                     _add(at, slopes[j], h * a[i, j])
-            if not _slope(field, t + c[i] * h, at, push, work, slopes[i]):
+            if not _time_derivative(field, t + c[i] * h, at, push, work, slopes[i]):
                 y[:] = np.nan
                 return y
         for i in range(len(b)):
@@ -173,15 +179,17 @@ def _advance(
 
 @kernel
 def _add(total: FloatArray, added: FloatArray, factor: float) -> None:
-    """Add a multiple of a table."""
+    """Add a multiple of an array in place."""
     for i in range(total.shape[0]):
         for j in range(total.shape[1]):
             total[i, j] += factor * added[i, j]
 
 
 @kernel
-def _slope(field: FlatField, time: float, y: FloatArray, push: FloatArray, work: FloatArray, out: FloatArray) -> bool:
-    """Fill ``out`` with the time derivative of states and derivatives; False inside the reference radius."""
+def _time_derivative(
+    field: FlatField, time: float, y: FloatArray, push: FloatArray, work: FloatArray, out: FloatArray
+) -> bool:
+    """Write the time derivative of state and partials to ``out``; return False inside the reference radius."""
     if not y[0, 0] ** 2 + y[1, 0] ** 2 + y[2, 0] ** 2 > field.radius_m**2:
         return False
     columns, count = y.shape[1], 2 + field.parts.shape[1]

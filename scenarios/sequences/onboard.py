@@ -1,4 +1,4 @@
-"""What the spacecraft knows beside its images: motion, attitude, forces and distances, each as wrong as asked."""
+"""Onboard knowledge of a sequence, with its errors: predicted motion, attitude, forces and ranges."""
 
 from __future__ import annotations
 
@@ -12,25 +12,24 @@ from scipy.spatial.transform import Rotation
 
 from scenarios.draw import Stream, draw_direction, generator
 from scenarios.geometry import Camera, Pose
-from scenarios.sequences.path import Path
-from scenarios.sequences.rotation import angular_velocity, attitude_law
-from scenarios.spec.sequence import KnowledgeSpec, SequenceSpec
+from scenarios.sequences.trajectory import CameraTrajectory, angular_velocity, attitude_function
+from scenarios.spec.sequence import SequenceKnowledgeSpec, SequenceSpec
 from scenarios.tracks import Forces, TrackFrame, TrackRange, TrackSequence
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 _ALL_LATITUDES_RAD = (-0.5 * np.pi, 0.5 * np.pi)
-# What is exact is believed to be this good: weights without bounds are of no use to an estimator.
+# Lower bounds of the stated sigmas of exact data: infinite weights are numerically useless.
 _LEAST_NOISE_PX = 1e-2
 _LEAST_MOTION_ERROR = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
-    """What the vision layer gives of a frame: tracks (n,), pixels (n, 2), and the true landmarks (n, 3) m, body axes.
+class FrameTracks:
+    """Tracks of a frame: numbers (n,), pixels (n, 2), and the true landmarks (n, 3), m, body axes.
 
-    ``again`` are the pairs (track, older track) that it takes for one landmark.
+    ``again`` are loop closures: pairs (track, older track) identified as the same landmark.
     """
 
     tracks: IndexArray
@@ -39,28 +38,32 @@ class Sighting:
     again: IndexArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
 
 
-def known_sequence(
-    spec: SequenceSpec, camera: Camera, path: Path, sightings: Sequence[Sighting], address: tuple[int, int]
+def onboard_sequence(
+    spec: SequenceSpec,
+    camera: Camera,
+    trajectory: CameraTrajectory,
+    sightings: Sequence[FrameTracks],
+    address: tuple[int, int],
 ) -> TrackSequence:
-    """Put together what the spacecraft knows of a path and its sightings; ``address`` is (seed, trial).
+    """Simulate the onboard data of a trajectory and its sightings; ``address`` is (seed, trial).
 
-    Positions of the camera are known in inertial axes, and turned into the body's as these are known.
+    Camera positions are known in inertial axes and converted to body axes by the onboard rotation model.
     """
     knowledge, (seed, trial) = spec.knowledge, address
-    attitudes = known_rotation(path, spec, generator(seed, Stream.ROTATION, trial))
-    moves = predicted_moves(path, attitudes, knowledge, generator(seed, Stream.MOTION, trial))
+    attitudes = onboard_rotation(trajectory, spec, generator(seed, Stream.ROTATION, trial))
+    moves = predicted_moves(trajectory, attitudes, knowledge, generator(seed, Stream.MOTION, trial))
     rng, star_tracker = generator(seed, Stream.KNOWLEDGE, trial), np.radians(knowledge.attitude_sigma_deg)
-    position = attitudes[0] @ (path.positions_m[0] + knowledge.position_sigma_m * rng.normal(size=3))
-    ranges = [measured_ranges(sightings, path.poses[0], camera, knowledge, rng)]
-    ranges += _later_ranges(sightings, path, camera, knowledge, generator(seed, Stream.RANGES, trial))
+    position = attitudes[0] @ (trajectory.positions_m[0] + knowledge.position_sigma_m * rng.normal(size=3))
+    ranges = [measured_ranges(sightings, trajectory.poses[0], camera, knowledge, rng)]
+    ranges += _later_ranges(sightings, trajectory, camera, knowledge, generator(seed, Stream.RANGES, trial))
     misalignment = np.radians(knowledge.misalignment_sigma_deg)
-    turns = star_tracker * rng.normal(size=(len(path.poses), 3)) + misalignment * rng.normal(size=3)
-    lasting = np.hypot(misalignment, rotation_sigma_rad(path.times_s, spec))
+    turns = star_tracker * rng.normal(size=(len(trajectory.poses), 3)) + misalignment * rng.normal(size=3)
+    lasting = np.hypot(misalignment, rotation_sigma_rad(trajectory.times_s, spec))
     sigmas = np.hypot(star_tracker, lasting)
     frames = tuple(
         TrackFrame(
-            time_s=float(path.times_s[i]),
-            R_cam_body=_known_attitude(path.poses[i], path.R_body_inertial[i], attitudes[i], turns[i]),
+            time_s=float(trajectory.times_s[i]),
+            R_cam_body=_known_attitude(trajectory.poses[i], trajectory.R_body_inertial[i], attitudes[i], turns[i]),
             tracks=sighting.tracks,
             uv_px=sighting.uv_px,
             sigma_px=max(spec.sigma_px, _LEAST_NOISE_PX),
@@ -70,41 +73,41 @@ def known_sequence(
             again=sighting.again,
             R_body_inertial=attitudes[i],
             attitude_sigma_rad=float(sigmas[i]),
-            attitude_lasting_rad=float(lasting[i]),
+            attitude_bias_sigma_rad=float(lasting[i]),
         )
         for i, sighting in enumerate(sightings)
     )
-    forces = known_forces(path, spec, generator(seed, Stream.FORCES, trial))
+    forces = onboard_forces(trajectory, spec, generator(seed, Stream.FORCES, trial))
     return TrackSequence(camera, frames, position, np.eye(3) * knowledge.position_sigma_m**2, forces)
 
 
 def _known_attitude(pose: Pose, true: FloatArray, known: FloatArray, turn: FloatArray) -> FloatArray:
-    """R_cam_body from the star tracker, wrong by a rotation vector, and the body's attitude as it is known."""
+    """R_cam_body from the star tracker, with a rotation error, and from the onboard attitude of the body."""
     rotation = pose.rotation if np.array_equal(known, true) else pose.rotation @ true @ known.T
     return Rotation.from_rotvec(turn).as_matrix() @ rotation if turn.any() else rotation
 
 
-def known_rotation(path: Path, spec: SequenceSpec, rng: np.random.Generator) -> FloatArray:
-    """R_body_inertial, (F, 3, 3), as it follows from an angular velocity that is known with errors.
+def onboard_rotation(trajectory: CameraTrajectory, spec: SequenceSpec, rng: np.random.Generator) -> FloatArray:
+    """R_body_inertial, (F, 3, 3), propagated from an angular velocity with errors.
 
-    The first attitude is known: it says what the body's axes are. What is wrong of the pole and the rate grows from
-    there on by the body's own equations.
+    The first attitude is exact, as it defines the body axes. Errors of pole and rate grow from there by the rotational
+    equations of motion.
     """
     motion, knowledge = spec.body_motion, spec.knowledge
     if not knowledge.pole_sigma_deg and not knowledge.spin_sigma:
-        return path.R_body_inertial
+        return trajectory.R_body_inertial
     rate = angular_velocity(motion)
     tilts = np.radians(knowledge.pole_sigma_deg) * rng.normal(size=2)
     longer = 1.0 + knowledge.spin_sigma * rng.normal()
-    believed = longer * Rotation.from_rotvec(_across(rate).T @ tilts).apply(rate)
-    return attitude_law(motion, believed, float(path.times_s[-1]))(path.times_s)
+    believed = longer * Rotation.from_rotvec(_perpendicular(rate).T @ tilts).apply(rate)
+    return attitude_function(motion, believed, float(trajectory.times_s[-1]))(trajectory.times_s)
 
 
 def rotation_sigma_rad(times_s: FloatArray, spec: SequenceSpec) -> FloatArray:
-    """(F,) standard deviation about each axis of the error of a spin, by its own law: the mean over the axes.
+    """(F,) standard deviation of the attitude error of a spinning body about each axis, RMS over the axes.
 
-    About the pole the angle is wrong by its relative error; a tilt of the pole turns the body about an axis across it
-    by 2 tilt |sin(angle / 2)|. Of tumbling this tells the order of magnitude.
+    The error about the pole is the relative rate error times the angle; a tilt of the pole gives a rotation of
+    2 tilt |sin(angle / 2)| about a perpendicular axis. For tumbling this is the order of magnitude only.
     """
     motion, knowledge = spec.body_motion, spec.knowledge
     angle = np.linalg.norm(angular_velocity(motion)) * times_s
@@ -113,8 +116,8 @@ def rotation_sigma_rad(times_s: FloatArray, spec: SequenceSpec) -> FloatArray:
     return np.asarray(np.sqrt((about**2 + 2.0 * across**2) / 3.0), dtype=np.float64)
 
 
-def _across(axis: FloatArray) -> FloatArray:
-    """(2, 3) rows at a right angle to an axis and to each other."""
+def _perpendicular(axis: FloatArray) -> FloatArray:
+    """(2, 3) unit vectors perpendicular to an axis and to each other."""
     first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     first /= np.linalg.norm(first)
     second = np.cross(axis, first)
@@ -122,16 +125,16 @@ def _across(axis: FloatArray) -> FloatArray:
 
 
 def predicted_moves(
-    path: Path, known: FloatArray, knowledge: KnowledgeSpec, rng: np.random.Generator
+    trajectory: CameraTrajectory, known: FloatArray, knowledge: SequenceKnowledgeSpec, rng: np.random.Generator
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Predict the displacement before each frame, (3,) in body axes, and the covariance of its error, (3, 3).
 
     The error has a random direction and the length lambda |displacement| in inertial space: lambda^2 |d|^2 / 3 on each
-    axis. To it comes how the body turns below the camera, by its ``known`` attitude, (F, 3, 3): at the camera's true
-    place, for which a navigator would put its own, which differs by the angle of a step times its own error.
+    axis. The rotation of the body by its onboard attitude ``known``, (F, 3, 3), is added at the camera's true position;
+    a navigator would use the estimated one, a difference of the rotation per step times the position error.
     """
     moves = [(np.zeros(3), np.zeros((3, 3)))]
-    frames = zip(path.positions_m, known, strict=True)
+    frames = zip(trajectory.positions_m, known, strict=True)
     for (before, old), (after, new) in itertools.pairwise(frames):
         true = after - before
         distance = float(np.linalg.norm(true))
@@ -142,22 +145,30 @@ def predicted_moves(
 
 
 def _later_ranges(
-    sightings: Sequence[Sighting], path: Path, camera: Camera, knowledge: KnowledgeSpec, rng: np.random.Generator
+    sightings: Sequence[FrameTracks],
+    trajectory: CameraTrajectory,
+    camera: Camera,
+    knowledge: SequenceKnowledgeSpec,
+    rng: np.random.Generator,
 ) -> list[tuple[TrackRange, ...]]:
-    """Measure distances in the frames after the first, where that is asked for."""
+    """Simulate ranges in the frames after the first, every ``range_every``-th one."""
     every = knowledge.range_every
     return [
-        measured_ranges(sightings[i:], path.poses[i], camera, knowledge, rng) if every and i % every == 0 else ()
+        measured_ranges(sightings[i:], trajectory.poses[i], camera, knowledge, rng) if every and i % every == 0 else ()
         for i in range(1, len(sightings))
     ]
 
 
 def measured_ranges(
-    sightings: Sequence[Sighting], pose: Pose, camera: Camera, knowledge: KnowledgeSpec, rng: np.random.Generator
+    sightings: Sequence[FrameTracks],
+    pose: Pose,
+    camera: Camera,
+    knowledge: SequenceKnowledgeSpec,
+    rng: np.random.Generator,
 ) -> tuple[TrackRange, ...]:
-    """Measure the distances of some landmarks of the first of the sightings.
+    """Simulate ranges to some landmarks of the first of the sightings.
 
-    The later sightings choose them with ``range_to: lasting`` alone, which no spacecraft can do.
+    The later sightings are used only to select landmarks with ``range_to: lasting``, which is not possible on board.
     """
     here = sightings[0]
     off_axis = np.linalg.norm(here.uv_px - [camera.cx_px, camera.cy_px], axis=1)
@@ -172,19 +183,19 @@ def measured_ranges(
     )
 
 
-def known_forces(path: Path, spec: SequenceSpec, rng: np.random.Generator) -> Forces | None:
-    """Return what the spacecraft knows of the forces; None where it knows nothing of them."""
+def onboard_forces(trajectory: CameraTrajectory, spec: SequenceSpec, rng: np.random.Generator) -> Forces | None:
+    """Return the onboard force model with its errors; None if there is none."""
     knowledge, orbit = spec.knowledge, spec.orbit
     if not knowledge.dynamics:
         return None
     gm = orbit.gm_m3_s2 * (1.0 + knowledge.gm_sigma * rng.normal())
-    radiation = path.radiation_m_s2 * (1.0 + knowledge.radiation_sigma * rng.normal())
-    velocity = path.velocities_m_s[0] + knowledge.velocity_sigma_m_s * rng.normal(size=3)
+    radiation = trajectory.radiation_m_s2 * (1.0 + knowledge.radiation_sigma * rng.normal())
+    velocity = trajectory.velocities_m_s[0] + knowledge.velocity_sigma_m_s * rng.normal(size=3)
     return Forces(
         gm_m3_s2=float(gm),
         gm_sigma_m3_s2=float(knowledge.gm_sigma * orbit.gm_m3_s2),
         radiation_m_s2=radiation,
-        radiation_sigma_m_s2=float(knowledge.radiation_sigma * np.linalg.norm(path.radiation_m_s2)),
+        radiation_sigma_m_s2=float(knowledge.radiation_sigma * np.linalg.norm(trajectory.radiation_m_s2)),
         noise_m_s2=orbit.forces.noise_m_s2 if knowledge.noise_m_s2 is None else knowledge.noise_m_s2,
         velocity_m_s=velocity,
         velocity_covariance_m2_s2=np.eye(3) * knowledge.velocity_sigma_m_s**2,

@@ -1,4 +1,4 @@
-"""The true motion of a trial: forces with what nothing models, and the states at all times that are asked for."""
+"""True orbit of a trial: forces with unmodelled accelerations, and the states at all requested times."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from scipy.spatial.transform import Rotation
 from scenarios.draw import Stream, generator
 from scenarios.dynamics.field import HarmonicField
 from scenarios.dynamics.harmonics import Harmonics
-from scenarios.dynamics.propagation import Pushes, propagate
+from scenarios.dynamics.propagation import PiecewiseAcceleration, propagate
 from scenarios.orbits.world import OrbitWorld
 from scenarios.spec.orbit import ArcSpec
 
 FloatArray = NDArray[np.float64]
 
 DAY_S = 86_400.0
-_PUSHES_A_TIME = 4
+_STEPS_PER_CORRELATION_TIME = 4
 _WANTED_S = 6 * 3600.0
-_ANOMALOUS = (2, 3)
+_ANOMALY_DEGREES = (2, 3)
 
 
 def state_at_epoch(arc: ArcSpec, gm_m3_s2: float) -> FloatArray:
-    """(6,) position, m, and velocity, m/s, inertial axes."""
+    """(6,) position, m, and velocity, m/s, inertial axes, from Keplerian elements."""
     a, e, mean = arc.semi_major_axis_m, arc.eccentricity, np.radians(arc.anomaly_deg % 360.0)
     eccentric = float(brentq(lambda x: x - e * np.sin(x) - mean, -1.0, 2.0 * np.pi + 1.0, xtol=1e-14))
     root, c, s = np.sqrt(1.0 - e * e), np.cos(eccentric), np.sin(eccentric)
@@ -37,7 +37,7 @@ def state_at_epoch(arc: ArcSpec, gm_m3_s2: float) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Flown:
+class TrueOrbit:
     """True states, inertial axes, at the times of images, of the wanted orbit and of radiometric records.
 
     Parameters
@@ -56,8 +56,8 @@ class Flown:
     radio_states: FloatArray
 
 
-def fly(world: OrbitWorld, times_s: FloatArray, seed: int, trial: int) -> Flown:
-    """Follow the true orbit of a trial, with images at ``times_s``, ascending.
+def propagate_truth(world: OrbitWorld, times_s: FloatArray, seed: int, trial: int) -> TrueOrbit:
+    """Propagate the true orbit of a trial, with images at ``times_s``, ascending.
 
     Raises
     ------
@@ -76,28 +76,31 @@ def fly(world: OrbitWorld, times_s: FloatArray, seed: int, trial: int) -> Flown:
         field.acceleration, field.harmonics.radius_m, state_at_epoch(arc, world.spec.asteroid.gm_m3_s2), every, pushes
     )[place]
     parts = np.split(states, [len(times_s), len(times_s) + len(wanted)])
-    return Flown(times_s, wanted, radio, parts[0], parts[1], parts[2])
+    return TrueOrbit(times_s, wanted, radio, parts[0], parts[1], parts[2])
 
 
-def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[HarmonicField, Pushes]:
-    """Gravity with its anomalies, and what nothing models: a Gauss-Markov process, held over quarters of its time."""
+def _true_forces(world: OrbitWorld, seed: int, trial: int) -> tuple[HarmonicField, PiecewiseAcceleration]:
+    """Return gravity with anomalies, and the unmodelled acceleration: a Gauss-Markov process.
+
+    The process is held constant over quarters of its correlation time.
+    """
     rng = generator(seed, Stream.ORBIT_FORCES, trial)
     harmonics, arc, light = world.asteroid.harmonics, world.spec.arc, world.spec.light
     c, s = harmonics.c.copy(), harmonics.s.copy()
-    for n in (n for n in _ANOMALOUS if n <= harmonics.degree):
+    for n in (n for n in _ANOMALY_DEGREES if n <= harmonics.degree):
         c[n, : n + 1] += world.spec.asteroid.anomaly_sigma * rng.normal(size=n + 1)
         s[n, 1 : n + 1] += world.spec.asteroid.anomaly_sigma * rng.normal(size=n)
     field = world.field(Harmonics(harmonics.gm_m3_s2, harmonics.radius_m, c, s))
     end = (arc.days + arc.predicted_days) * DAY_S
     sigma = light.noise_share * float(np.linalg.norm(world.light_m_s2))
     if sigma == 0.0:
-        return field, Pushes.none(end)
-    step = light.noise_days * DAY_S / _PUSHES_A_TIME
+        return field, PiecewiseAcceleration.none(end)
+    step = light.noise_days * DAY_S / _STEPS_PER_CORRELATION_TIME
     pieces = int(np.ceil(end / step))
-    kept = np.exp(-1.0 / _PUSHES_A_TIME)
+    kept = np.exp(-1.0 / _STEPS_PER_CORRELATION_TIME)
     push = np.empty((pieces, 3))
     now = rng.normal(size=3)
     for p in range(pieces):
         push[p] = sigma * now
         now = kept * now + np.sqrt(1.0 - kept**2) * rng.normal(size=3)
-    return field, Pushes(step * np.arange(pieces + 1, dtype=np.float64), push)
+    return field, PiecewiseAcceleration(step * np.arange(pieces + 1, dtype=np.float64), push)
