@@ -14,6 +14,7 @@ from estimators.slam.following import LostError, lookup, median_distance
 from estimators.slam.problem import Adjustment, Distances, Motions, PixelMeasurements, State
 from estimators.slam.solver import AdjustmentSolution, StoppingRule, minimise
 from scenarios.geometry import Camera
+from scenarios.geometry.triangulation import LinesOfSight, triangulation_equations
 from scenarios.tracks import TrackFrame
 
 FloatArray = NDArray[np.float64]
@@ -217,13 +218,14 @@ class SlamMap:
         """
         rays = np.array([self.ray(view, track) for view in views])
         positions = np.array([self.positions_m[view] for view in views])
-        across = np.eye(3) - rays[:, :, None] * rays[:, None, :]  # projector onto the plane across each ray
         depth = self.median_depth(views[-1]) if depth_m is None else depth_m
         near = positions[-1] + depth * rays[-1]
-        matrix = across.sum(axis=0)
+        unknown = np.zeros((1, 3, 3)), np.zeros((1, 3))
+        one_point = np.zeros(len(rays), dtype=np.int64)
+        (matrix,), (right,) = triangulation_equations(LinesOfSight(positions, rays), one_point, unknown)
         if np.linalg.eigvalsh(matrix)[0] < 1e-12:
             return np.asarray(near, dtype=np.float64)
-        point = np.linalg.solve(matrix, np.einsum("kij,kj->i", across, positions))
+        point = np.linalg.solve(matrix, right)
         depths = np.einsum("ki,ki->k", point - positions, rays)
         good = np.all((depths > 0.3 * depth) & (depths < 3.0 * depth))
         return np.asarray(point if good else near, dtype=np.float64)
