@@ -8,11 +8,11 @@ import sys
 import tempfile
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.table import Table
 
-from campaign.cli.catalog import add_overrides
+from campaign.cli.arguments import PEERS
 from campaign.cli.terminal import console
 from campaign.runs.benchmark import WHOLE_TRIAL, Benchmark, StageTime, benchmark
 from campaign.runs.resolve import resolve
@@ -21,64 +21,11 @@ from scenarios.atomic import write_text
 from scenarios.errors import BoresightError
 from scenarios.reading import read_json
 
-if TYPE_CHECKING:
-    from argparse import _SubParsersAction
-
-PEERS = (
-    "all",
-    "quick",
-    "plain",
-    "kernels",
-    "images",
-    "rays",
-    "adjustment",
-    "smoother",
-    "recognition",
-    "scaling",
-)
-"""Works that are timed beside those of other software, by tests/benchmarks, and groups of them."""
 _Ratios = dict[tuple[str, str, str], float]
 
 
-def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to the parser."""
-    bench = commands.add_parser("bench", help="set our speed beside that of others, or time a campaign's stages")
-    bench.add_argument(
-        "name", nargs="?", default="all",
-        help=f"{', '.join(PEERS)}: ratios to peers, in one run (default: all); or a campaign from the list, or a YAML"
-        " file, of which every stage is timed",
-    )  # fmt: skip
-    bench.add_argument(
-        "--blocks", type=int, default=4,
-        help="blocks of trials of each scenario, windows, or rounds in turn (default: 4)",
-    )  # fmt: skip
-    bench.add_argument(
-        "--check", action="store_true",
-        help="fail where a ratio to a peer fell by more than 30 %% since it was last recorded",
-    )  # fmt: skip
-    bench.add_argument(
-        "--record", action="store_true", help="add ratios that are new, or changed by 10 %%, to the history"
-    )
-    bench.add_argument(
-        "--history",
-        type=Path,
-        metavar="FILE",
-        help="ratios of earlier commits (default: boresight's own)",
-    )
-    bench.add_argument(
-        "--blender",
-        type=Path,
-        metavar="PYTHON",
-        help="the interpreter that has bpy (default: $BORESIGHT_BLENDER_PYTHON, or this one)",
-    )
-    bench.add_argument("--variant", help="Mitsuba variant (default: the fastest that works)")
-    bench.add_argument("--json", type=Path, metavar="FILE", help="write the times as JSON")
-    bench.add_argument("--against", type=Path, metavar="FILE", help="a JSON of before, to compare the ratios with")
-    add_overrides(bench)
-    bench.set_defaults(handler=_bench)
-
-
-def _bench(arguments: argparse.Namespace) -> int:
+def bench_command(arguments: argparse.Namespace) -> int:
+    """Compare speeds with other software, or time the stages of a campaign."""
     if arguments.name in PEERS:
         return _beside_peers(arguments)
     if arguments.check or arguments.record:

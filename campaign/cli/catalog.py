@@ -6,7 +6,6 @@ import argparse
 import json
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ruamel.yaml import YAML
 
@@ -29,36 +28,9 @@ from scenarios.load import (
     scenario_names,
 )
 
-if TYPE_CHECKING:
-    from argparse import _SubParsersAction
 
-
-def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the commands to the parser."""
-    listing = commands.add_parser("list", help="list the campaigns, scenarios and estimators")
-    listing.set_defaults(handler=_list)
-    show = commands.add_parser("show", help="print a campaign or scenario with everything filled in")
-    show.add_argument("name", help="a name from the list, or a YAML file")
-    add_overrides(show)
-    show.set_defaults(handler=_show)
-    validate = commands.add_parser("validate", help="check a campaign or scenario file")
-    validate.add_argument("file", help="a YAML file, or a name from the list")
-    add_overrides(validate)
-    validate.set_defaults(handler=_validate)
-    schema = commands.add_parser("schema", help="print the JSON Schema, so that editors complete and check")
-    schema.add_argument("kind", nargs="?", choices=["scenario", "campaign"], default="scenario")
-    schema.set_defaults(handler=_schema)
-
-
-def add_overrides(parser: argparse.ArgumentParser) -> None:
-    """Add ``--set`` to a command."""
-    parser.add_argument(
-        "--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
-        help="override a key of every scenario, for example --set camera.fov_deg=20",
-    )  # fmt: skip
-
-
-def _list(_: argparse.Namespace) -> int:
+def list_command(_: argparse.Namespace) -> int:
+    """List campaigns, scenarios and estimators."""
     out = console()
     campaigns = [_campaign_entry(load_campaign(name, CATALOG)) for name in campaign_names()]
     print_entries(out, ("campaign", "trials", "time here", "data"), campaigns)
@@ -83,7 +55,8 @@ def _campaign_entry(loaded: LoadedCampaign) -> Entry:
     return Entry((spec.name, size, time, ", ".join(map(str, data_needed(loaded))) or "-"), spec.title)
 
 
-def _show(arguments: argparse.Namespace) -> int:
+def show_command(arguments: argparse.Namespace) -> int:
+    """Print a campaign or a scenario as YAML, every default filled in."""
     if _is_campaign(arguments.name):
         campaign = resolve(arguments.name, arguments.overrides)
         shown = {
@@ -100,7 +73,8 @@ def _show(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _validate(arguments: argparse.Namespace) -> int:
+def validate_command(arguments: argparse.Namespace) -> int:
+    """Check a campaign or a scenario file."""
     if _is_campaign(arguments.file):
         campaign = resolve(arguments.file, arguments.overrides)
         what = f"a campaign of {len(campaign.scenarios)} scenario(s) and {len(campaign.labels)} estimator(s)"
@@ -119,6 +93,7 @@ def _is_campaign(name: str) -> bool:
     return file_kind(Path(name), campaign_names()) == "campaign"
 
 
-def _schema(arguments: argparse.Namespace) -> int:
+def schema_command(arguments: argparse.Namespace) -> int:
+    """Print the JSON Schema of scenario or campaign files."""
     console().print(json.dumps(json_schema(arguments.kind), indent=1), highlight=False)
     return 0

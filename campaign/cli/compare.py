@@ -3,45 +3,20 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
-from typing import TYPE_CHECKING
 
-from campaign.cli.runs import find_run
+from campaign.cli.arguments import COMPARISONS
 from campaign.cli.terminal import console
+from campaign.runs.newest import find_run
+from reports.compare import compare_runs, write_comparison
+from reports.pages.console import rich_parts
 from scenarios.errors import BoresightError
 
-if TYPE_CHECKING:
-    from argparse import _SubParsersAction
-
-COMPARISONS = Path("comparisons")
 _LEFT_OUT = ("75th", "99th", "mean difference", "p of all", "better % of all")
 """Columns that the files have and the terminal has no room for."""
 
 
-def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to the parser."""
-    compare = commands.add_parser("compare", help="compare estimators and scenarios of runs, trial by trial")
-    compare.add_argument("runs", nargs="+", metavar="RUN", help="run folders, or campaigns' names")
-    compare.add_argument(
-        "--by", default="estimator,scenario", metavar="FACTOR,...",
-        help="what tells the lines apart: estimator, scenario, run, or a key of the scenarios such as brdf or"
-        " camera.fov_deg (default: estimator,scenario); the rest is pooled",
-    )  # fmt: skip
-    compare.add_argument(
-        "--metric",
-        help="what is compared (default: position_error_m, of sequences after the last whole revolution; of runs"
-        " without poses their first number, as missed_share of crater detection; a wrong one lists all that a run has)",
-    )  # fmt: skip
-    compare.add_argument("--unpaired", action="store_true", help="compare runs of other seeds or views too")
-    compare.add_argument("--out", type=Path, help=f"folder of the comparison (default: {COMPARISONS}/RUN-...)")
-    compare.set_defaults(handler=_compare)
-
-
-def _compare(arguments: argparse.Namespace) -> int:
-    # Imported here: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
-    from reports.compare import compare_runs, write_comparison
-    from reports.pages.console import rich_parts
-
+def compare_command(arguments: argparse.Namespace) -> int:
+    """Compare estimators, scenarios and runs, and write the comparison."""
     factors = list(dict.fromkeys(filter(None, (part.strip() for part in arguments.by.split(",")))))
     if not factors:
         raise BoresightError("--by: empty: give estimator, scenario, run or a key of the scenarios")

@@ -3,31 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from campaign.cli.terminal import console
-from estimators.craters.registry import crater_detector_class, crater_detector_names
+from campaign.data.named_craters import detect_real, write_real
+from estimators.craters.registry import crater_detector_class
 from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
 
-if TYPE_CHECKING:
-    from argparse import _SubParsersAction
 
-
-def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to the parser."""
-    craters = commands.add_parser("craters", help="detect craters in a real image of Eros by NEAR's MSI")
-    craters.add_argument("image", type=Path, nargs="?", help="label or FITS file (default: the one in BORESIGHT_DATA)")
-    craters.add_argument("--detector", default="crater-classic", help=f"one of {', '.join(crater_detector_names())}")
-    craters.add_argument("--out", type=Path, default=Path("figures/craters"), help="folder of figures and tables")
-    craters.set_defaults(handler=_craters)
-
-
-def _craters(arguments: argparse.Namespace) -> int:
-    # Imported here: Matplotlib and SPICE take a third of the start-up, and most commands need neither.
-    from campaign.data.named_craters import detect_real, write_real
-
+def craters_command(arguments: argparse.Namespace) -> int:
+    """Detect craters in a real image, and write figures and tables."""
     detector = crater_detector_class(arguments.detector).from_options({})
     found = detect_real(detector, arguments.image)
     try:

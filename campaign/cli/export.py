@@ -5,40 +5,22 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.progress import track
 
-from campaign.cli.runs import find_run, not_negative
 from campaign.cli.terminal import console
+from campaign.export.poses import check_posed, posed, stored_images, trajectories, write_model, write_trajectory
+from campaign.export.tables import write_latex, write_tables
+from campaign.inspection.case import Case, Choice, cases_of, checked_trials, chosen_rows
+from campaign.inspection.recompute import reopened
+from campaign.runs.newest import find_run
+from reports.run.data import read_run
 from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
 
-if TYPE_CHECKING:
-    from argparse import _SubParsersAction
 
-    from campaign.inspection.case import Case
-
-_FORMATS = ("tum", "colmap", "csv", "parquet", "latex")
-
-
-def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to the parser."""
-    export = commands.add_parser("export", help="write trajectories, landmarks or tables of a run for other programs")
-    export.add_argument("run", help="a run folder, or a campaign's name")
-    export.add_argument(
-        "--to", required=True, choices=_FORMATS,
-        help="tum: trajectories, truth and estimate; colmap: estimated poses, landmarks; csv, parquet: stored tables;"
-        " latex: tables of the report",
-    )  # fmt: skip
-    export.add_argument("--trial", type=not_negative, nargs="+", metavar="N", help="these trials alone")
-    export.add_argument("--scenario", help="of this scenario alone")
-    export.add_argument("--estimator", help="of this estimator alone")
-    export.add_argument("--out", type=Path, required=True, help="folder of the files")
-    export.set_defaults(handler=_export)
-
-
-def _export(arguments: argparse.Namespace) -> int:
+def export_command(arguments: argparse.Namespace) -> int:
+    """Write trajectories, landmarks or tables of a run."""
     try:
         written = _tables(arguments) if arguments.to in ("csv", "parquet", "latex") else _poses(arguments)
     except OSError as error:
@@ -53,11 +35,6 @@ def _export(arguments: argparse.Namespace) -> int:
 
 
 def _tables(arguments: argparse.Namespace) -> list[Path]:
-    # Imported here: pandas and the reports take a third of the start-up, and most commands need none of them.
-    from campaign.export.tables import write_latex, write_tables
-    from campaign.inspection.case import Choice, checked_trials, chosen_rows
-    from reports.run.data import read_run
-
     folder = find_run(arguments.run)
     if arguments.to == "latex":
         for name in ("trial", "scenario", "estimator"):
@@ -72,12 +49,6 @@ def _tables(arguments: argparse.Namespace) -> list[Path]:
 
 
 def _poses(arguments: argparse.Namespace) -> list[Path]:
-    # Imported here, as above.
-    from campaign.export.poses import check_posed, posed, stored_images, trajectories, write_model, write_trajectory
-    from campaign.inspection.case import Choice, cases_of, checked_trials, chosen_rows
-    from campaign.inspection.recompute import reopened
-    from reports.run.data import read_run
-
     folder = find_run(arguments.run)
     choice = Choice(arguments.scenario, arguments.estimator)
     rows = chosen_rows(read_run(folder.path).rows, choice, str(folder.path))

@@ -3,36 +3,23 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 from rich.table import Table
 
 from campaign.cli.terminal import console
+from campaign.data.fetch import fetch, state
 from scenarios.data import data_folder
 from scenarios.data.datasets import dataset_names, load_dataset
 from scenarios.errors import BoresightError
 
-if TYPE_CHECKING:
-    from argparse import _SubParsersAction
 
-
-def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to the parser."""
-    fetch = commands.add_parser("fetch", help="download a data set of a mission")
-    fetch.add_argument("name", nargs="?", help="a name from the list, or a YAML file")
-    fetch.add_argument("--list", action="store_true", help="list the data sets")
-    fetch.set_defaults(handler=_fetch)
-
-
-def _fetch(arguments: argparse.Namespace) -> int:
+def fetch_command(arguments: argparse.Namespace) -> int:
+    """Download a data set, or list them all."""
     if arguments.list:
         return _list()
     if arguments.name is None:
         raise BoresightError("name a data set, or see: boresight fetch --list")
-    # Imported here: requests takes its time, and most commands need no network.
-    from campaign.data.fetch import fetch
-
     dataset, root, out = load_dataset(arguments.name), data_folder(), console()
     out.print(f"{dataset.name}: {dataset.title}")
     out.print(f"into {root / dataset.folder}")
@@ -59,8 +46,6 @@ def _checked(trust: str) -> str:
 
 
 def _list() -> int:
-    from campaign.data.fetch import state
-
     root, out = data_folder(), console()
     table = Table("data set", "where it goes", "state", "what it is", box=None, pad_edge=False)
     for name in dataset_names():

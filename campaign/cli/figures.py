@@ -7,63 +7,27 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from campaign.cli.arguments import ALL_PAPERS
 from campaign.cli.missing import Wanted, run_missing
-from campaign.cli.runs import positive
 from campaign.cli.terminal import console
 from campaign.machine import sharing_cores, workers
 from campaign.papers import PAPERS
+from campaign.papers.page import gather, paper_called, paper_campaigns, paper_page
 from campaign.pool.workers import in_order
-from campaign.runs.start import RUNS
+from campaign.runs.request import RUNS
 from renderers.mitsuba3 import choose_variant
+from reports.pages.console import rich_table
+from reports.papers.page import PaperLine, paper_grid, verdict_tally, write_paper
 from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
 
-if TYPE_CHECKING:
-    from argparse import _SubParsersAction
-
-    from reports.papers.page import PaperLine
-
-
-ALL = "all"
 _IN_PART = 3
 """Exit code: done, without the runs that could not be read."""
 
 
-def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command to the parser."""
-    figures = commands.add_parser("figures", help="draw every figure of a paper, and set every number beside ours")
-    figures.add_argument("paper", choices=(*PAPERS, ALL), help="which paper, or all of them")
-    figures.add_argument("--runs", type=Path, default=RUNS, help="where the runs are (default: runs)")
-    figures.add_argument(
-        "--out", type=Path, help="folder of the figures, of all papers that of their folders (default: figures/PAPER)"
-    )
-    figures.add_argument("--run", action="store_true", help="first run, or finish, the campaigns that are missing")
-    figures.add_argument("--trials", type=positive, help="with --run: trials of each scenario at most")
-    figures.add_argument(
-        "--trials-scale", type=_share, default=1.0, metavar="SHARE",
-        help="make a draft: run what is missing with this share of its trials, data bases of this share of their"
-        " images, 120 at least, and arcs of this share of theirs, 24 at least",
-    )  # fmt: skip
-    figures.add_argument(
-        "--jobs", type=positive,
-        help="worker processes of what is run or built again for a figure (default: one for each core, or GPU)",
-    )  # fmt: skip
-    figures.set_defaults(handler=_figures)
-
-
-def _share(text: str) -> float:
-    try:
-        share = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
-    if not 0.0 < share <= 1.0:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0 and 1 at most")
-    return share
-
-
-def _figures(arguments: argparse.Namespace) -> int:
+def figures_command(arguments: argparse.Namespace) -> int:
+    """Write the page of a paper, or of all papers, after running what is missing if wanted."""
     scale = arguments.trials_scale
     if arguments.trials is not None and not arguments.run:
         raise BoresightError("--trials says how much is to be run: give --run too")
@@ -72,7 +36,7 @@ def _figures(arguments: argparse.Namespace) -> int:
             f"--runs {arguments.runs}: no such folder: give one that holds runs, or --run to make them"
         )
     parent = Path("figures") if scale == 1.0 else Path("figures") / f"draft-{scale:g}"
-    if arguments.paper != ALL:
+    if arguments.paper != ALL_PAPERS:
         return _of_papers({arguments.paper: arguments.out or parent / arguments.paper}, arguments)
     folders = {name: (arguments.out or parent) / name for name in PAPERS}
     if scale < 1.0:
@@ -93,9 +57,6 @@ def _of_papers(folders: Mapping[str, Path], arguments: argparse.Namespace) -> in
 
 def _missing(papers: Iterable[str], arguments: argparse.Namespace) -> list[str]:
     """List the campaigns of papers without a finished run, the papers by turns: those of one share what they build."""
-    # Imported here, as below: Matplotlib and scipy.stats take a third of the start-up, and most commands draw nothing.
-    from campaign.papers.page import gather, paper_called, paper_campaigns
-
     missing = []
     for paper in map(paper_called, papers):
         found = gather(paper, arguments.runs, arguments.trials_scale).found
@@ -116,9 +77,6 @@ class _Written:
 
 def _written(name: str, folder: Path, runs: Path, jobs: int | None, scale: float, among: int) -> _Written:
     """Write the page of a paper, beside the pages of others."""
-    from campaign.papers.page import paper_called, paper_page
-    from reports.papers.page import write_paper
-
     with sharing_cores(among):
         page = paper_page(paper_called(name), runs, jobs, scale)
     try:
@@ -130,9 +88,6 @@ def _written(name: str, folder: Path, runs: Path, jobs: int | None, scale: float
 
 def _told(written: _Written) -> int:
     """Print what a page came to; return the exit code."""
-    from reports.pages.console import rich_table
-    from reports.papers.page import paper_grid, verdict_tally
-
     out = console()
     shown = ("campaign", "scenario", "quantity", "statistic", "paper", "ours [95 %]", "ok", "verdict")
     out.print(rich_table(paper_grid(written.lines).keep(*shown)))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-from typing import TYPE_CHECKING
 
 from rich.table import Table
 
@@ -14,26 +13,13 @@ from renderers.mitsuba3 import choose_variant, find_llvm, gpu_status
 from scenarios.cache import default_cache
 from scenarios.errors import BoresightError
 
-if TYPE_CHECKING:
-    from argparse import _SubParsersAction
-
 _COMFORTABLE_GIB = 8.0
 _MOST_LISTED = 20  # entries of a kind
 _EVERYTHING = ""
 
 
-def add_commands(commands: _SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the commands to the parser."""
-    doctor = commands.add_parser("doctor", help="say what this machine offers and what to do about what is missing")
-    doctor.set_defaults(handler=_doctor)
-    store = commands.add_parser("cache", help="show the cache (bodies, data bases, images, machine code), or clear it")
-    store.add_argument(
-        "--clear", metavar="KIND", nargs="?", const=_EVERYTHING, help="delete everything in it, or one kind of things"
-    )
-    store.set_defaults(handler=_cache)
-
-
-def _doctor(_: argparse.Namespace) -> int:
+def doctor_command(_: argparse.Namespace) -> int:
+    """Print what this machine offers, and advice on what is missing."""
     search = find_llvm()  # before the variant is chosen, which hands the library on in the environment
     variant, machine = choose_variant(), describe()
     facts = Table(box=None, show_header=False, pad_edge=False)
@@ -68,7 +54,8 @@ def _advice(about_variant: str) -> list[str]:
     return lines
 
 
-def _cache(arguments: argparse.Namespace) -> int:
+def cache_command(arguments: argparse.Namespace) -> int:
+    """List the cache, or clear it."""
     out, cache = console(), default_cache()
     kinds = sorted({entry.kind for entry in cache.entries()})
     if arguments.clear is not None:

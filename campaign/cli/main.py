@@ -1,16 +1,15 @@
-"""Arguments in, exit code out."""
+"""Run a command from its arguments, and turn errors into one line and an exit code."""
 
 from __future__ import annotations
 
 import argparse
 import shlex
 import sys
-from collections.abc import Sequence
-from importlib.metadata import version
-from typing import NoReturn
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import cast
 
-from campaign.cli import bench, catalog, compare, craters, export, fetch, figures, inspect, machine, runs, sensitivity
-from campaign.cli.manual import write_manual
+from campaign.cli.parser import make_parser
 from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError
 
@@ -26,8 +25,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        parsed = _parser().parse_args(words, argparse.Namespace(command=shlex.join(["boresight", *words])))
-        return int(parsed.handler(parsed))
+        parsed = make_parser().parse_args(words, argparse.Namespace(command=shlex.join(["boresight", *words])))
+        return handler(parsed.handler)(parsed)
     except BoresightError as error:
         _complain(str(error))
         return EXIT_USER_ERROR
@@ -42,34 +41,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_USER_ERROR
 
 
+def handler(name: str) -> Callable[[argparse.Namespace], int]:
+    """Import the function that carries out a command, named MODULE:FUNCTION within this package.
+
+    Only the libraries of the command that is run are loaded: those of all commands take 2 s to import.
+    """
+    module, function = name.split(":")
+    return cast("Callable[[argparse.Namespace], int]", getattr(import_module(f"campaign.cli.{module}"), function))
+
+
 def _complain(text: str) -> None:
     for line in text.splitlines():
         print(f"boresight: {line}", file=sys.stderr)  # noqa: T201  the command line speaks
-
-
-class _Parser(argparse.ArgumentParser):
-    """Complains in one line, as everything else here does."""
-
-    def error(self, message: str) -> NoReturn:
-        raise BoresightError(f"{message}; see {self.prog} --help")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = _Parser(
-        prog="boresight", description="Monte Carlo evaluation of camera navigation around asteroids."
-    )
-    parser.add_argument("--version", action="version", version=f"boresight {version('boresight')}")
-    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    catalog.add_commands(commands)
-    runs.add_commands(commands)
-    inspect.add_commands(commands)
-    export.add_commands(commands)
-    compare.add_commands(commands)
-    sensitivity.add_commands(commands)
-    figures.add_commands(commands)
-    craters.add_commands(commands)
-    bench.add_commands(commands)
-    fetch.add_commands(commands)
-    machine.add_commands(commands)
-    write_manual(parser, commands)
-    return parser

@@ -1,12 +1,14 @@
-"""The report of a run, written to its folder and summed up on the console."""
+"""``report``: the report of a run, written to its folder and summed up on the console."""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator
 
 from campaign.cli.terminal import console
 from campaign.inspection.build import worst_figures
 from campaign.inspection.show import show_of
+from campaign.runs.newest import find_run
 from campaign.runs.resolve import reload
 from campaign.store import RunFolder
 from reports.pages.build import write_report
@@ -14,6 +16,12 @@ from reports.pages.console import console_table
 from reports.run.reasons import reason_lines
 from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
+
+
+def report_command(arguments: argparse.Namespace) -> int:
+    """Write the report of a run and print its table."""
+    print_report(find_run(arguments.run), arguments.worst)
+    return 0
 
 
 def print_report(folder: RunFolder, worst: int) -> None:

@@ -1,10 +1,13 @@
-"""Which of several runs is the newest: a count of starts, which no clock that is set back can turn round."""
+"""Find stored runs, the newest first: by a count of starts, which does not depend on the clock."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
 
+from campaign.runs.request import RUNS
+from campaign.store import RunFolder
+from scenarios.errors import BoresightError
 from scenarios.reading import plain_json
 
 KEY = "start"
@@ -27,3 +30,22 @@ def start_of(folder: Path) -> int:
 def newest_first(folders: Iterable[Path]) -> list[Path]:
     """Sort run folders by their last start; those of earlier versions come after, by when they changed last."""
     return sorted(folders, key=lambda path: (start_of(path), path.stat().st_mtime), reverse=True)
+
+
+def find_run(name: str) -> RunFolder:
+    """Find a run by its folder, or by a campaign's name under ``runs/`` (the newest of several).
+
+    Raises
+    ------
+    BoresightError
+        If there is none, or it has no manifest that this version of boresight reads.
+    """
+    prefix = f"{name}-"
+    named = [path for path in RUNS.iterdir() if path.name.startswith(prefix)] if RUNS.is_dir() else []
+    candidates = [Path(name), *newest_first(named)]
+    for candidate in candidates:
+        if (candidate / "manifest.json").exists():
+            folder = RunFolder(candidate)
+            folder.read_manifest()
+            return folder
+    raise BoresightError(f"{name}: no run there, nor in {RUNS}/ as {prefix}...: give a run folder, or run it first")

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+RUNS = Path("runs")
+"""Folder of the run folders, unless another is given."""
+
 
 @dataclass(frozen=True, slots=True)
 class Cluster:

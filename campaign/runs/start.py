@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from campaign.imaging.world import check_craters, trial_limit
 from campaign.machine import workers
 from campaign.resolved import ResolvedCampaign
-from campaign.runs.request import Cluster, RunRequest
+from campaign.runs.request import RUNS, Cluster, RunRequest
 from campaign.runs.resolve import resolve
 from campaign.runs.runner import Listener, run_campaign
 from campaign.store import RunFolder
@@ -20,8 +20,6 @@ from scenarios.errors import BoresightError
 
 if TYPE_CHECKING:
     from campaign.runs.until import Until
-
-RUNS = Path("runs")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,21 +1,25 @@
-"""``--help`` reads like a manual: every command has a page, and its examples are commands that exist."""
+"""The manual: every command has a page, its examples are valid, and ``--help`` imports no heavy library."""
 
 from __future__ import annotations
 
 import argparse
 import shlex
+import subprocess
+import sys
 
 import pytest
 
-from campaign.cli.main import _parser
-from campaign.cli.manual import PAGES, WHOLE
+from campaign.cli.main import handler
+from campaign.cli.parser import make_parser, manual
+
+PAGES, WHOLE = manual().commands, manual().whole
 
 EXAMPLES = [example for page in PAGES.values() for example in page.examples]
 FIRST = [line.split("   ")[0].strip() for line in WHOLE.splitlines() if line.strip().startswith("boresight ")]
 
 
 def commands():
-    (found,) = (action for action in _parser()._actions if isinstance(action, argparse._SubParsersAction))
+    (found,) = (action for action in make_parser()._actions if isinstance(action, argparse._SubParsersAction))
     return found.choices
 
 
@@ -27,14 +31,14 @@ def test_every_command_has_a_page():
 def test_every_example_is_a_command_that_is_understood(example):
     program, *words = shlex.split(example)
     assert program == "boresight"
-    parsed = _parser().parse_args(words, argparse.Namespace(command=""))
-    assert callable(parsed.handler)
+    parsed = make_parser().parse_args(words, argparse.Namespace(command=""))
+    assert callable(handler(parsed.handler))
 
 
 @pytest.mark.parametrize("name", sorted(PAGES))
 def test_a_page_tells_what_the_command_does_and_how_it_is_called(name, capsys):
     with pytest.raises(SystemExit) as left:
-        _parser().parse_args([name, "--help"])
+        make_parser().parse_args([name, "--help"])
     assert left.value.code == 0
     said = capsys.readouterr().out
     assert "examples:" in said
@@ -44,7 +48,18 @@ def test_a_page_tells_what_the_command_does_and_how_it_is_called(name, capsys):
 
 def test_the_whole_names_places_and_exit_codes(capsys):
     with pytest.raises(SystemExit):
-        _parser().parse_args(["--help"])
+        make_parser().parse_args(["--help"])
     said = capsys.readouterr().out
     assert "$BORESIGHT_DATA" in said
     assert "130  interrupted" in said
+
+
+def test_help_imports_no_heavy_library():
+    heavy = ["scipy", "pandas", "numba", "pyarrow", "matplotlib", "cv2", "mitsuba", "pydantic"]
+    code = (
+        "import sys\nfrom campaign.cli import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        f"print(sorted(set({heavy!r}) & sys.modules.keys()))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"

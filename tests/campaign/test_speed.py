@@ -19,7 +19,7 @@ from benchmarks.scene import SIZE_PX, SUN_DIR_BODY, SpeedScene
 from benchmarks.settings import Settings
 from benchmarks.timing import Seconds, in_turn, timed
 
-from campaign.cli.bench import PEERS
+from campaign.cli.arguments import PEERS
 from campaign.cli.main import main
 from renderers.mitsuba3 import choose_variant
 from scenarios.errors import BoresightError

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from campaign.cli.main import _parser
+from campaign.cli.runs import status_command
 from campaign.inspection.recompute import reopened
 from campaign.papers.gather import newest_finished
 from campaign.runs.manifest import make_manifest
@@ -147,14 +147,8 @@ def _status(run: RunFolder) -> None:
     """What the command of that name prints must not steer the terminal either."""
     said = io.StringIO()
     with redirect_stdout(said):
-        _command()(argparse.Namespace(run=str(run.path)))
+        status_command(argparse.Namespace(run=str(run.path)))
     assert all(line.isprintable() for line in said.getvalue().split("\n")), ascii(said.getvalue())
-
-
-@cache
-def _command() -> Callable[[argparse.Namespace], int]:
-    command: Callable[[argparse.Namespace], int] = _parser().parse_args(["status", "run"]).handler
-    return command
 
 
 def _summed_up(run: RunFolder) -> object:
