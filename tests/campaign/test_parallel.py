@@ -39,5 +39,9 @@ def test_an_interrupt_that_comes_while_a_call_is_given_is_not_lost(monkeypatch: 
 
     monkeypatch.setattr(parallel, "ProcessPoolExecutor", Interrupted)
     monkeypatch.setattr(parallel, "_idle_workers", parallel._IdleWorkers)  # no process of another test's
-    with pytest.raises(KeyboardInterrupt):
-        list(parallel.in_order(2, abs, [(number,) for number in range(4)]))
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # pytest-xdist ignores it in its workers
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            list(parallel.in_order(2, abs, [(number,) for number in range(4)]))
+    finally:
+        signal.signal(signal.SIGINT, before)
