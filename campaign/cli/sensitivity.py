@@ -59,7 +59,7 @@ def _sensitivity(arguments: argparse.Namespace) -> int:
     from reports.pages.console import rich_parts
     from reports.pages.global_sensitivity import write_sensitivity
     from reports.run.data import read_run
-    from reports.run.known import short_line
+    from reports.run.limits import short_line
     from reports.schema.tables import kind_schema
 
     varied = [parse_over(text) for text in arguments.over]

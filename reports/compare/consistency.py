@@ -16,9 +16,9 @@ from reports.run.data import TRIAL_KEY
 from reports.schema.grid import Grid, number
 from reports.schema.named_figure import NamedFigure, file_stem
 from reports.schema.records import CONTROL
+from reports.statistics.consistency import Judged, judge, weighed_errors, weighed_label
 from reports.statistics.intervals import FloatArray
-from reports.statistics.weighed import Judged, judge, weighed_errors, weighed_label
-from reports.tables.cells import interval
+from reports.tables import interval
 
 
 @dataclass(frozen=True, slots=True, eq=False)

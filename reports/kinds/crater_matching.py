@@ -11,14 +11,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from reports.figures.crater_results import ShareCurve, draw_shares
-from reports.kinds.kind import ReportKind
+from reports.kinds import ReportKind
 from reports.run.data import RunData
 from reports.schema.grid import NO_VALUE, Grid, value_of
 from reports.schema.named_figure import NamedFigure, file_stem
 from reports.schema.records import Record
 from reports.schema.tables import unit_of
 from reports.statistics.measured import MEDIAN, P95, measure, measure_share
-from reports.verdicts.tables import comparison_grid
+from reports.verdicts import comparison_grid
 
 FloatArray = NDArray[np.float64]
 

@@ -45,14 +45,13 @@ tails is less certain than its interval says.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtr, ndtri, stdtrit
 from scipy.stats import binomtest
-
-from reports.statistics.resampling import RESAMPLES, content_rng, draw_counts
 
 FloatArray = NDArray[np.float64]
 Interval = tuple[float, float] | tuple[None, None]
@@ -70,6 +69,24 @@ _TAIL = 0.5 * (1.0 - LEVEL)
 _STEP = 1e-5  # of a derivative, relative to the sums
 _CHUNK = 4_000_000  # numbers held at a time while resampling
 _NONE: Interval = (None, None)
+
+RESAMPLES = 2000
+
+
+def content_rng(*arrays: NDArray[np.generic]) -> np.random.Generator:
+    """Seed a generator by the bytes of ``arrays``, so that the same rows give the same interval."""
+    digest = hashlib.blake2b(digest_size=16)
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return np.random.default_rng(int.from_bytes(digest.digest(), "little"))
+
+
+def draw_counts(n_clusters: int, resamples: int, rng: np.random.Generator) -> NDArray[np.int32]:
+    """Draw (b, C) numbers of times that each cluster is in a resample of C clusters."""
+    drawn = rng.integers(0, n_clusters, size=(resamples, n_clusters))
+    drawn += n_clusters * np.arange(resamples)[:, None]
+    counts = np.bincount(drawn.ravel(), minlength=resamples * n_clusters)
+    return counts.reshape(resamples, n_clusters).astype(np.int32)
 
 
 def wilson(k: int, n: int) -> tuple[float, float]:

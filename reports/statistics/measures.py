@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from reports.run.clusters import clusters_of, groups, rows_by_group
 from reports.run.data import RunData, select
-from reports.run.stages import errors_by_stage, final_stage
-from reports.run.success import succeeded
+from reports.run.outcomes import errors_by_stage, final_stage, succeeded
 from reports.schema.common import POSE_COLUMNS
 from reports.schema.kinds.sequence import SEQUENCE_COLUMNS
 from reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, SEQUENCE, Record

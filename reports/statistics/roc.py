@@ -21,9 +21,8 @@ from reports.run.clusters import clusters_of
 from reports.run.data import RunData, select
 from reports.schema.grid import Grid, value_of
 from reports.schema.records import CONTROL, Record, find
-from reports.statistics.intervals import FEW, LARGE, LEVEL
+from reports.statistics.intervals import FEW, LARGE, LEVEL, RESAMPLES, content_rng, draw_counts
 from reports.statistics.measured import Measured
-from reports.statistics.resampling import RESAMPLES, content_rng, draw_counts
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

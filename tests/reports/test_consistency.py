@@ -10,12 +10,15 @@ from reports.schema.records import find
 from reports.statistics.consistency import (
     BAND,
     INSIDE,
+    NEES,
     RATIO,
     consistency_grid,
     consistency_records,
+    consistent_mean,
+    judge,
     rms_ratio,
+    weighed_errors,
 )
-from reports.statistics.weighed import NEES, consistent_mean, judge, weighed_errors
 
 TRIALS = 400
 

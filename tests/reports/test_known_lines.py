@@ -8,13 +8,13 @@ from terminal_text import terminal_lines
 
 from reports import summary
 from reports.compare import compare_runs, write_comparison
-from reports.kinds.report import brief_grids, report_grids
+from reports.kinds import brief_grids, report_grids
 from reports.pages.build import write_report
 from reports.pages.content import read_content
 from reports.run.data import read_run
-from reports.run.known import UNTOLD, known_lines, short_line
+from reports.run.limits import UNTOLD, known_lines, short_line
 from reports.schema.grid import Grid
-from reports.tables.general import reference_grid
+from reports.tables import reference_grid
 
 CAMERA, VIEW = {"width_px": 64, "height_px": 64, "fov_deg": 20}, {"range_m": 2000}
 IDEAL = {"name": SCENARIO, "camera": CAMERA, "viewpoint": VIEW}

@@ -6,8 +6,15 @@ import pytest
 from campaign.runs.resolve import resolve
 from reports.published import Claim, Comparison, PublishedValue, load_published, parse, published_names
 from reports.schema.records import Record
-from reports.verdicts.comparison import compare, compare_claims, judge, judge_order
-from reports.verdicts.tables import claim_values, verdict_of, verdict_of_claim
+from reports.verdicts import (
+    claim_values,
+    compare,
+    compare_claims,
+    judge,
+    judge_order,
+    verdict_of,
+    verdict_of_claim,
+)
 from scenarios.errors import BoresightError
 
 # Abstract, sections 4.1, 4.2.1, 4.2.2, 4.3.1, 4.3.2 and table 1 of the paper, typed apart from the package's file.

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from reports.kinds.crater_detection import rim_grid, rim_scatter
 from reports.kinds.crater_detection.rates import Shown
-from reports.kinds.crater_detection.report import rim_grid, rim_scatter
 
 
 def seen(n=4000, wild=0.05):

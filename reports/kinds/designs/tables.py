@@ -16,16 +16,15 @@ from numpy.typing import NDArray
 
 from reports.run.clusters import clusters_of, image_set
 from reports.run.data import Design, RunData, select
-from reports.run.stages import errors_by_stage, final_stage
-from reports.run.success import MEANING, succeeded
+from reports.run.outcomes import MEANING, errors_by_stage, final_stage, succeeded
 from reports.schema.grid import NO_VALUE, Grid, of_ended
 from reports.schema.kinds.sequence import SEQUENCE_COLUMNS
 from reports.schema.labels import stage_label
 from reports.schema.records import CONTROL, SEQUENCE
 from reports.schema.tables import measure_label, unit_of
-from reports.statistics.main_effects import main_effects
 from reports.statistics.measured import MEAN, MEDIAN, Measured, measure
-from reports.tables.cells import interval
+from reports.statistics.paired import main_effects
+from reports.tables import interval
 
 POSITION, ATTITUDE, CENTROID = "position_error_m", "attitude_error_deg", "centroid_offset_px"
 REVOLUTION_ERRORS = tuple(name for name in SEQUENCE_COLUMNS if name.startswith("error_after_"))

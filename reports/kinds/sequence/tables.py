@@ -24,9 +24,8 @@ from reports.schema.tables import measure_label
 from reports.statistics.consistency import consistency_grid
 from reports.statistics.measured import DEVIATION, MEAN, MEDIAN, P95, RMS
 from reports.statistics.paired import BETTER, SIGN_TEST
-from reports.tables.general import diagnostic_grid, timing_grid
-from reports.verdicts.comparison import ComparedValue
-from reports.verdicts.tables import comparison_grid
+from reports.tables import diagnostic_grid, timing_grid
+from reports.verdicts import ComparedValue, comparison_grid
 
 _NUMBERED = re.compile(r"(?P<stem>.+)-(?P<number>\d+)")
 

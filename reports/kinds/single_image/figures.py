@@ -20,10 +20,10 @@ from reports.figures import (
     draw_roc,
     draw_trade_off,
 )
-from reports.kinds.kind import Content
+from reports.kinds import Content
 from reports.kinds.single_image.tradeoff import ATTITUDE, POSITION, costs, prior_medians
 from reports.run.data import RunData, select
-from reports.run.stages import errors_by_stage, final_stage
+from reports.run.outcomes import errors_by_stage, final_stage
 from reports.schema.labels import stage_label
 from reports.schema.named_figure import NamedFigure, file_stem
 from reports.schema.records import CONTROL

@@ -10,11 +10,11 @@ import pandas as pd
 
 from reports.run.clusters import clusters_of
 from reports.run.data import Product, RunData, select
-from reports.run.success import succeeded
+from reports.run.outcomes import succeeded
 from reports.schema.grid import NO_VALUE, Grid, number
 from reports.schema.records import CONTROL
 from reports.statistics.measured import MEDIAN, Measured, measure, share_of
-from reports.tables.cells import interval
+from reports.tables import interval
 
 POSITION, ATTITUDE = "position_error_m", "attitude_error_deg"
 _IMAGE_STAGES = ("image", "stored_image")

@@ -2,20 +2,41 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from reports.run.data import RunData
-from reports.run.known import short_line
-from reports.run.reasons import unsolved
-from reports.run.success import MEANING
-from reports.schema.grid import NO_VALUE, Grid, counts, value_of
+from reports.run.limits import short_line
+from reports.run.outcomes import MEANING, unsolved
+from reports.schema.grid import NO_VALUE, Grid, counts, number, value_of
 from reports.schema.labels import stage_label
 from reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
 from reports.schema.tables import measure_label, measures
-from reports.statistics.measured import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE
+from reports.statistics.measured import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE, Measured
 from scenarios.known import correlated
 
 _POSE_HEADS = ("position m", "RMS", "95th", "x", "y", "z", "attitude deg", "RMS", "95th")
+
+_SMALL_P = 1e-3
+
+
+def interval(measured: Measured, scale: float = 1.0) -> str:
+    """Print a value with its 95 % interval, in units of 1 / ``scale``."""
+    if measured.value is None:
+        return NO_VALUE
+    value = _bounded(scale * measured.value)
+    if measured.low is None or measured.high is None:
+        return value
+    return f"{value} [{_bounded(scale * measured.low)}, {_bounded(scale * measured.high)}]"
+
+
+def _bounded(value: float) -> str:
+    return "∞" if math.isinf(value) else number(value)
+
+
+def chance(p: float | None) -> str:
+    """Print the p of a test."""
+    return f"< {_SMALL_P:g}" if p is not None and p < _SMALL_P else number(p)
 
 
 def pose_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
