@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
-from reports.published import Claim, Comparison, PublishedValue, Term
+from reports.published import Comparison, PublishedClaim, PublishedValue, Term
 from reports.schema.common import POSE_COLUMNS
 from reports.schema.grid import NO_VALUE, Grid, counts, value_of, value_of_ended
 from reports.schema.labels import stage_label
@@ -51,7 +51,7 @@ class ComparedClaim:
     """What is stated in words, our values in the stated order, and the verdict."""
 
     scenario: str
-    claim: Claim
+    claim: PublishedClaim
     ours: tuple[Record | None, ...]
     verdict: Verdict
 
@@ -71,7 +71,7 @@ def compare(records: Sequence[Record], comparison: Comparison) -> tuple[Compared
             if ours is None and published.stage == DERIVED:
                 continue
             own = bool(published.estimator) or estimator in comparison.methods
-            due = judge(ours, published, own) if comparison.verdicts else "context"
+            due = value_verdict(ours, published, own) if comparison.verdicts else "context"
             compared.append(ComparedValue(scenario, estimator, published, ours, due))
     return tuple(compared)
 
@@ -105,15 +105,15 @@ def _due(item: ComparedClaim, comparison: Comparison) -> ComparedClaim:
     return item if due or item.verdict == "not measured" else replace(item, verdict="context")
 
 
-def _compared_claim(records: Sequence[Record], scenario: str, claim: Claim) -> ComparedClaim:
+def _compared_claim(records: Sequence[Record], scenario: str, claim: PublishedClaim) -> ComparedClaim:
     if claim.solves:
         ours = _of_claim(records, scenario, claim, Term(estimator=claim.solves))
-        return ComparedClaim(scenario, claim, (ours,), judge_solved(ours, claim.share))
+        return ComparedClaim(scenario, claim, (ours,), solved_verdict(ours, claim.share))
     values = tuple(_of_claim(records, scenario, claim, term) for term in claim.order)
-    return ComparedClaim(scenario, claim, values, judge_order(values) if values else "not measured")
+    return ComparedClaim(scenario, claim, values, order_verdict(values) if values else "not measured")
 
 
-def _of_claim(records: Sequence[Record], scenario: str, claim: Claim, term: Term) -> Record | None:
+def _of_claim(records: Sequence[Record], scenario: str, claim: PublishedClaim, term: Term) -> Record | None:
     return find(
         records,
         scenario=term.scenario or scenario,
@@ -125,7 +125,7 @@ def _of_claim(records: Sequence[Record], scenario: str, claim: Claim, term: Term
     )
 
 
-def judge_solved(ours: Record | None, share: float = 0.9) -> Verdict:
+def solved_verdict(ours: Record | None, share: float = 0.9) -> Verdict:
     """Tell whether so many trials are solved, by the 95 % interval of Wilson of their share; of "all" none may fail."""
     if ours is None or not ours.n:
         return "not measured"
@@ -137,7 +137,7 @@ def judge_solved(ours: Record | None, share: float = 0.9) -> Verdict:
     return "differs (lower)" if high < share else "undecided"
 
 
-def judge_order(ascending: Sequence[Record | None]) -> Verdict:
+def order_verdict(ascending: Sequence[Record | None]) -> Verdict:
     """Tell whether values with intervals ascend: apart they must be, in the stated order or in another."""
     bounds: list[tuple[float, float]] = []
     for record in ascending:
@@ -151,12 +151,12 @@ def judge_order(ascending: Sequence[Record | None]) -> Verdict:
     return "differs" if any(first[0] > second[1] for first, second in pairwise(bounds)) else "undecided"
 
 
-def judge(ours: Record | None, published: PublishedValue, own: bool = True) -> Verdict:
+def value_verdict(ours: Record | None, published: PublishedValue, own: bool = True) -> Verdict:
     """Apply `VERDICT_RULE` to one value; ``own`` says whether the paper has the method itself."""
     if ours is None or ours.value is None:
         return "not measured"
     if published.relation != "about":
-        verdict = _judge_side(ours, published)
+        verdict = _side_verdict(ours, published)
         beyond = published.better == {"above": "higher", "below": "lower"}[published.relation]
         return "better" if verdict == "reproduced" and beyond and not own else verdict
     if published.tolerance is None:
@@ -172,7 +172,7 @@ def judge(ours: Record | None, published: PublishedValue, own: bool = True) -> V
     return "reproduced" if lowest <= ours.low and ours.high <= highest else "undecided"
 
 
-def _judge_side(ours: Record, published: PublishedValue) -> Verdict:
+def _side_verdict(ours: Record, published: PublishedValue) -> Verdict:
     """Tell whether the whole interval lies on the side of the printed number that the words name."""
     if ours.low is None or ours.high is None:
         return "undecided"

@@ -12,7 +12,7 @@ import pandas as pd
 
 from reports.published import Comparison
 from reports.run.data import RunData
-from reports.run.limits import of_what_was_drawn, short_line
+from reports.run.limits import short_line, with_single_draws
 from reports.schema.grid import Grid
 from reports.schema.named_figure import NamedFigure
 from reports.schema.records import Record
@@ -29,7 +29,7 @@ def report_grids(content: Content) -> list[Grid]:
     """List the tables of a report, in order; of a grid of scenarios, those of the grid alone."""
     found = report_kind(content.run).tables(content)
     grids = (grid for grid in (*found, claim_grid(content.claims), failure_grid(content.run)) if grid is not None)
-    return _headed(content.run, list(of_what_was_drawn(grids, content.run)))
+    return _headed(content.run, list(with_single_draws(grids, content.run)))
 
 
 def brief_grids(content: Content) -> list[Grid]:
@@ -37,7 +37,7 @@ def brief_grids(content: Content) -> list[Grid]:
     found = report_kind(content.run).brief(content)
     told = (verdict_grid(content.compared), claim_grid([one for one in content.claims if not one.claim.unmeasured]))
     grids = (grid for grid in (*found, *told) if grid is not None)
-    return _headed(content.run, list(of_what_was_drawn(grids, content.run)))
+    return _headed(content.run, list(with_single_draws(grids, content.run)))
 
 
 def _headed(run: RunData, grids: list[Grid]) -> list[Grid]:

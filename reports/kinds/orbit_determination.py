@@ -9,7 +9,7 @@ import numpy as np
 from reports.figures.bands import band_of
 from reports.figures.orbit import draw_orbit_errors, draw_residuals
 from reports.kinds import Content, ReportKind, Tables
-from reports.kinds.designs import REPORT as OF_DESIGN
+from reports.kinds.designs import REPORT as DESIGN_REPORT
 from reports.run.clusters import clusters_of
 from reports.run.data import RunData, select
 from reports.schema.grid import Grid, value_of_ended
@@ -152,7 +152,7 @@ def _is_reference(run: RunData, scenario: str) -> bool:
 def brief(content: Content) -> Tables:
     """List what the terminal shows: of a grid of scenarios its axes."""
     if content.run.manifest.grid is not None:
-        return OF_DESIGN.brief(content)
+        return DESIGN_REPORT.brief(content)
     return orbit_brief(content.records, content.run)
 
 

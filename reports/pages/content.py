@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from reports.kinds import Content, report_kind
-from reports.kinds.sequence.tables import pooled_alone
+from reports.kinds.sequence.tables import without_pooled
 from reports.published import Comparison, load_published
 from reports.run.clusters import image_set
 from reports.run.data import RunData, read_run
@@ -135,5 +135,5 @@ def beside_published(
     run: RunData, records: Sequence[Record], comparison: Comparison
 ) -> tuple[tuple[ComparedValue, ...], tuple[ComparedClaim, ...]]:
     """Set published values and orders beside ours; of sets of images that are pooled, beside the pool alone."""
-    judged = pooled_alone(run, records)
+    judged = without_pooled(run, records)
     return compare(judged, comparison), compare_claims(judged, comparison)

@@ -131,7 +131,7 @@ class Term(_Model):
         return ", ".join(part for part in given if part)
 
 
-class Claim(_Model):
+class PublishedClaim(_Model):
     """What the paper says in words, and how our rows are held against it. One of three ways is given.
 
     Parameters
@@ -216,7 +216,7 @@ class Comparison(_Model):
     methods: tuple[str, ...] = ()
     verdicts: bool = True
     values: tuple[PublishedValue, ...] = ()
-    claims: tuple[Claim, ...] = ()
+    claims: tuple[PublishedClaim, ...] = ()
     radius_m: float | None = Field(None, gt=0)
     source: str = ""
     bounds: str = ""

@@ -28,7 +28,7 @@ TRIAL_KEY = ["scenario", "estimator", "trial"]
 """Columns that tell the row of a trial and method from all others."""
 
 
-class Product(BaseModel):
+class StoredProduct(BaseModel):
     """What is known of a product that was built before the trials, such as a landmark data base.
 
     ``scenario`` and ``estimator`` say whose it is, ``folder`` which it is: what several share has one folder. Empty
@@ -49,7 +49,7 @@ class Product(BaseModel):
     images: int | None = None
 
 
-class DesignAxis(BaseModel):
+class GridAxis(BaseModel):
     """An axis of a campaign's grid: the names of its levels, the reference first, and their values if they have any."""
 
     model_config = ConfigDict(frozen=True)
@@ -60,7 +60,7 @@ class DesignAxis(BaseModel):
     values: tuple[float, ...] | None = None
 
 
-class Variation(BaseModel):
+class ScenarioLevels(BaseModel):
     """Where a scenario stands in a grid: the scenario that it varies, and its level of each axis."""
 
     model_config = ConfigDict(frozen=True)
@@ -70,14 +70,14 @@ class Variation(BaseModel):
     levels: Mapping[str, str]
 
 
-class Design(BaseModel):
+class ScenarioGrid(BaseModel):
     """A campaign's grid: its axes, and its scenarios in order, the reference first."""
 
     model_config = ConfigDict(frozen=True)
 
     design: str
-    axes: tuple[DesignAxis, ...]
-    scenarios: tuple[Variation, ...]
+    axes: tuple[GridAxis, ...]
+    scenarios: tuple[ScenarioLevels, ...]
 
 
 class Manifest(BaseModel):
@@ -103,8 +103,8 @@ class Manifest(BaseModel):
     report: str | None = None
     command: str = ""
     notes: tuple[str, ...] = ()
-    products: tuple[Product, ...] = ()
-    grid: Design | None = None
+    products: tuple[StoredProduct, ...] = ()
+    grid: ScenarioGrid | None = None
     campaign: Mapping[str, Any] = {}
 
     @property

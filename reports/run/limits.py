@@ -11,13 +11,15 @@ from reports.schema.grid import Grid
 from reports.schema.tables import kind_schema
 from scenarios.known import Known, merged
 
-UNTOLD = "What was known exactly on board cannot be told: the scenarios are of another version of boresight."
+KNOWLEDGE_UNREADABLE = (
+    "What was known exactly on board cannot be told: the scenarios are of another version of boresight."
+)
 _FEW = 4
 
 _INTERVAL = re.compile(r"\[\S+, \S+\]")
 
 
-def drawn_once(run: RunData) -> str:
+def single_draws(run: RunData) -> str:
     """Say what was drawn only once in a run, so that its intervals do not tell of others; '' where nothing was."""
     if run.databases > 1:
         return ""
@@ -26,9 +28,9 @@ def drawn_once(run: RunData) -> str:
     return " and ".join(filter(None, (world, "one data base" if run.manifest.products else "")))
 
 
-def of_what_was_drawn(grids: Iterable[Grid], run: RunData) -> Iterator[Grid]:
+def with_single_draws(grids: Iterable[Grid], run: RunData) -> Iterator[Grid]:
     """Add to the title of every table that has intervals what they are conditional on."""
-    once = drawn_once(run)
+    once = single_draws(run)
     for grid in grids:
         told = once and any(_INTERVAL.search(cell) for row in grid.rows for cell in row)
         yield replace(grid, title=f"{grid.title}, of {once}") if told else grid
@@ -38,7 +40,7 @@ def database_line(run: RunData) -> str:
     """Say what the data bases of a run mean for its intervals; '' where it has none."""
     if run.databases > 1:
         return kind_schema(run.manifest.experiment).databases_note.format(n=run.databases)
-    once = drawn_once(run)
+    once = single_draws(run)
     return (
         f"Intervals are of {once}: another one would give other errors, and they do not tell of that." if once else ""
     )
@@ -48,13 +50,13 @@ def short_line(*runs: RunData, scenario: str = "") -> str:
     """Say it of a scenario, or of all scenarios of some runs together, without details."""
     found = [run.known for run in runs]
     told = [one for known in found if known is not None for name, one in known.items() if scenario in ("", name)]
-    return merged(told).line(short=True) if told and None not in found else UNTOLD
+    return merged(told).line(short=True) if told and None not in found else KNOWLEDGE_UNREADABLE
 
 
 def known_lines(run: RunData) -> Iterator[str]:
     """Say it in full: a line for each group of scenarios with the same, or one for all of a grid."""
     if run.known is None:
-        yield UNTOLD
+        yield KNOWLEDGE_UNREADABLE
         return
     groups: dict[Known, list[str]] = {}
     for name, one in run.known.items():

@@ -22,7 +22,7 @@ CONSISTENCY = "consistency"
 
 BAND, INSIDE, RATIO = "mean if consistent", "share within 95 %", "RMS ratio"
 ERRORS = {"position": "position_error_m", "attitude": "attitude_error_deg"}
-FORETOLD = {f"{what}_over_sigma": f"{what}_sigma" for what in ERRORS}
+PREDICTED = {f"{what}_over_sigma": f"{what}_sigma" for what in ERRORS}
 BOUNDED = {f"{what}_over_bound": f"{what}_bound" for what in ERRORS}
 _UNITS = {"position": "m", "attitude": "deg"}
 
@@ -47,7 +47,7 @@ _SAME_FRAME_DEG = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Weighed:
+class NormalisedErrors:
     """One kind of weighed error of the trials of a run.
 
     Parameters
@@ -68,8 +68,8 @@ class Weighed:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """Weighed errors against their distribution.
+class ConsistencyTest:
+    """NormalisedErrors errors against their distribution.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class Judged:
     inside: Measured
 
 
-def weighed_errors(run: RunData) -> Iterator[Weighed]:
+def normalised_errors(run: RunData) -> Iterator[NormalisedErrors]:
     """Yield every kind of weighed error that the estimators of a run give; nothing of those that claim no covariance.
 
     An innovation that a gate refused is no part of the mean that an estimator reports, which is a little small for it.
@@ -117,7 +117,7 @@ def weighed_errors(run: RunData) -> Iterator[Weighed]:
         yield from _some(NIS, 1, whole)
 
 
-def weighed_label(name: str) -> str:
+def normalised_label(name: str) -> str:
     """Name a kind of weighed error in words."""
     if name.startswith(_AFTER):
         turns = name.removeprefix(_AFTER)
@@ -126,28 +126,30 @@ def weighed_label(name: str) -> str:
     return known.get(name, name)
 
 
-def _some(name: str, expected: int, table: pd.DataFrame) -> Iterator[Weighed]:
+def _some(name: str, expected: int, table: pd.DataFrame) -> Iterator[NormalisedErrors]:
     if len(table):
-        yield Weighed(name, expected, table[["scenario", "estimator", "trial", "ratio", "degrees"]])
+        yield NormalisedErrors(name, expected, table[["scenario", "estimator", "trial", "ratio", "degrees"]])
 
 
-def judged_pair(run: RunData, weighed: Weighed, scenario: str, estimator: str) -> Judged | None:
+def pair_consistency(run: RunData, weighed: NormalisedErrors, scenario: str, estimator: str) -> ConsistencyTest | None:
     """Judge what one estimator claims in one scenario; None where it claims nothing."""
     own = select(weighed.table, scenario, estimator)
     if own.empty:
         return None
-    return judge(
+    return consistency_test(
         own["ratio"].to_numpy(np.float64), own["degrees"].to_numpy(np.float64), weighed.expected, clusters_of(run, own)
     )
 
 
-def judge(ratios: FloatArray, degrees: FloatArray, expected: int, clusters: NDArray[np.generic]) -> Judged:
+def consistency_test(
+    ratios: FloatArray, degrees: FloatArray, expected: int, clusters: NDArray[np.generic]
+) -> ConsistencyTest:
     """Hold weighed errors (n,), n >= 1, against the chi-square distribution of their degrees of freedom (n,)."""
     mean, median = measure(ratios, clusters, (MEAN, MEDIAN))
     whole = float(pd.Series(degrees).groupby(np.asarray(clusters)).mean().sum())
     low, high = (expected * chi2.ppf(tail, degrees) / degrees for tail in _TAILS)
     inside = share_of((ratios >= low) & (ratios <= high), clusters)
-    return Judged(len(ratios), mean, median, consistent_mean(whole, expected), inside)
+    return ConsistencyTest(len(ratios), mean, median, consistent_mean(whole, expected), inside)
 
 
 def consistent_mean(degrees: float, expected: int) -> Measured:
@@ -157,7 +159,7 @@ def consistent_mean(degrees: float, expected: int) -> Measured:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Subject:
+class _SolvedTrials:
     """The solved trials of an estimator, of all its trials, and what is resampled as a whole."""
 
     scenario: str
@@ -176,21 +178,21 @@ class _Subject:
 def consistency_records(run: RunData) -> list[Record]:
     """Hold every covariance and every bound against the errors; nothing of estimators that give neither."""
     records: list[Record] = []
-    kinds = list(weighed_errors(run))
+    kinds = list(normalised_errors(run))
     posed = set(run.posed_pairs())
     for scenario, estimator in run.pairs():
         own = select(run.rows, scenario, estimator)
         rows = own[own["status"] == "ok"]
-        subject = _Subject(scenario, estimator, rows, clusters_of(run, rows), len(own))
+        subject = _SolvedTrials(scenario, estimator, rows, clusters_of(run, rows), len(own))
         for kind in kinds:
-            found = judged_pair(run, kind, scenario, estimator)
-            records += [] if found is None else _judged_records(subject, kind.name, found)
+            found = pair_consistency(run, kind, scenario, estimator)
+            records += [] if found is None else _consistency_records(subject, kind.name, found)
         if (scenario, estimator) in posed:
             records += _ratio_records(subject)
     return records
 
 
-def _judged_records(subject: _Subject, name: str, found: Judged) -> Iterator[Record]:
+def _consistency_records(subject: _SolvedTrials, name: str, found: ConsistencyTest) -> Iterator[Record]:
     for statistic, measured in (
         (MEAN.name, found.mean),
         (MEDIAN.name, found.median),
@@ -200,9 +202,9 @@ def _judged_records(subject: _Subject, name: str, found: Judged) -> Iterator[Rec
         yield subject.record(name, statistic, measured, found.n)
 
 
-def _ratio_records(subject: _Subject) -> Iterator[Record]:
+def _ratio_records(subject: _SolvedTrials) -> Iterator[Record]:
     for what, error in ERRORS.items():
-        for name, column in (FORETOLD | BOUNDED).items():
+        for name, column in (PREDICTED | BOUNDED).items():
             foretold = f"{column}_{_UNITS[what]}"
             if name.startswith(what) and foretold in subject.rows:
                 pair = subject.rows[[error, foretold]].to_numpy(dtype=np.float64)
@@ -242,9 +244,9 @@ def consistency_grid(records: Sequence[Record]) -> Grid | None:
 
         band = get(kind, BAND)
         ends = NO_VALUE if band is None else f"{number(band.low)} to {number(band.high)}"
-        what = NO_VALUE if band is None else f"{weighed_label(kind)} ({number(band.value)} expected)"
+        what = NO_VALUE if band is None else f"{normalised_label(kind)} ({number(band.value)} expected)"
         posed = kind in ("", NEES)
-        ratios = (value_of(get(name, RATIO) if posed else None, interval=True) for name in (*FORETOLD, *BOUNDED))
+        ratios = (value_of(get(name, RATIO) if posed else None, interval=True) for name in (*PREDICTED, *BOUNDED))
         mean, inside = (value_of(get(kind, name), interval=True) for name in (MEAN.name, INSIDE))
         return (scenario, estimator, what, mean, ends, inside, *ratios)
 

@@ -95,7 +95,7 @@ def wilson(k: int, n: int) -> tuple[float, float]:
     return float(found.low), float(found.high)
 
 
-def is_told(n: int, quantile: float) -> bool:
+def has_quantile(n: int, quantile: float) -> bool:
     """Tell whether n values tell of a quantile: at least one of them is expected beyond it; of a median always."""
     return quantile == 0.5 or n * min(quantile, 1.0 - quantile) >= 1.0 - 1e-9
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.statistics.intervals import FloatArray, Interval, interval_of_sums, is_told, quantile_interval, wilson
+from reports.statistics.intervals import FloatArray, Interval, has_quantile, interval_of_sums, quantile_interval, wilson
 
 WORST = 1e150
 """Stands for the error of a failure that has none: above every error, and its square is still a number."""
@@ -101,7 +101,7 @@ def measure(values: FloatArray, clusters: NDArray[np.generic], statistics: Seque
 
 
 def _measured(values: FloatArray, codes: NDArray[np.integer], statistic: Statistic) -> Measured:
-    if statistic.quantile is not None and not is_told(len(values), statistic.quantile):
+    if statistic.quantile is not None and not has_quantile(len(values), statistic.quantile):
         return Measured(None)
     powers = values**statistic.power
     if statistic.quantile is not None:

@@ -40,7 +40,7 @@ _POSE_STATISTICS = dict(zip(POSE_COLUMNS, (_MAGNITUDE, _MAGNITUDE, _COMPONENT, _
 
 
 @dataclass(frozen=True, slots=True)
-class _Subject:
+class _RecordKey:
     """What a group of records is about."""
 
     scenario: str
@@ -118,10 +118,10 @@ def pose_measures(run: RunData) -> list[Record]:
             )
         for stage, errors in stages.items():
             errors = errors.assign(scenario=scenario)
-            records += _Subject(scenario, estimator, stage, len(rows)).pose_records(errors, clusters_of(run, errors))
+            records += _RecordKey(scenario, estimator, stage, len(rows)).pose_records(errors, clusters_of(run, errors))
         if estimator != CONTROL:
-            subject = _Subject(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
-            records.append(subject.share("success_share", succeeded(rows), clusters_of(run, rows)))
+            key = _RecordKey(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
+            records.append(key.share("success_share", succeeded(rows), clusters_of(run, rows)))
     return records
 
 
@@ -136,8 +136,8 @@ def reference_measures(run: RunData) -> list[Record]:
         further = set(table["reference"]) - known
         for reference in sorted(further):
             errors = table[table["reference"] == reference]
-            subject = _Subject(scenario, estimator, final_stage(run, scenario, estimator), n, str(reference))
-            records += subject.pose_records(errors, clusters_of(run, errors))
+            key = _RecordKey(scenario, estimator, final_stage(run, scenario, estimator), n, str(reference))
+            records += key.pose_records(errors, clusters_of(run, errors))
     return records
 
 
@@ -153,21 +153,21 @@ def improvement_measures(run: RunData) -> list[Record]:
         rows = select(run.rows, scenario, estimator)
         ok = rows[rows["status"] == "ok"]
         prior = ok.assign(**{name: ok[f"prior_{name}"] for name in _REDUCTIONS.values()})
-        subject = _Subject(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
-        records += _reductions(run, subject, prior, ok)
+        key = _RecordKey(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
+        records += _reductions(run, key, prior, ok)
         mine, control = (select(run.table("references"), scenario, name) for name in (estimator, CONTROL))
         for reference in sorted(set(mine["reference"]) - {run.truth_name(scenario)}):
             final, before = (table[table["reference"] == reference] for table in (mine, control))
-            records += _reductions(run, replace(subject, reference=str(reference)), before, final)
+            records += _reductions(run, replace(key, reference=str(reference)), before, final)
     return records
 
 
-def _reductions(run: RunData, subject: _Subject, before: pd.DataFrame, after: pd.DataFrame) -> list[Record]:
+def _reductions(run: RunData, key: _RecordKey, before: pd.DataFrame, after: pd.DataFrame) -> list[Record]:
     """Measure how much smaller the errors of ``after`` are than those of ``before`` in the same trials."""
     records, prior = [], before.set_index("trial")
     for name, error in _REDUCTIONS.items():
         reduction = prior[error].reindex(after["trial"]).to_numpy() - after[error]
-        records += subject.records(name, reduction, clusters_of(run, after), (MEDIAN, MEAN))
+        records += key.records(name, reduction, clusters_of(run, after), (MEDIAN, MEAN))
     return records
 
 
@@ -181,17 +181,17 @@ def landmark_measures(run: RunData) -> list[Record]:
         ok = rows[(rows["status"] == "ok") & rows["n_landmarks"].notna()]
         stage = final_stage(run, scenario, estimator)
         if (ok["n_landmarks"] > 0).any():
-            subject = _Subject(scenario, estimator, stage, len(rows))
-            records += subject.records("n_landmarks", ok["n_landmarks"], clusters_of(run, ok), (MEDIAN, MEAN))
+            key = _RecordKey(scenario, estimator, stage, len(rows))
+            records += key.records("n_landmarks", ok["n_landmarks"], clusters_of(run, ok), (MEDIAN, MEAN))
             enough = (rows["n_landmarks"].fillna(0.0) >= MIN_LANDMARKS).to_numpy()
-            records.append(subject.share("four_landmarks_share", enough, clusters_of(run, rows)))
+            records.append(key.share("four_landmarks_share", enough, clusters_of(run, rows)))
         marks = select(run.table("landmarks"), scenario, estimator)
         if len(marks):
-            subject, count = _Subject(scenario, estimator, stage, len(marks)), Measured(*3 * (len(marks),))
-            records.append(subject.record("landmark_observations", "count", count, len(marks)))
+            key, count = _RecordKey(scenario, estimator, stage, len(marks)), Measured(*3 * (len(marks),))
+            records.append(key.record("landmark_observations", "count", count, len(marks)))
             clusters = clusters_of(run, marks)
-            records += subject.records("landmark_error_m", marks["error_m"], clusters, (MEDIAN, RMS, P95))
-            records += subject.records("chi_square", marks["chi_square"], clusters, (MEDIAN, MEAN))
+            records += key.records("landmark_error_m", marks["error_m"], clusters, (MEDIAN, RMS, P95))
+            records += key.records("chi_square", marks["chi_square"], clusters, (MEDIAN, MEAN))
     return records
 
 
@@ -205,11 +205,11 @@ def database_measures(run: RunData) -> list[Record]:
     only = pairs[0] if len(pairs) == len(run.manifest.products) == 1 else ("", "")
     for product in (one for one in run.manifest.products if one.database == 0):
         scenario, estimator = (product.scenario, product.estimator) if product.scenario else only
-        subject = _Subject(scenario, estimator, "database", 1)
+        key = _RecordKey(scenario, estimator, "database", 1)
         counts = {"landmarks": product.n_landmarks, "facets": product.n_facets, "bytes": product.bytes}
         for name, count in ((f"database_{name}", count) for name, count in counts.items()):
             if count is not None:
-                records.append(subject.record(name, "count", Measured(count, count, count), 1))
+                records.append(key.record(name, "count", Measured(count, count, count), 1))
     return records
 
 
@@ -220,8 +220,8 @@ def diagnostic_measures(run: RunData) -> list[Record]:
         own = run.table("diagnostics")[run.table("diagnostics")["scenario"].isin(members)]
         for (estimator, name), table in own.groupby(["estimator", "name"], sort=False):
             n = int((run.rows["scenario"].isin(members) & (run.rows["estimator"] == estimator)).sum())
-            subject = _Subject(group, str(estimator), DIAGNOSTICS, n)
-            records += subject.records(str(name), table["value"], clusters_of(run, table), (MEDIAN, MEAN, RMS, P95))
+            key = _RecordKey(group, str(estimator), DIAGNOSTICS, n)
+            records += key.records(str(name), table["value"], clusters_of(run, table), (MEDIAN, MEAN, RMS, P95))
     return records
 
 
@@ -231,13 +231,13 @@ def sequence_measures(run: RunData) -> list[Record]:
     if run.table("epochs").empty:
         return records
     for group, estimator, rows in rows_by_group(run):
-        subject, clusters = _Subject(group, estimator, SEQUENCE, len(rows)), clusters_of(run, rows)
+        key, clusters = _RecordKey(group, estimator, SEQUENCE, len(rows)), clusters_of(run, rows)
         for name in SEQUENCE_COLUMNS:
             known = rows[name].notna().to_numpy()
             if known.any():
-                records += subject.records(name, rows[name], clusters, (MEDIAN, MEAN, RMS, P95))
+                records += key.records(name, rows[name], clusters, (MEDIAN, MEAN, RMS, P95))
                 values = rows[name].to_numpy(dtype=np.float64)[known]
-                records.append(subject.record(name, DEVIATION, measure_deviation(values, clusters[known]), len(values)))
+                records.append(key.record(name, DEVIATION, measure_deviation(values, clusters[known]), len(values)))
     return records
 
 
@@ -248,6 +248,6 @@ def timing_measures(run: RunData) -> list[Record]:
         own = run.table("timings")[run.table("timings")["scenario"].isin(members)]
         for (estimator, stage), times in own.groupby(["estimator", "stage"], sort=False):
             total = times.groupby(["scenario", "trial"], sort=False)[["seconds"]].sum().reset_index()
-            subject = _Subject(group, str(estimator), str(stage), len(total))
-            records += subject.records("seconds", total["seconds"], clusters_of(run, total), (MEDIAN, MEAN, P95))
+            key = _RecordKey(group, str(estimator), str(stage), len(total))
+            records += key.records("seconds", total["seconds"], clusters_of(run, total), (MEDIAN, MEAN, P95))
     return records

@@ -40,7 +40,7 @@ _CHUNK = 4_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Detection:
+class OutlierScore:
     """A score with the class of each solution.
 
     Parameters
@@ -69,7 +69,7 @@ class Detection:
         return area(self.score, self.bad) < 0.5
 
 
-def detections(run: RunData) -> Iterator[Detection]:
+def outlier_scores(run: RunData) -> Iterator[OutlierScore]:
     """Yield every score of every estimator, for each definition with at least five solutions of either kind."""
     for scenario, estimator in run.posed_pairs():
         rows = select(run.rows, scenario, estimator)
@@ -89,7 +89,7 @@ def detections(run: RunData) -> Iterator[Detection]:
 
 def _of_score(
     run: RunData, rows: pd.DataFrame, name: str, values: FloatArray, classes: dict[str, BoolArray]
-) -> Iterator[Detection]:
+) -> Iterator[OutlierScore]:
     known = np.isfinite(values)
     if len(np.unique(values[known])) < 2:
         return
@@ -97,7 +97,7 @@ def _of_score(
     scenario, estimator = rows["scenario"].iloc[0], rows["estimator"].iloc[0]
     for definition, bad in classes.items():
         if min(bad[known].sum(), (~bad[known]).sum()) >= _MIN_CLASS:
-            yield Detection(scenario, estimator, name, definition, values[known], bad[known], clusters)
+            yield OutlierScore(scenario, estimator, name, definition, values[known], bad[known], clusters)
 
 
 def roc_curve(score: FloatArray, bad: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -134,22 +134,22 @@ def _areas(score: FloatArray, bad: BoolArray, counts: NDArray[np.int32]) -> Floa
     return areas
 
 
-def measured_area(detection: Detection) -> Measured:
+def measured_area(found: OutlierScore) -> Measured:
     """Measure the area under the curve with its 95 % interval; without one where few are independent."""
-    codes = np.unique(detection.clusters, return_inverse=True)[1]
+    codes = np.unique(found.clusters, return_inverse=True)[1]
     if codes.max() + 1 < FEW:
-        return Measured(area(detection.score, detection.bad))
+        return Measured(area(found.score, found.bad))
     if codes.max() + 1 == len(codes) >= LARGE:
-        return Measured(area(detection.score, detection.bad), *large_sample_area(detection.score, detection.bad))
-    rng = content_rng(detection.score, detection.bad, codes)
+        return Measured(area(found.score, found.bad), *large_sample_area(found.score, found.bad))
+    rng = content_rng(found.score, found.bad, codes)
     block = max(1, _CHUNK // len(codes))
     draws = [
-        _areas(detection.score, detection.bad, np.take(draw_counts(int(codes.max()) + 1, n, rng), codes, axis=1))
+        _areas(found.score, found.bad, np.take(draw_counts(int(codes.max()) + 1, n, rng), codes, axis=1))
         for n in (min(block, RESAMPLES - start) for start in range(0, RESAMPLES, block))
     ]
     tail = 50.0 * (1.0 - LEVEL)
     low, high = np.nanpercentile(np.concatenate(draws), [tail, 100.0 - tail])
-    return Measured(area(detection.score, detection.bad), float(low), float(high))
+    return Measured(area(found.score, found.bad), float(low), float(high))
 
 
 def large_sample_area(score: FloatArray, bad: BoolArray) -> tuple[float, float]:
@@ -166,10 +166,10 @@ def large_sample_area(score: FloatArray, bad: BoolArray) -> tuple[float, float]:
     return max(middle - half, 0.0), min(middle + half, 1.0)
 
 
-def operating_point(detection: Detection) -> tuple[float, float]:
+def operating_point(found: OutlierScore) -> tuple[float, float]:
     """Find the true positive rate and the threshold of the most that can be flagged at 5 % of false positives."""
-    sign = -1.0 if detection.low_is_bad else 1.0
-    false, true, thresholds = roc_curve(sign * detection.score, detection.bad)
+    sign = -1.0 if found.low_is_bad else 1.0
+    false, true, thresholds = roc_curve(sign * found.score, found.bad)
     best = int(np.flatnonzero(false <= _FALSE_POSITIVES)[-1])
     return float(true[best]), float(sign * thresholds[best])
 
@@ -177,7 +177,7 @@ def operating_point(detection: Detection) -> tuple[float, float]:
 def outlier_records(run: RunData) -> list[Record]:
     """Measure every score: area under the curve, and the point of 5 % false positives."""
     records = []
-    for found in detections(run):
+    for found in outlier_scores(run):
         true, threshold = operating_point(found)
         for statistic, measured in (
             (AUC, measured_area(found)),
@@ -189,7 +189,7 @@ def outlier_records(run: RunData) -> list[Record]:
     return records
 
 
-def _record(found: Detection, statistic: str, measured: Measured) -> Record:
+def _record(found: OutlierScore, statistic: str, measured: Measured) -> Record:
     n = len(found.bad)
     return Record(
         found.scenario, found.estimator, found.definition, "", MEASURE + found.name, "", statistic,

@@ -12,7 +12,13 @@ from scipy.optimize import nnls
 
 from reports.kinds import Content, ReportKind, Tables
 from reports.kinds.crater_detection.figures import crater_figures
-from reports.kinds.crater_detection.rates import Shown, crater_brief, crater_grids, crater_records, shown
+from reports.kinds.crater_detection.rates import (
+    DetectorResults,
+    crater_brief,
+    crater_grids,
+    crater_records,
+    detector_results,
+)
 from reports.schema.grid import Grid
 from reports.tables import timing_grid
 from reports.verdicts import comparison_grid
@@ -46,7 +52,7 @@ class RimScatter:
     redetected: float
 
 
-def rim_scatter(one: Shown) -> RimScatter | None:
+def rim_scatter(one: DetectorResults) -> RimScatter | None:
     """Measure it; None with too few detections that are matched."""
     found = one.detections
     found = found[found["kept"].to_numpy(dtype=bool) & (found["crater"].to_numpy() >= 0)]
@@ -88,7 +94,7 @@ def _redetected(craters: pd.DataFrame) -> float:
     return float(kept[looks].mean()) if looks.any() else 0.0
 
 
-def rim_grid(ones: Sequence[Shown]) -> Grid:
+def rim_grid(ones: Sequence[DetectorResults]) -> Grid:
     """Tabulate the scatter of each detector."""
     rows = []
     for one in ones:
@@ -102,7 +108,7 @@ def tables(content: Content) -> Tables:
     """List the tables of a report."""
     return (
         *crater_grids(content.records, content.run),
-        rim_grid(list(shown(content.run))),
+        rim_grid(list(detector_results(content.run))),
         comparison_grid(content.compared),
         timing_grid(content.records),
     )

@@ -13,7 +13,7 @@ from reports.compare.subjects import compared
 from reports.figures.designs import CurvePanel, Effect, Points, draw_curves, draw_effects
 from reports.figures.matrix import Matrix, draw_matrix
 from reports.kinds.designs.tables import ATTITUDE, POSITION, DesignData, Outcome, outcomes
-from reports.run.data import DesignAxis, RunData
+from reports.run.data import GridAxis, RunData
 from reports.schema.grid import number
 from reports.schema.labels import stage_label
 from reports.schema.named_figure import NamedFigure, file_stem
@@ -144,7 +144,7 @@ def _level_effects(data: DesignData, names: list[str], outcome: Outcome) -> list
     return effects
 
 
-def _lines(data: DesignData, names: list[str], axis: DesignAxis, group: list[Outcome]) -> dict[str, Points]:
+def _lines(data: DesignData, names: list[str], axis: GridAxis, group: list[Outcome]) -> dict[str, Points]:
     """Points of each outcome along an axis: the reference and the scenarios that vary this axis alone."""
     reference = data.levels(names[0])
     along = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from reports.kinds import Content, ReportKind, Tables
-from reports.kinds.designs import REPORT as OF_DESIGN
+from reports.kinds.designs import REPORT as DESIGN_REPORT
 from reports.kinds.sequence.contrasts import cycle_ratio_records, ratio_records, reduction_records
 from reports.kinds.sequence.tables import sequence_figures, sequence_grid, sequence_grids
 from reports.kinds.sequence.vision import vision_records
@@ -29,14 +29,14 @@ def brief(content: Content) -> Tables:
         return pose_brief(content)
     own = [pool.name for pool in pools(content.run)]
     pooled = sequence_grid([record for record in content.records if record.scenario in own])
-    return [pooled, *OF_DESIGN.brief(content)]
+    return [pooled, *DESIGN_REPORT.brief(content)]
 
 
 def figures(content: Content) -> Iterable[NamedFigure]:
     """Draw errors along the frames, or, where one thing varies at a time, over the axes."""
     grid = content.run.manifest.grid
     if grid is not None and grid.design == "one-at-a-time":
-        return OF_DESIGN.figures(content)
+        return DESIGN_REPORT.figures(content)
     return sequence_figures(content.run)
 
 

@@ -49,7 +49,7 @@ def sequence_grids(records: Sequence[Record], compared: Sequence[ComparedValue],
     design = run.manifest.grid
     if design is not None and design.design == "one-at-a-time":
         return design_grids(run)
-    shown = pooled_alone(run, records)
+    shown = without_pooled(run, records)
     found = (
         comparison_grid(compared),
         *ratio_grids(shown),
@@ -64,7 +64,7 @@ def sequence_grids(records: Sequence[Record], compared: Sequence[ComparedValue],
     return [grid for grid in found if grid is not None]
 
 
-def pooled_alone(run: RunData, records: Sequence[Record]) -> list[Record]:
+def without_pooled(run: RunData, records: Sequence[Record]) -> list[Record]:
     """Leave out the scenarios that a pool stands for."""
     pooled = pooled_scenarios(run)
     return [record for record in records if record.scenario not in pooled]

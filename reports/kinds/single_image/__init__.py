@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from pydantic import ValidationError
 
 from reports.kinds import Content, ReportKind, Tables
-from reports.kinds.designs import REPORT as OF_DESIGN
+from reports.kinds.designs import REPORT as DESIGN_REPORT
 from reports.kinds.single_image.figures import image_figures
 from reports.kinds.single_image.sensitivity import mesh_variants, sensitivity_grid
 from reports.kinds.single_image.tradeoff import trade_grid
@@ -68,7 +68,7 @@ def tables(content: Content) -> Tables:
     """List the tables of single images, or of the grid that their scenarios are."""
     measured, run = content.records, content.run
     if run.manifest.grid is not None:
-        return OF_DESIGN.tables(content)
+        return DESIGN_REPORT.tables(content)
     return (
         *pose_grids(measured, run),
         reference_grid(measured, run),
@@ -93,12 +93,12 @@ def pose_brief(content: Content) -> list[Grid]:
 
 def brief(content: Content) -> Tables:
     """List what the terminal shows."""
-    return pose_brief(content) if content.run.manifest.grid is None else OF_DESIGN.brief(content)
+    return pose_brief(content) if content.run.manifest.grid is None else DESIGN_REPORT.brief(content)
 
 
 def figures(content: Content) -> Iterable[NamedFigure]:
     """Draw the figures of single images, or of the grid that their scenarios are."""
-    return image_figures(content) if content.run.manifest.grid is None else OF_DESIGN.figures(content)
+    return image_figures(content) if content.run.manifest.grid is None else DESIGN_REPORT.figures(content)
 
 
 REPORT = ReportKind(records=records, tables=tables, brief=brief, figures=figures)
