@@ -1,4 +1,4 @@
-"""The tables of a run of single images, and those that every run has."""
+"""Tables that several kinds of trial share: pose errors, diagnostics, times and failures."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def pose_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
 
 
 def _pose_lines(own: Sequence[Record]) -> list[Record]:
-    """Choose the lines of one scenario: the prior, which all share, once; failures at the prior where there are any."""
+    """Choose the lines of one scenario: the common prior once; failures at the prior where there are any."""
     priors = [r for r in own if r.stage == CONTROL]
     later = [r for r in own if r.stage != CONTROL]
     failed = {r.estimator for r in later if r.n_ok < r.n}
@@ -121,7 +121,7 @@ def reference_grid(records: Sequence[Record], run: RunData) -> Grid | None:
 
 
 def detail_grid(records: Sequence[Record]) -> Grid | None:
-    """Tabulate improvement trial by trial, landmarks and data base; None if nothing of it was measured."""
+    """Tabulate the improvement of each trial, landmarks and data base; None if none of them was measured."""
     listed = {name for name, measure in measures().items() if measure.detail}
     chosen = [r for r in records if r.measure in listed and r.stage != DIAGNOSTICS]
     heads = ("scenario", "estimator", "quantity", "statistic", "value [95 %]", "unit", "ok")
@@ -136,7 +136,7 @@ def detail_grid(records: Sequence[Record]) -> Grid | None:
 
 
 def diagnostic_grid(records: Sequence[Record]) -> Grid | None:
-    """Tabulate the numbers that estimators report beside the pose; None if there are none."""
+    """Tabulate the numbers that estimators report in addition to the pose; None if there are none."""
     lines = [r for r in records if r.stage == DIAGNOSTICS and r.statistic == MEDIAN.name]
     heads = ("scenario", "estimator", "number", "median [95 %]", "mean", "RMS", "95th percentile", "unit", "trials")
 

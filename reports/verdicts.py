@@ -1,4 +1,8 @@
-"""The tables that set published values and statements beside ours."""
+"""Comparison of our values with published ones by one rule, and its tables.
+
+The rule is the same for all values; the file of each paper states what was known of our values when its tolerances and
+bounds were chosen.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +30,12 @@ Verdict = Literal[
 
 VERDICT_RULE = (
     "reproduced: the whole 95 % interval lies within the tolerance; differs (lower, higher): the whole interval lies "
-    "outside it, below or above, however good that is, for a method of the paper that comes out otherwise is another "
-    "method; better: the same on the better side, of a method that the paper does not have; undecided: the interval "
-    "reaches across an edge of the tolerance, or there is none, so that more trials, or sets of images, are needed; "
-    "context: no verdict is due, because conditions differ or no tolerance was set. Where the paper says 'more than', "
-    "or names an order, the intervals must keep it, and stay below an upper bound where the words set one "
-    "('somewhat broader')."
+    "outside it, below or above, even where ours is the better value, because a method of the paper with other results "
+    "is not the same method; better: the same on the better side, of a method that the paper does not have; undecided: "
+    "the interval reaches across an edge of the tolerance, or there is none, so that more trials, or sets of images, "
+    "are needed; context: no verdict is given, because conditions differ or no tolerance was set. Where the paper says "
+    "'more than', or names an order, the intervals must agree with it, and stay below an upper bound where the words "
+    "set one ('somewhat broader')."
 )
 
 
@@ -48,7 +52,7 @@ class ComparedValue:
 
 @dataclass(frozen=True, slots=True)
 class ComparedClaim:
-    """What is stated in words, our values in the stated order, and the verdict."""
+    """A statement of the paper in words, our values in the stated order, and the verdict."""
 
     scenario: str
     claim: PublishedClaim
@@ -57,9 +61,9 @@ class ComparedClaim:
 
 
 def compare(records: Sequence[Record], comparison: Comparison) -> tuple[ComparedValue, ...]:
-    """Set each published value beside ours, for every scenario that it is for and every estimator but the control.
+    """Compare each published value with ours, for every scenario that it is for and every estimator but the control.
 
-    What belongs to a scenario and to none of its estimators stands beside each of them.
+    A value of ours that belongs to a scenario alone is used for each of its estimators.
     """
     pairs = dict.fromkeys((r.scenario, r.estimator) for r in records if r.estimator not in ("", CONTROL))
     compared = []
@@ -89,7 +93,7 @@ def _ours(records: Sequence[Record], scenario: str, estimator: str, published: P
 
 
 def compare_claims(records: Sequence[Record], comparison: Comparison) -> tuple[ComparedClaim, ...]:
-    """Hold each statement of the paper against our values, scenario by scenario."""
+    """Compare each statement of the paper with our values, scenario by scenario."""
     scenarios = tuple(dict.fromkeys(r.scenario for r in records))
     return tuple(
         _due(_compared_claim(records, scenario, claim), comparison)
@@ -100,7 +104,7 @@ def compare_claims(records: Sequence[Record], comparison: Comparison) -> tuple[C
 
 
 def _due(item: ComparedClaim, comparison: Comparison) -> ComparedClaim:
-    """Take the verdict away where none is due."""
+    """Replace the verdict by "context" where the comparison or the statement has none."""
     due = comparison.verdicts and not item.claim.unjudged
     return item if due or item.verdict == "not measured" else replace(item, verdict="context")
 
@@ -126,7 +130,7 @@ def _of_claim(records: Sequence[Record], scenario: str, claim: PublishedClaim, t
 
 
 def solved_verdict(ours: Record | None, share: float = 0.9) -> Verdict:
-    """Tell whether so many trials are solved, by the 95 % interval of Wilson of their share; of "all" none may fail."""
+    """Judge whether the share of solved trials is reached, by its 95 % Wilson interval; of "all" none may fail."""
     if ours is None or not ours.n:
         return "not measured"
     if share == 1:
@@ -138,7 +142,7 @@ def solved_verdict(ours: Record | None, share: float = 0.9) -> Verdict:
 
 
 def order_verdict(ascending: Sequence[Record | None]) -> Verdict:
-    """Tell whether values with intervals ascend: apart they must be, in the stated order or in another."""
+    """Judge whether values ascend as stated: their intervals must not overlap, in the stated order or in another."""
     bounds: list[tuple[float, float]] = []
     for record in ascending:
         if record is None or record.value is None:
@@ -152,7 +156,7 @@ def order_verdict(ascending: Sequence[Record | None]) -> Verdict:
 
 
 def value_verdict(ours: Record | None, published: PublishedValue, own: bool = True) -> Verdict:
-    """Apply `VERDICT_RULE` to one value; ``own`` says whether the paper has the method itself."""
+    """Apply `VERDICT_RULE` to one value; ``own``: whether the paper has the method itself."""
     if ours is None or ours.value is None:
         return "not measured"
     if published.relation != "about":
@@ -173,7 +177,7 @@ def value_verdict(ours: Record | None, published: PublishedValue, own: bool = Tr
 
 
 def _side_verdict(ours: Record, published: PublishedValue) -> Verdict:
-    """Tell whether the whole interval lies on the side of the printed number that the words name."""
+    """Judge whether the whole interval lies on the side of the printed number that the words name."""
     if ours.low is None or ours.high is None:
         return "undecided"
     least, most = published.value, published.at_most
@@ -187,7 +191,7 @@ def _side_verdict(ours: Record, published: PublishedValue) -> Verdict:
 
 
 def comparison_grid(compared: Sequence[ComparedValue]) -> Grid | None:
-    """Tabulate published values beside ours; None if the campaign is compared with nothing."""
+    """Tabulate published values and ours; None if the campaign is compared with nothing."""
     if not compared:
         return None
     heads = (
@@ -238,13 +242,13 @@ def _compared_cells(compared: ComparedValue, several: bool) -> tuple[str, ...]:
 
 
 def verdict_of(verdict: Verdict, ours: Sequence[Record | None]) -> str:
-    """Print a verdict, and that it is of the runs that ended where others have no value."""
+    """Print a verdict; where some runs have no value, say that it is of the runs that ended."""
     left_out = any(record is not None and record.n_ok < record.n and _needs_an_end(record) for record in ours)
     return f"{verdict}{_WITHOUT_OTHERS}" if left_out and verdict not in _NONE_DUE else verdict
 
 
 def _needs_an_end(record: Record) -> bool:
-    """Tell what a trial that does not end has no value of, from counts of other things."""
+    """Whether a trial must end to have this value; counts of other things need no end."""
     return record.stage in _OF_RUNS or record.measure in POSE_COLUMNS
 
 
@@ -265,7 +269,7 @@ def claim_grid(claims: Sequence[ComparedClaim]) -> Grid | None:
 
 
 def claim_values(item: ComparedClaim) -> str:
-    """Print what a claim is held against: values in its order, how many are solved, or why it is not measured."""
+    """Print our side of a claim: values in its order, how many are solved, or why it is not measured."""
     if item.claim.solves and item.ours and item.ours[0]:
         return f"{item.claim.solves} solves {counts(item.ours[0])}"
     names = [term.label for term in item.claim.order]
@@ -274,7 +278,7 @@ def claim_values(item: ComparedClaim) -> str:
 
 
 def verdict_of_claim(item: ComparedClaim) -> str:
-    """Print the verdict of a statement; what counts the runs that end leaves none out."""
+    """Print the verdict of a statement; a share of solved runs counts all of them."""
     return item.verdict if item.claim.solves else verdict_of(item.verdict, item.ours)
 
 

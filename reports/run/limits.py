@@ -1,4 +1,4 @@
-"""What the spacecraft was taken to know in a run: the line that stands beside each headline."""
+"""Statements that limit the results of a run: what was known exactly on board, and what was drawn only once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from reports.schema.tables import kind_schema
 from scenarios.known import Known, merged
 
 KNOWLEDGE_UNREADABLE = (
-    "What was known exactly on board cannot be told: the scenarios are of another version of boresight."
+    "What was known exactly on board cannot be stated: the scenarios are of another version of boresight."
 )
 _FEW = 4
 
@@ -20,7 +20,7 @@ _INTERVAL = re.compile(r"\[\S+, \S+\]")
 
 
 def single_draws(run: RunData) -> str:
-    """Say what was drawn only once in a run, so that its intervals do not tell of others; '' where nothing was."""
+    """Name what was drawn only once in a run: its intervals leave out that variation; '' where nothing was."""
     if run.databases > 1:
         return ""
     worlds = {str(spec["craters"]) for spec in run.manifest.scenarios.values() if spec.get("craters")}
@@ -29,7 +29,7 @@ def single_draws(run: RunData) -> str:
 
 
 def with_single_draws(grids: Iterable[Grid], run: RunData) -> Iterator[Grid]:
-    """Add to the title of every table that has intervals what they are conditional on."""
+    """Add what intervals are conditional on to the title of every table that has some."""
     once = single_draws(run)
     for grid in grids:
         told = once and any(_INTERVAL.search(cell) for row in grid.rows for cell in row)
@@ -37,24 +37,26 @@ def with_single_draws(grids: Iterable[Grid], run: RunData) -> Iterator[Grid]:
 
 
 def database_line(run: RunData) -> str:
-    """Say what the data bases of a run mean for its intervals; '' where it has none."""
+    """Return the sentence on data bases and intervals; '' where a run has no data base."""
     if run.databases > 1:
         return kind_schema(run.manifest.experiment).databases_note.format(n=run.databases)
     once = single_draws(run)
     return (
-        f"Intervals are of {once}: another one would give other errors, and they do not tell of that." if once else ""
+        f"Intervals are of {once}: another one would give other errors, and they do not include that variation."
+        if once
+        else ""
     )
 
 
 def short_line(*runs: RunData, scenario: str = "") -> str:
-    """Say it of a scenario, or of all scenarios of some runs together, without details."""
+    """Return what was known on board in a scenario, or in all scenarios of some runs, in one short sentence."""
     found = [run.known for run in runs]
     told = [one for known in found if known is not None for name, one in known.items() if scenario in ("", name)]
     return merged(told).line(short=True) if told and None not in found else KNOWLEDGE_UNREADABLE
 
 
 def known_lines(run: RunData) -> Iterator[str]:
-    """Say it in full: a line for each group of scenarios with the same, or one for all of a grid."""
+    """Yield what was known on board in full: a line for each group of scenarios, or one if there are many groups."""
     if run.known is None:
         yield KNOWLEDGE_UNREADABLE
         return

@@ -1,4 +1,4 @@
-"""What a success is: one definition for reports, the terminal, comparisons and trade-offs."""
+"""Outcomes of trials: success, the reasons of failures, and the pose errors after each stage."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MEANING = (
     "Solved: trials with an estimate. Success: those of them whose position error is not above that of their prior,"
     " where there is a prior."
 )
-"""Says in a table's note what its two counts are."""
+"""Note of a table that has these two counts."""
 
 _FRAME = r"^frame \d+: "
 _NUMBER = r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
@@ -26,9 +26,9 @@ _MOST_CHARACTERS = 110
 
 
 def unsolved(run: RunData) -> tuple[pd.DataFrame, bool]:
-    """Return the rows of trials without an estimate, and whether numbers in their reasons were made one.
+    """Return the rows of trials without an estimate, and whether any of their reasons were merged.
 
-    Reasons that differ in numbers alone are one, with n for the number, and of sequences those of all frames.
+    Reasons that differ in numbers alone are merged, with n for the number; of sequences, those of all frames.
     """
     failed = run.rows[run.rows["status"] != "ok"]
     reason = failed["reason"] if run.table("epochs").empty else failed["reason"].str.replace(_FRAME, "", regex=True)
@@ -43,7 +43,7 @@ def _items(tally: pd.Series) -> Iterator[tuple[str, str, str, int]]:
 
 
 def reason_lines(run: RunData) -> list[str]:
-    """Say in a few lines why trials have no estimate, the most frequent reason first; none where all have one."""
+    """Return a few lines on why trials have no estimate, the most frequent reason first; [] where all have one."""
     failed, _ = unsolved(run)
     if failed.empty:
         return []
@@ -60,7 +60,7 @@ def reason_lines(run: RunData) -> list[str]:
 
 
 def final_stage(run: RunData, scenario: str, estimator: str) -> str:
-    """Name the last stage that the estimator reports; its errors are those of the rows."""
+    """Return the last stage that the estimator reports; its errors are those of the rows."""
     names = select(run.table("stages"), scenario, estimator)["stage"].unique()
     return str(names[-1]) if len(names) and names[-1] != CONTROL else "final"
 
@@ -84,12 +84,12 @@ def errors_by_stage(run: RunData, scenario: str, estimator: str) -> dict[str, pd
 
 
 def succeeded(rows: pd.DataFrame) -> NDArray[np.bool_]:
-    """Tell which trials succeeded: an estimate, with a position error that is not above that of the trial's own prior.
+    """Mark the successful trials: an estimate, with a position error that is not above that of the trial's own prior.
 
     A trial has a prior where its row holds the prior's error: single images and pose convergence. In others the
-    estimate alone decides, for there is nothing that the spacecraft would have without it: of sequences (dead reckoning
-    is an estimator beside the others, and one more line), of orbits (the a priori orbit is as wrong as the scenario
-    makes it), of images of craters and of data bases.
+    estimate alone decides, as the spacecraft would have no pose without it: of sequences (dead reckoning is one more
+    estimator), of orbits (the error of the a priori orbit is a choice of the scenario), of images of craters and of
+    data bases.
     """
     worse = rows["position_error_m"].to_numpy() > rows["prior_position_error_m"].to_numpy()
     return np.asarray((rows["status"] == "ok").to_numpy() & ~worse)

@@ -1,4 +1,9 @@
-"""Whether estimators know how wrong they are, and how far they stay from what their observations allow."""
+"""Consistency of covariances: NEES, NIS, and RMS errors over their predicted values and Cramer-Rao bounds.
+
+NEES and NIS are chi-square where the covariance P of the error or innovation e is true: e^T P^-1 e with as many
+degrees of freedom as e has components (Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to
+Tracking and Navigation, 2001, section 5.4). A covariance that is too small gives larger values.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +23,7 @@ from reports.statistics.intervals import FloatArray
 from reports.statistics.measured import MEAN, MEDIAN, Measured, measure, share_of
 
 CONSISTENCY = "consistency"
-"""Stage of the records that hold a covariance or a bound against the errors."""
+"""Stage of the records that compare errors with a covariance or a bound."""
 
 BAND, INSIDE, RATIO = "mean if consistent", "share within 95 %", "RMS ratio"
 ERRORS = {"position": "position_error_m", "attitude": "attitude_error_deg"}
@@ -28,12 +33,13 @@ _UNITS = {"position": "m", "attitude": "deg"}
 
 
 _NOTE = (
-    "NEES: the squared error weighed by the estimator's own covariance; NIS: the squared innovation weighed by what the"
-    " filter foretells of it. Where covariances are true, 95 % of the means of as many trials lie in the band; a mean"
-    " above it tells a covariance that is too small. Within 95 %: share of the trials inside the central 95 % of the"
-    " distribution. RMS error over the one that the covariance foretells, and over the Cramer-Rao bound of the"
-    " estimator's own observations: 1 is all that they allow. The covariance of the paper's method, which uses no"
-    " prior, is that bound itself, under the covariances that its data base gives the landmarks."
+    "NEES: the squared error weighted by the inverse of the estimator's own covariance; NIS: the squared"
+    " innovation weighted by the inverse of the covariance that the filter predicts for it. Where covariances are true,"
+    " 95 % of the means of as many trials lie in the band; a mean above it indicates a covariance that is too small."
+    " Within 95 %: share of the trials inside the central 95 % of the distribution. The last columns are the RMS error over the one"
+    " that the covariance predicts, and over the Cramer-Rao bound of the estimator's own observations: 1 is the best"
+    " that these allow. The covariance of the paper's method, which uses no prior, is that bound itself, under the"
+    " covariances that its data base gives the landmarks."
 )
 
 NEES, NIS = "nees", "innovation"
@@ -48,7 +54,7 @@ _SAME_FRAME_DEG = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalisedErrors:
-    """One kind of weighed error of the trials of a run.
+    """One kind of squared error of the trials of a run, normalised by its covariance.
 
     Parameters
     ----------
@@ -58,7 +64,7 @@ class NormalisedErrors:
     expected
         Mean where covariances are true, in the unit of ``ratio``.
     table
-        ``scenario``, ``estimator``, ``trial``, ``ratio`` (the weighed square, of innovations a measurement) and
+        ``scenario``, ``estimator``, ``trial``, ``ratio`` (the normalised square, of innovations per measurement) and
         ``degrees`` (of freedom of the whole square, which is ratio * degrees / expected).
     """
 
@@ -78,7 +84,7 @@ class ConsistencyTest:
     mean, median
         With their intervals.
     band
-        What the mean is expected to be, and where 95 % of the means of as many would lie.
+        Expected mean, and the range of 95 % of the means of as many.
     inside
         Share of the trials within the 95 % of the distribution, 2.5 % being left out at either end.
     """
@@ -91,9 +97,9 @@ class ConsistencyTest:
 
 
 def normalised_errors(run: RunData) -> Iterator[NormalisedErrors]:
-    """Yield every kind of weighed error that the estimators of a run give; nothing of those that claim no covariance.
+    """Yield every kind of normalised error in a run; nothing of estimators that give no covariance.
 
-    An innovation that a gate refused is no part of the mean that an estimator reports, which is a little small for it.
+    The mean innovation that an estimator reports leaves out those that its gate rejected, and is a little small for it.
     """
     if run.table("orbits").empty:  # Rows of orbits repeat what the table of orbits has.
         rows = run.rows[(run.rows["status"] == "ok") & run.rows[NEES].notna()]
@@ -118,7 +124,7 @@ def normalised_errors(run: RunData) -> Iterator[NormalisedErrors]:
 
 
 def normalised_label(name: str) -> str:
-    """Name a kind of weighed error in words."""
+    """Return the label of a kind of normalised error."""
     if name.startswith(_AFTER):
         turns = name.removeprefix(_AFTER)
         return f"NEES of the position after {turns} revolution{'' if turns == '1' else 's'}"
@@ -132,7 +138,7 @@ def _some(name: str, expected: int, table: pd.DataFrame) -> Iterator[NormalisedE
 
 
 def pair_consistency(run: RunData, weighed: NormalisedErrors, scenario: str, estimator: str) -> ConsistencyTest | None:
-    """Judge what one estimator claims in one scenario; None where it claims nothing."""
+    """Test the covariance of one estimator in one scenario; None where it gives none."""
     own = select(weighed.table, scenario, estimator)
     if own.empty:
         return None
@@ -144,7 +150,7 @@ def pair_consistency(run: RunData, weighed: NormalisedErrors, scenario: str, est
 def consistency_test(
     ratios: FloatArray, degrees: FloatArray, expected: int, clusters: NDArray[np.generic]
 ) -> ConsistencyTest:
-    """Hold weighed errors (n,), n >= 1, against the chi-square distribution of their degrees of freedom (n,)."""
+    """Compare normalised errors (n,), n >= 1, with the chi-square distribution of their degrees of freedom (n,)."""
     mean, median = measure(ratios, clusters, (MEAN, MEDIAN))
     whole = float(pd.Series(degrees).groupby(np.asarray(clusters)).mean().sum())
     low, high = (expected * chi2.ppf(tail, degrees) / degrees for tail in _TAILS)
@@ -153,14 +159,14 @@ def consistency_test(
 
 
 def consistent_mean(degrees: float, expected: int) -> Measured:
-    """Bound the mean of weighed errors with ``degrees`` of freedom in all at the 95 % level."""
+    """Bound the mean of normalised errors with ``degrees`` of freedom in all at the 95 % level."""
     low, high = (expected * float(chi2.ppf(tail, degrees)) / degrees for tail in _TAILS)
     return Measured(float(expected), low, high)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SolvedTrials:
-    """The solved trials of an estimator, of all its trials, and what is resampled as a whole."""
+    """The solved trials of an estimator, their clusters, and the number of all its trials."""
 
     scenario: str
     estimator: str
@@ -176,7 +182,7 @@ class _SolvedTrials:
 
 
 def consistency_records(run: RunData) -> list[Record]:
-    """Hold every covariance and every bound against the errors; nothing of estimators that give neither."""
+    """Compare errors with every covariance and bound; no records of estimators that give neither."""
     records: list[Record] = []
     kinds = list(normalised_errors(run))
     posed = set(run.posed_pairs())
@@ -208,7 +214,7 @@ def _ratio_records(subject: _SolvedTrials) -> Iterator[Record]:
             foretold = f"{column}_{_UNITS[what]}"
             if name.startswith(what) and foretold in subject.rows:
                 pair = subject.rows[[error, foretold]].to_numpy(dtype=np.float64)
-                # A prior without error foretells none: there is nothing to hold against it.
+                # A prior without error predicts a zero RMS, over which no ratio exists.
                 known = np.isfinite(pair).all(axis=1) & (pair[:, 1] > 0.0)
                 if known.any():
                     measured = rms_ratio(pair[known, 0], pair[known, 1], subject.clusters[known])
@@ -216,7 +222,7 @@ def _ratio_records(subject: _SolvedTrials) -> Iterator[Record]:
 
 
 def rms_ratio(errors: FloatArray, sigmas: FloatArray, clusters: NDArray[np.generic]) -> Measured:
-    """Return the RMS of errors (n,) over that of what was foretold (n,), with its interval.
+    """Return the RMS of errors (n,) over that of the predicted ones (n,), with its interval.
 
     The interval is that of the ratio of means R, linearised: of the mean of R + (e^2 - R s^2) / mean(s^2).
     """
@@ -228,14 +234,14 @@ def rms_ratio(errors: FloatArray, sigmas: FloatArray, clusters: NDArray[np.gener
 
 
 def consistency_grid(records: Sequence[Record]) -> Grid | None:
-    """Tabulate what estimators say of their own errors, and their bounds; None where none says anything."""
+    """Tabulate the consistency of covariances and bounds; None where no estimator gives any."""
     own = [r for r in records if r.stage == CONSISTENCY]
     lines = dict.fromkeys((r.scenario, r.estimator, r.measure) for r in own if r.statistic == BAND)
     told = {(scenario, estimator) for scenario, estimator, _ in lines}
     lines |= dict.fromkeys((r.scenario, r.estimator, "") for r in own if (r.scenario, r.estimator) not in told)
     heads = (
-        "scenario", "estimator", "weighed", "mean [95 %]", "band", "within 95 %", "position, RMS over foretold",
-        "attitude, RMS over foretold", "position, RMS over bound", "attitude, RMS over bound",
+        "scenario", "estimator", "normalised", "mean [95 %]", "band", "within 95 %", "position, RMS over predicted",
+        "attitude, RMS over predicted", "position, RMS over bound", "attitude, RMS over bound",
     )  # fmt: skip
 
     def cells(scenario: str, estimator: str, kind: str) -> tuple[str, ...]:

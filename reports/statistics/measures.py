@@ -1,4 +1,4 @@
-"""Every number of a report, in one tidy table: what was measured, over how many trials, how well it is known."""
+"""The tidy table of a report: every measured number, its interval, and the trials behind it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _POSE_STATISTICS = dict(zip(POSE_COLUMNS, (_MAGNITUDE, _MAGNITUDE, _COMPONENT, _
 
 @dataclass(frozen=True, slots=True)
 class _RecordKey:
-    """What a group of records is about."""
+    """The fields that a group of records has in common, and their total count n."""
 
     scenario: str
     estimator: str
@@ -76,7 +76,7 @@ class _RecordKey:
         return [self.record(name, s.name, m, n_ok) for s, m in zip(statistics, measured, strict=True)]
 
     def share(self, name: str, yes: NDArray[np.bool_], clusters: NDArray[np.generic]) -> Record:
-        """Measure the share of trials of which something holds."""
+        """Measure the share of the marked trials."""
         found = share_of(yes, clusters)
         percent = (None if number is None else 100.0 * number for number in (found.value, found.low, found.high))
         return self.record(name, MEAN.name, Measured(*percent), len(yes))
@@ -198,7 +198,7 @@ def landmark_measures(run: RunData) -> list[Record]:
 def database_measures(run: RunData) -> list[Record]:
     """Count the landmarks and facets of each data base, and its bytes as it is stored; of several, of the first.
 
-    A single data base of a run with a single estimator beside the control belongs to it, even if it does not say so.
+    A single data base belongs to the single estimator of a run (the control apart), even if the manifest names none.
     """
     records = []
     pairs = [pair for pair in run.pairs() if pair[1] != CONTROL]
@@ -226,7 +226,7 @@ def diagnostic_measures(run: RunData) -> list[Record]:
 
 
 def sequence_measures(run: RunData) -> list[Record]:
-    """Measure what the trials of sequences come to, under the stage ``sequence``."""
+    """Measure the errors of whole sequences, under the stage ``sequence``."""
     records: list[Record] = []
     if run.table("epochs").empty:
         return records

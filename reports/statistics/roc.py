@@ -1,4 +1,4 @@
-"""How well the numbers that an estimator reports tell its bad solutions: receiver operating characteristics.
+"""Receiver operating characteristics (ROC): detection of bad solutions by the numbers that an estimator reports.
 
 A solution is bad where its position error is above that of its prior, or above three times the median of all solutions.
 Every number of the table ``diagnostics`` is a score. The area under its curve is the chance that a bad solution scores
@@ -41,7 +41,7 @@ _CHUNK = 4_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutlierScore:
-    """A score with the class of each solution.
+    """A score that may indicate bad solutions, with the class of each solution.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class OutlierScore:
 
     @property
     def low_is_bad(self) -> bool:
-        """Whether small values tell the bad solutions rather than large ones."""
+        """Whether small values indicate bad solutions rather than large ones."""
         return area(self.score, self.bad) < 0.5
 
 
@@ -156,7 +156,7 @@ def large_sample_area(score: FloatArray, bad: BoolArray) -> tuple[float, float]:
     """Bound the area of many independent solutions at the 95 % level, without resampling.
 
     After E. DeLong, D. DeLong and D. Clarke-Pearson, Biometrics 44, 1988: the area is a mean over either class of the
-    share of the other class that each member beats, and its variance is the sum of those two means' variances.
+    share of the other class that each member exceeds, and its variance is the sum of those two means' variances.
     """
     ranks, m, n = rankdata(score), int(bad.sum()), int((~bad).sum())
     of_bad = (ranks[bad] - rankdata(score[bad])) / n
@@ -167,7 +167,7 @@ def large_sample_area(score: FloatArray, bad: BoolArray) -> tuple[float, float]:
 
 
 def operating_point(found: OutlierScore) -> tuple[float, float]:
-    """Find the true positive rate and the threshold of the most that can be flagged at 5 % of false positives."""
+    """Find the highest true positive rate with at most 5 % of false positives, and its threshold."""
     sign = -1.0 if found.low_is_bad else 1.0
     false, true, thresholds = roc_curve(sign * found.score, found.bad)
     best = int(np.flatnonzero(false <= _FALSE_POSITIVES)[-1])
@@ -198,7 +198,7 @@ def _record(found: OutlierScore, statistic: str, measured: Measured) -> Record:
 
 
 def outlier_grid(records: Sequence[Record]) -> Grid | None:
-    """Tabulate how well the numbers that estimators report tell their bad solutions; None where there are none."""
+    """Tabulate how well the numbers that estimators report indicate bad solutions; None where there are none."""
     lines = [r for r in records if r.measure.startswith(MEASURE) and r.statistic == AUC]
     heads = ("scenario", "estimator", "bad", "number", "of", "AUC [95 %]", TRUE_POSITIVES, "threshold", "flagged")
 
@@ -218,9 +218,13 @@ def outlier_grid(records: Sequence[Record]) -> Grid | None:
         )
 
     note = (
-        "How well a number that the estimator reports tells its bad solutions: area under the receiver operating"
-        " characteristic (0.5 is chance; below it, small values tell), and the share of bad solutions beyond the"
-        " threshold that flags 5 % of the good ones."
+        "How well a number that the estimator reports indicates its bad solutions: area under the receiver operating"
+        " characteristic (0.5 is chance; below it, small values indicate them), and the share of bad solutions beyond"
+        " the threshold that flags 5 % of the good ones."
     )
     rows = tuple(cells(line) for line in lines)
-    return Grid("Bad solutions, and what tells them", heads, rows, frozenset({0, 1, 2, 3, 8}), note) if rows else None
+    return (
+        Grid("Bad solutions, and the numbers that indicate them", heads, rows, frozenset({0, 1, 2, 3, 8}), note)
+        if rows
+        else None
+    )

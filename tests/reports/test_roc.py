@@ -125,7 +125,7 @@ def test_too_few_bad_solutions_are_not_judged(builder):
 
 def test_the_report_shows_table_and_figure(run):
     files = write_report(run)
-    assert "Bad solutions, and what tells them" in files.markdown.read_text()
+    assert "Bad solutions, and the numbers that indicate them" in files.markdown.read_text()
     table = pd.read_csv(files.folder / "table.csv")
     assert {AUC, TRUE_POSITIVES, THRESHOLD, BAD} <= set(table["statistic"])
     assert any(path.name.startswith("outliers_") for path in files.figures)
