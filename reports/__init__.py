@@ -1,4 +1,4 @@
-"""What is told: statistics, tables, figures and the report page.
+"""Statistics, tables, figures and the report page of stored runs.
 
 From Python: `read_run` gives the tables of a run folder, `summary` every number of its report with n and interval,
 and `write_report` what the command ``report`` writes.
@@ -24,7 +24,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a function when it is asked for: pandas and Matplotlib take most of a start-up."""
+    """Import a function at its first use: pandas and Matplotlib take most of the start-up time."""
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -13,7 +13,7 @@ from campaign.runs.resolve import reload
 from campaign.store import RunFolder
 from reports.pages.build import write_report
 from reports.pages.console import console_table
-from reports.run.reasons import reason_lines
+from reports.run.outcomes import reason_lines
 from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 

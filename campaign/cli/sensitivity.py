@@ -19,7 +19,7 @@ from reports.compare.metrics import choose_metric
 from reports.pages.console import rich_parts
 from reports.pages.global_sensitivity import write_sensitivity
 from reports.run.data import read_run
-from reports.run.known import short_line
+from reports.run.limits import short_line
 from reports.schema.tables import kind_schema
 from scenarios.atomic import explain_write_error
 from scenarios.errors import BoresightError

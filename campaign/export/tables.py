@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from campaign.store import TABLES, RunFolder
-from reports.kinds.report import report_grids
+from reports.kinds import report_grids
 from reports.pages.content import read_content
 from reports.schema.named_figure import file_stem
 from scenarios.atomic import write_atomically, write_text

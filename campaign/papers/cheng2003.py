@@ -10,10 +10,10 @@ from campaign.kinds.crater_matching.show import matching_example
 from campaign.papers.gather import FinishedRun
 from campaign.papers.page import Draw, Paper, PaperFigure, Runs
 from estimators.craters.planning import PLANNER
+from reports.kinds import report_grids
 from reports.kinds.crater_navigation import counts_figure
 from reports.kinds.image_survey import survey_figures
 from reports.kinds.orbit_determination import reference_scenarios, residual_figure
-from reports.kinds.report import report_grids
 from reports.run.data import select
 from reports.schema.grid import Grid
 from reports.schema.named_figure import NamedFigure

@@ -15,7 +15,6 @@ from reports.figures.sequences import LANDMARKS, POSITION
 from reports.figures.sightings import draw_sightings
 from reports.kinds.designs.tables import design_grids
 from reports.kinds.sequence.tables import (
-    pooled_alone,
     ratio_grids,
     revolution_figure,
     revolution_series,
@@ -23,6 +22,7 @@ from reports.kinds.sequence.tables import (
     sign_grids,
     start_figure,
     trace_figure,
+    without_pooled,
 )
 from reports.kinds.sequence.vision import vision_grid
 from reports.schema.grid import Grid
@@ -107,7 +107,7 @@ def _image(features: int) -> Draw:
 def _grids(run: FinishedRun) -> list[Grid]:
     """Return the tables that accompany the published numbers: statistics, and ratios between the methods."""
     content = run.content
-    records = pooled_alone(content.run, content.records)
+    records = without_pooled(content.run, content.records)
     found = [*ratio_grids(records), *sign_grids(records, content.run)]
     found += design_grids(content.run) if run.manifest["name"] == _SENSITIVITY else []
     tables = (sequence_grid(records), vision_grid(records))

@@ -12,7 +12,7 @@ from campaign.resolved import ResolvedCampaign
 from campaign.runs.newest import start_of
 from campaign.runs.resolve import campaign_names, reload
 from campaign.store import RunFolder
-from reports.kinds.kind import Content
+from reports.kinds import Content
 from reports.pages.content import content_of
 from reports.published import load_published
 from reports.run.data import RunData, read_run

@@ -16,7 +16,7 @@ from reports.figures.provenance import counted, stamp
 from reports.papers.page import PaperLine, PaperPage, paper_lines
 from reports.papers.tables import lines_by_table, table_figure
 from reports.published import load_published
-from reports.run.known import short_line
+from reports.run.limits import short_line
 from reports.schema.grid import Grid
 from reports.schema.labels import count_of
 from reports.schema.named_figure import NamedFigure

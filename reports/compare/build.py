@@ -13,7 +13,7 @@ from reports.compare.subjects import RunComparison
 from reports.compare.trials import is_pooled_control
 from reports.figures.provenance import stamp
 from reports.figures.style import save_figure
-from reports.run.known import known_lines
+from reports.run.limits import known_lines
 from reports.schema.grid import Grid
 from reports.schema.labels import as_title
 from reports.schema.named_figure import NamedFigure

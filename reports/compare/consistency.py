@@ -16,9 +16,9 @@ from reports.run.data import TRIAL_KEY
 from reports.schema.grid import Grid, number
 from reports.schema.named_figure import NamedFigure, file_stem
 from reports.schema.records import CONTROL
+from reports.statistics.consistency import ConsistencyTest, consistency_test, normalised_errors, normalised_label
 from reports.statistics.intervals import FloatArray
-from reports.statistics.weighed import Judged, judge, weighed_errors, weighed_label
-from reports.tables.cells import interval
+from reports.tables import interval
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,8 +32,8 @@ class _Claims:
     degrees: FloatArray
     clusters: NDArray[np.generic]
 
-    def judged(self) -> Judged:
-        return judge(self.ratios, self.degrees, self.expected, self.clusters)
+    def judged(self) -> ConsistencyTest:
+        return consistency_test(self.ratios, self.degrees, self.expected, self.clusters)
 
 
 def _claims(found: RunComparison) -> Iterator[_Claims]:
@@ -41,7 +41,7 @@ def _claims(found: RunComparison) -> Iterator[_Claims]:
     kinds: dict[str, int] = {}
     tables: dict[str, list[pd.DataFrame]] = {}
     for run in found.runs:
-        for weighed in weighed_errors(run):
+        for weighed in normalised_errors(run):
             kinds[weighed.name] = weighed.expected
             tables.setdefault(weighed.name, []).append(weighed.table.assign(run=run.folder.name))
     for kind, expected in kinds.items():
@@ -61,7 +61,7 @@ def claims_grid(found: RunComparison) -> Grid | None:
         rows.append(
             (
                 *found.levels(one.subject.names),
-                f"{weighed_label(one.kind)} ({one.expected} expected)",
+                f"{normalised_label(one.kind)} ({one.expected} expected)",
                 f"{judged.n}/{one.subject.n}",
                 interval(judged.mean),
                 f"{number(judged.band.low)} to {number(judged.band.high)}",
@@ -119,7 +119,7 @@ def _consistency_figure(found: RunComparison, group: str, claims: Mapping[str, _
         )
         for label, one in claims.items()
     ]
-    title = titled(found, weighed_label(kind), group)
+    title = titled(found, normalised_label(kind), group)
     return NamedFigure(
         file_stem("consistency", kind, group) if group else file_stem("consistency", kind),
         draw_calibration(drawn, title, credits_of(found)),

@@ -20,10 +20,9 @@ from reports.compare.metrics import Metric, metric_values, nothing_to_find, prio
 from reports.run.data import RunData
 from reports.schema.grid import NO_VALUE, Grid
 from reports.schema.records import CONTROL
-from reports.statistics.intervals import LEVEL, FloatArray
+from reports.statistics.intervals import LEVEL, RESAMPLES, FloatArray, content_rng
 from reports.statistics.measured import WORST, Measured, Statistic, bounded
-from reports.statistics.resampling import RESAMPLES, content_rng
-from reports.tables.cells import interval
+from reports.tables import interval
 
 _KEY = ("trial", "scenario")
 _CIRCUMSTANCES = ("image", "range_m", "phase_deg", "latitude_deg", "view_deg", "sun_deg", "epipolar_offset_px")

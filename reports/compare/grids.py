@@ -8,13 +8,13 @@ import pandas as pd
 
 from reports.compare.pairs import Contrast
 from reports.compare.subjects import STATISTICS, RunComparison, Subject
-from reports.run.known import short_line
-from reports.run.success import MEANING
+from reports.run.limits import short_line
+from reports.run.outcomes import MEANING
 from reports.schema.grid import NO_VALUE, Grid, number
 from reports.schema.labels import as_title
 from reports.schema.records import CONTROL, FAILURES_AT_PRIOR
 from reports.statistics.measured import Measured
-from reports.tables.cells import chance, interval
+from reports.tables import chance, interval
 
 FAILURES_WORST = "failures-worst"
 """Stage in which a trial without an error counts as worse than any that has one."""

@@ -13,7 +13,7 @@ from reports.compare.factors import ESTIMATOR, NAMED, RUN, difference, draws, le
 from reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
 from reports.run.clusters import clusters_of
 from reports.run.data import RunData
-from reports.run.success import succeeded
+from reports.run.outcomes import succeeded
 from reports.schema.common import BORESIGHT, COMPONENTS, LATERAL, POSE_COLUMNS
 from reports.schema.records import CONTROL
 from scenarios.errors import BoresightError

@@ -1,1 +1,125 @@
-"""What is told of each kind of trial."""
+"""What a report tells of a kind of trial, and where it is found by the name of the kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from importlib import import_module
+from importlib.util import find_spec
+from typing import cast
+
+import pandas as pd
+
+from reports.published import Comparison
+from reports.run.data import RunData
+from reports.run.limits import short_line, with_single_draws
+from reports.schema.grid import Grid
+from reports.schema.named_figure import NamedFigure
+from reports.schema.records import Record
+from reports.tables import failure_grid
+from reports.verdicts import ComparedClaim, ComparedValue, claim_grid, verdict_grid
+
+_BESIDE = ["published", "tolerance", "verdict", "place"]
+_KINDS = "reports.kinds"
+_USUAL = "single-image"
+"""The kind whose report trials have that have none of their own: poses, or numbers alone."""
+
+
+def report_grids(content: Content) -> list[Grid]:
+    """List the tables of a report, in order; of a grid of scenarios, those of the grid alone."""
+    found = report_kind(content.run).tables(content)
+    grids = (grid for grid in (*found, claim_grid(content.claims), failure_grid(content.run)) if grid is not None)
+    return _headed(content.run, list(with_single_draws(grids, content.run)))
+
+
+def brief_grids(content: Content) -> list[Grid]:
+    """List what the terminal shows at the end of a run."""
+    found = report_kind(content.run).brief(content)
+    told = (verdict_grid(content.compared), claim_grid([one for one in content.claims if not one.claim.unmeasured]))
+    grids = (grid for grid in (*found, *told) if grid is not None)
+    return _headed(content.run, list(with_single_draws(grids, content.run)))
+
+
+def _headed(run: RunData, grids: list[Grid]) -> list[Grid]:
+    """Put what was known on board beside the headline: the first table, if it does not say so already."""
+    if not grids or grids[0].known:
+        return grids
+    return [replace(grids[0], known=short_line(run)), *grids[1:]]
+
+
+def draw_figures(content: Content) -> Iterator[NamedFigure]:
+    """Draw every figure that the run's tables allow; of a grid of scenarios those of the grid alone."""
+    yield from report_kind(content.run).figures(content)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Content:
+    """A run and all that is said of it.
+
+    Parameters
+    ----------
+    run
+        The stored tables.
+    records
+        Every measured number.
+    comparison, compared
+        Published values and our numbers beside them; None and empty if the campaign names none.
+    claims
+        Published orders and our medians in them.
+    notes
+        What a reader must know before trusting the numbers.
+    """
+
+    run: RunData
+    records: tuple[Record, ...]
+    comparison: Comparison | None
+    compared: tuple[ComparedValue, ...]
+    claims: tuple[ComparedClaim, ...]
+    notes: tuple[str, ...]
+
+    def table(self) -> pd.DataFrame:
+        """Every measured number, beside the published one where there is one."""
+        beside = {id(c.ours): c for c in self.compared if c.ours is not None}
+        lines = []
+        for record in self.records:
+            match = beside.get(id(record))
+            published = {
+                "published": match.published.value if match else None,
+                "tolerance": match.published.tolerance if match else None,
+                "verdict": match.verdict if match else "",
+                "place": match.published.place if match else "",
+            }
+            lines.append(asdict(record) | published)
+        return pd.DataFrame(lines, columns=[field.name for field in fields(Record)] + _BESIDE)
+
+
+Tables = Sequence[Grid | None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportKind:
+    """What a report tells of a kind of trial.
+
+    Parameters
+    ----------
+    records
+        Measures what this kind alone has; the published values are those that the campaign names.
+    tables
+        The tables of its report, in order, before that of failures.
+    brief
+        What the terminal shows, before the verdicts.
+    figures
+        The figures of its report.
+    """
+
+    records: Callable[[RunData, Comparison | None], Iterable[Record]] = lambda run, comparison: ()
+    tables: Callable[[Content], Tables]
+    brief: Callable[[Content], Tables]
+    figures: Callable[[Content], Iterable[NamedFigure]]
+
+
+def report_kind(run: RunData) -> ReportKind:
+    """Look up what a report tells of the trials of a run."""
+    module = f"{_KINDS}.{run.manifest.experiment.replace('-', '_')}"
+    found = module if run.manifest.experiment and find_spec(module) else f"{_KINDS}.{_USUAL.replace('-', '_')}"
+    return cast("ReportKind", import_module(found).REPORT)

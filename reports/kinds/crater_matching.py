@@ -11,14 +11,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from reports.figures.crater_results import ShareCurve, draw_shares
-from reports.kinds.kind import ReportKind
+from reports.kinds import ReportKind
 from reports.run.data import RunData
 from reports.schema.grid import NO_VALUE, Grid, value_of
 from reports.schema.named_figure import NamedFigure, file_stem
 from reports.schema.records import Record
 from reports.schema.tables import unit_of
 from reports.statistics.measured import MEDIAN, P95, measure, measure_share
-from reports.verdicts.tables import comparison_grid
+from reports.verdicts import comparison_grid
 
 FloatArray = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ _NOTE = (
 )
 
 
-class _Part(Protocol):
+class _PairSelection(Protocol):
     """Some of the pairs of images: what they are called, and which they are."""
 
     @property
@@ -54,7 +54,7 @@ class _Part(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class _Cell:
+class _AngleRange:
     """Ranges of the two angles, deg."""
 
     view: tuple[float, float]
@@ -75,7 +75,7 @@ class _Cell:
 
 
 @dataclass(frozen=True, slots=True)
-class _Craters:
+class _CraterCountRange:
     """A range of the craters that are detected in that image of a pair that shows fewer."""
 
     name: str
@@ -96,9 +96,9 @@ class _Craters:
 
 
 _BY_CRATERS = (
-    _Craters("all pairs", 0, np.inf),
-    _Craters(f"{_FEW} craters or fewer", 0, _FEW),
-    _Craters(f"{_FEW + 1} craters or more", _FEW + 1, np.inf),
+    _CraterCountRange("all pairs", 0, np.inf),
+    _CraterCountRange(f"{_FEW} craters or fewer", 0, _FEW),
+    _CraterCountRange(f"{_FEW + 1} craters or more", _FEW + 1, np.inf),
 )
 
 
@@ -111,7 +111,7 @@ def matching_records(run: RunData) -> list[Record]:
     found: list[Record] = []
     for (scenario, estimator), own in table.groupby(["scenario", "estimator"], sort=False):
         found += _offset(str(scenario), str(estimator), own)
-        parts: list[_Part] = [*_cells(run, own), *_by_craters(run, own)]
+        parts: list[_PairSelection] = [*_cells(run, own), *_by_craters(run, own)]
         found += [r for part in parts for r in _measured(str(scenario), str(estimator), part, part.of(own))]
     return found
 
@@ -142,7 +142,7 @@ def matching_brief(records: Sequence[Record], run: RunData) -> list[Grid]:
     """Tabulate what fits a terminal: three cells of angles of each scenario, or the scenarios of a grid."""
     each = run.table("crater_matches").groupby("scenario", sort=False)
     if run.manifest.grid is None:
-        cells = [_Cell(_DRAWN, sun) for sun in _BRIEF_SUNS]
+        cells = [_AngleRange(_DRAWN, sun) for sun in _BRIEF_SUNS]
         found = [_grid(str(scenario), own, records, [c for c in cells if len(c.of(own))]) for scenario, own in each]
         return [replace(grid.keep(*_BRIEF), title=f"{grid.title}, views {_span(_DRAWN)} apart") for grid in found]
     axes = run.manifest.grid.axes
@@ -168,31 +168,31 @@ def matching_figures(records: Sequence[Record], run: RunData) -> Iterator[NamedF
         )  # fmt: skip
         return
     for scenario in dict.fromkeys(run.table("crater_matches")["scenario"]):
-        cells = [_Cell(_DRAWN, sun) for sun in _SUNS if sun != (0.0, 30.0)]
+        cells = [_AngleRange(_DRAWN, sun) for sun in _SUNS if sun != (0.0, 30.0)]
         curves = _curves(records, [(scenario, _span(cell.sun), cell.stage) for cell in cells])
         caption = f"Matching by the angle between the directions of the Sun, views {_span(_DRAWN)} apart, {scenario}."
         label = "angle between the directions of the Sun, deg"
         yield NamedFigure(file_stem("matching", str(scenario)), draw_shares(curves, label), caption, caption)
 
 
-def _cells(run: RunData, own: pd.DataFrame) -> list[_Cell]:
+def _cells(run: RunData, own: pd.DataFrame) -> list[_AngleRange]:
     """List the cells that hold pairs of images; one for all in a grid of scenarios."""
     if run.manifest.grid is not None:
         return [_everything()]
-    cells = [_Cell(view, sun) for view in _VIEWS for sun in _SUNS]
+    cells = [_AngleRange(view, sun) for view in _VIEWS for sun in _SUNS]
     return [cell for cell in cells if len(cell.of(own))]
 
 
-def _by_craters(run: RunData, own: pd.DataFrame) -> list[_Craters]:
+def _by_craters(run: RunData, own: pd.DataFrame) -> list[_CraterCountRange]:
     """List the ranges of craters that hold pairs of images; none in a grid of scenarios."""
     return [] if run.manifest.grid is not None else [part for part in _BY_CRATERS if len(part.of(own))]
 
 
-def _everything() -> _Cell:
-    return _Cell((0.0, 90.0), (0.0, 90.0))
+def _everything() -> _AngleRange:
+    return _AngleRange((0.0, 90.0), (0.0, 90.0))
 
 
-def _measured(scenario: str, estimator: str, part_of: _Part, pairs: pd.DataFrame) -> Iterator[Record]:
+def _measured(scenario: str, estimator: str, part_of: _PairSelection, pairs: pd.DataFrame) -> Iterator[Record]:
     correct, wrong, common = (pairs[name].to_numpy(float) for name in ("n_correct", "n_wrong", "n_common"))
     trials = pairs["trial"].to_numpy()
     for name, part, whole in ((RECALL, correct, common), (WRONG, wrong, correct + wrong)):
@@ -213,7 +213,7 @@ def _grid(
     scenario: str,
     own: pd.DataFrame,
     records: Sequence[Record],
-    parts: Sequence[_Part],
+    parts: Sequence[_PairSelection],
     by: Sequence[str] = _ANGLE_HEADS,
 ) -> Grid:
     rows = []

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from reports.figures.orbit import draw_counts, draw_landmark_spans
-from reports.kinds.orbit_determination import REPORT as OF_ORBIT
+from reports.kinds.orbit_determination import REPORT as ORBIT_REPORT
 from reports.run.clusters import clusters_of
 from reports.run.data import TRIAL_KEY, RunData, select
 from reports.schema.grid import Grid, value_of_ended
@@ -147,8 +147,8 @@ def _first(table: pd.DataFrame) -> pd.DataFrame:
 
 
 REPORT = replace(
-    OF_ORBIT,
-    records=lambda run, comparison: (*navigation_records(run), *OF_ORBIT.records(run, comparison)),
-    tables=lambda content: (navigation_grid(content.records, content.run), *OF_ORBIT.tables(content)),
-    figures=lambda content: (*navigation_figures(content.run), *OF_ORBIT.figures(content)),
+    ORBIT_REPORT,
+    records=lambda run, comparison: (*navigation_records(run), *ORBIT_REPORT.records(run, comparison)),
+    tables=lambda content: (navigation_grid(content.records, content.run), *ORBIT_REPORT.tables(content)),
+    figures=lambda content: (*navigation_figures(content.run), *ORBIT_REPORT.figures(content)),
 )

@@ -7,15 +7,14 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from reports.figures.survey import draw_counts
-from reports.kinds.kind import ReportKind
+from reports.kinds import ReportKind
 from reports.published import Comparison
 from reports.run.data import RunData
 from reports.schema.grid import Grid
 from reports.schema.named_figure import NamedFigure, file_stem
 from reports.schema.records import DIAGNOSTICS, Record
-from reports.tables.general import diagnostic_grid
-from reports.verdicts.comparison import ComparedValue
-from reports.verdicts.tables import comparison_grid
+from reports.tables import diagnostic_grid
+from reports.verdicts import ComparedValue, comparison_grid
 
 _MEAN, _FEW = ("detections_an_image", "mean"), ("few_craters_share", 7.0)
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from reports.figures.bands import band_of
 from reports.figures.orbit import draw_orbit_errors, draw_residuals
-from reports.kinds.designs.report import REPORT as OF_DESIGN
-from reports.kinds.kind import Content, ReportKind, Tables
+from reports.kinds import Content, ReportKind, Tables
+from reports.kinds.designs import REPORT as DESIGN_REPORT
 from reports.run.clusters import clusters_of
 from reports.run.data import RunData, select
 from reports.schema.grid import Grid, value_of_ended
@@ -17,12 +17,10 @@ from reports.schema.labels import count_of
 from reports.schema.named_figure import NamedFigure, file_stem
 from reports.schema.records import Record, find
 from reports.schema.tables import unit_of
-from reports.statistics.consistency import consistency_grid
+from reports.statistics.consistency import AT_EPOCH, consistency_grid
 from reports.statistics.measured import MEAN, MEDIAN, RMS, Statistic, measure
-from reports.statistics.weighed import AT_EPOCH
-from reports.tables.general import diagnostic_grid, timing_grid
-from reports.verdicts.comparison import ComparedValue
-from reports.verdicts.tables import comparison_grid
+from reports.tables import diagnostic_grid, timing_grid
+from reports.verdicts import ComparedValue, comparison_grid
 
 ORBIT = "orbit"
 """Stage of what a trial of orbit determination comes to."""
@@ -154,7 +152,7 @@ def _is_reference(run: RunData, scenario: str) -> bool:
 def brief(content: Content) -> Tables:
     """List what the terminal shows: of a grid of scenarios its axes."""
     if content.run.manifest.grid is not None:
-        return OF_DESIGN.brief(content)
+        return DESIGN_REPORT.brief(content)
     return orbit_brief(content.records, content.run)
 
 

@@ -14,8 +14,7 @@ import pandas as pd
 
 from reports.figures.provenance import counted, stamp
 from reports.figures.style import save_figure
-from reports.kinds.kind import Content
-from reports.kinds.report import draw_figures, report_grids
+from reports.kinds import Content, draw_figures, report_grids
 from reports.pages.content import read_content
 from reports.pages.distributions import distributions
 from reports.pages.templates import embedded, filled, text_of

@@ -10,8 +10,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from reports.kinds.kind import Content
-from reports.kinds.report import brief_grids
+from reports.kinds import Content, brief_grids
 from reports.pages.content import read_content
 from reports.schema.grid import Grid, says_of_ended
 from scenarios.errors import printable

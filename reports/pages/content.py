@@ -8,20 +8,19 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.kinds.kind import Content, report_kind
-from reports.kinds.sequence.tables import pooled_alone
+from reports.kinds import Content, report_kind
+from reports.kinds.sequence.tables import without_pooled
 from reports.published import Comparison, load_published
 from reports.run.clusters import image_set
-from reports.run.conditional import database_line
 from reports.run.data import RunData, read_run
-from reports.run.known import known_lines
+from reports.run.limits import database_line, known_lines
 from reports.schema.labels import count_of
 from reports.schema.records import Record
 from reports.statistics.consistency import consistency_records
 from reports.statistics.measures import measure_run
 from reports.statistics.paired import paired_records
 from reports.statistics.roc import outlier_records
-from reports.verdicts.comparison import ComparedClaim, ComparedValue, compare, compare_claims
+from reports.verdicts import ComparedClaim, ComparedValue, compare, compare_claims
 
 
 def notes(run: RunData, comparison: Comparison | None) -> Iterator[str]:
@@ -136,5 +135,5 @@ def beside_published(
     run: RunData, records: Sequence[Record], comparison: Comparison
 ) -> tuple[tuple[ComparedValue, ...], tuple[ComparedClaim, ...]]:
     """Set published values and orders beside ours; of sets of images that are pooled, beside the pool alone."""
-    judged = pooled_alone(run, records)
+    judged = without_pooled(run, records)
     return compare(judged, comparison), compare_claims(judged, comparison)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 
 from reports.figures import save_figure
-from reports.kinds.kind import Content
+from reports.kinds import Content
 from reports.pages.content import beside_published
 from reports.pages.templates import embedded, filled
 from reports.published import Comparison
@@ -19,8 +19,15 @@ from reports.schema.labels import stage_label
 from reports.schema.named_figure import NamedFigure
 from reports.schema.records import Record
 from reports.schema.tables import measure_label
-from reports.verdicts.comparison import VERDICT_RULE, ComparedClaim, ComparedValue, Verdict
-from reports.verdicts.tables import ordered_values, verdict_of, verdict_of_claim
+from reports.verdicts import (
+    VERDICT_RULE,
+    ComparedClaim,
+    ComparedValue,
+    Verdict,
+    ordered_values,
+    verdict_of,
+    verdict_of_claim,
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,12 +34,12 @@ class _Model(BaseModel):
 
 
 class PublishedValue(_Model):
-    """One printed number, or a printed range, of which the middle counts.
+    """One printed number, or a printed range, whose middle is taken.
 
     Parameters
     ----------
     measure, stage, statistic
-        Which of our numbers it stands beside.
+        Which of our numbers it is compared with.
     printed
         Number and unit, verbatim.
     tolerance
@@ -108,7 +108,7 @@ class PublishedValue(_Model):
 
 
 class Term(_Model):
-    """One of the values that a statement puts in order: what tells it from the others.
+    """One of the values that a statement puts in order, by the fields in which it differs from the others.
 
     Parameters
     ----------
@@ -125,14 +125,14 @@ class Term(_Model):
 
     @property
     def label(self) -> str:
-        """What tells the value from the others of its statement."""
+        """The fields in which the value differs from the others of its statement."""
         whose = f"{self.estimator} / {self.against}" if self.against else self.estimator
         given = (self.scenario, whose, self.stage, self.measure, self.statistic)
         return ", ".join(part for part in given if part)
 
 
-class Claim(_Model):
-    """What the paper says in words, and how our rows are held against it. One of three ways is given.
+class PublishedClaim(_Model):
+    """A statement of the paper in words, and how our rows are compared with it; give one of three ways.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ class Claim(_Model):
     share
         The share of trials that it solves at least, in place of nine of ten; 1 for "all".
     unmeasured
-        Why no stored row of ours tells.
+        Why no stored row of ours can decide it.
     unjudged
         Why no verdict is due, though our values are known.
     scenario
@@ -216,7 +216,7 @@ class Comparison(_Model):
     methods: tuple[str, ...] = ()
     verdicts: bool = True
     values: tuple[PublishedValue, ...] = ()
-    claims: tuple[Claim, ...] = ()
+    claims: tuple[PublishedClaim, ...] = ()
     radius_m: float | None = Field(None, gt=0)
     source: str = ""
     bounds: str = ""

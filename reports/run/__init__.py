@@ -1,1 +1,1 @@
-"""A stored run, read back."""
+"""Stored runs: their tables, and the facts of each trial that all reports share."""

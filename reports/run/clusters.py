@@ -1,9 +1,9 @@
-"""What is independent in a run: trials, real images, whole sets of rendered images, or data bases.
+"""Units of a run that are statistically independent: trials, real images, sets of rendered images, or data bases.
 
 The noise realisations of a real image share its difficulty, the starts of sequences on one set of images share the
-errors of its features, and trials with one data base those of its landmarks. Such trials count, but a statistic over
-them is as uncertain as one over images, sets, or data bases. Where there is a single data base, statistics hold for it
-alone, and trials are what is independent.
+errors of its features, and trials with one data base those of its landmarks. All trials enter a statistic, but its
+uncertainty is that of the number of images, sets, or data bases. Where there is a single data base, statistics hold for
+it alone, and the trials are the independent units.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from reports.run.data import TRIAL_KEY, RunData
 
 @dataclass(frozen=True, slots=True)
 class Pool:
-    """Scenarios that differ in the body alone, whose sequences see its images.
+    """Scenarios that differ in the body alone, whose sequences consist of images of it.
 
     Parameters
     ----------
     name
-        What the pool is called in place of a scenario.
+        Name of the pool, used in place of a scenario name.
     scenarios
         Its members.
     sets
@@ -40,9 +40,9 @@ class Pool:
 
 
 def image_set(spec: Mapping[str, Any]) -> str:
-    """Name the set of images that the sequences of a scenario see; '' where there is none.
+    """Name the set of images that the sequences of a scenario use; '' where there is none.
 
-    All images of one body are one set, whatever sees them: they share its texture.
+    All images of one body are one set, whatever the camera: they share its texture.
     """
     sequence = spec.get("sequence") or {}
     return json.dumps(spec.get("body"), sort_keys=True) if sequence.get("images") else ""
@@ -55,11 +55,11 @@ def all_but_body(spec: Mapping[str, Any]) -> str:
 
 
 def clusters_of(run: RunData, table: pd.DataFrame) -> NDArray[np.generic]:
-    """Label each row of a table (``scenario``, ``trial``) by what is independent of all others.
+    """Label each row of a table (``scenario``, ``trial``) by the independent unit that it belongs to.
 
-    That is the data base of its trial where there are several, its set of images where sequences see one, its image
-    where that is real, else its trial. A table without ``estimator`` is of all of them together, of which some may have
-    data bases.
+    The unit is the data base of its trial where there are several, its set of images where sequences use one, its image
+    where that is real, else its trial. A table without ``estimator`` stands for all estimators together, of which some
+    may have data bases.
     """
     trials = table["trial"].to_numpy().astype(str)
     if run.databases > 1:
@@ -90,7 +90,7 @@ def _by_database(run: RunData, table: pd.DataFrame, trials: NDArray[np.str_]) ->
 
 
 def pools(run: RunData) -> tuple[Pool, ...]:
-    """Gather the scenarios that show several sets of images under otherwise the same conditions."""
+    """Pool the scenarios that differ in their set of images and in nothing else."""
     alike: dict[str, list[str]] = {}
     done = set(run.rows["scenario"])
     for name, spec in run.manifest.scenarios.items():
@@ -105,7 +105,7 @@ def pools(run: RunData) -> tuple[Pool, ...]:
 
 
 def _base(run: RunData, names: list[str]) -> str:
-    """Name what the scenarios of a pool vary, with the levels of a grid that they have in common."""
+    """Name the scenario that those of a pool vary, with the grid levels that they have in common."""
     design = run.manifest.grid
     own = [one for one in design.scenarios if one.name in names] if design is not None else []
     if len({one.base for one in own}) != 1:
@@ -115,12 +115,12 @@ def _base(run: RunData, names: list[str]) -> str:
 
 
 def pooled_scenarios(run: RunData) -> set[str]:
-    """Return the scenarios that a pool stands for."""
+    """Return the scenarios that belong to a pool."""
     return {name for pool in pools(run) for name in pool.scenarios}
 
 
 def groups(run: RunData) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield what statistics are taken over: each scenario by itself, then each pool."""
+    """Yield the groups of scenarios over which statistics are taken: each scenario by itself, then each pool."""
     yield from ((name, (name,)) for name in dict.fromkeys(run.rows["scenario"]))
     yield from ((pool.name, pool.scenarios) for pool in pools(run))
 

@@ -1,4 +1,4 @@
-"""A stored run, read back: the only thing that a report is made of."""
+"""A stored run, read from its folder: the only input of a report."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from scenarios.spec.scenario import ScenarioSpec
 
 _NOT_REPORTED = ("said", "tracebacks")
 TRIAL_KEY = ["scenario", "estimator", "trial"]
-"""Columns that tell the row of a trial and method from all others."""
+"""Columns that identify a row: one trial of one method."""
 
 
-class Product(BaseModel):
-    """What is known of a product that was built before the trials, such as a landmark data base.
+class StoredProduct(BaseModel):
+    """Manifest entry of a product that was built before the trials, such as a landmark data base.
 
-    ``scenario`` and ``estimator`` say whose it is, ``folder`` which it is: what several share has one folder. Empty
-    where it is not said. ``database`` is the number of the data base that it belongs to.
+    ``scenario`` and ``estimator`` name its user, ``folder`` the product: one that several share has one folder. Empty
+    where the manifest does not give them. ``database`` is the number of the data base that it belongs to.
     """
 
     model_config = ConfigDict(frozen=True, extra="allow")
@@ -49,7 +49,7 @@ class Product(BaseModel):
     images: int | None = None
 
 
-class DesignAxis(BaseModel):
+class GridAxis(BaseModel):
     """An axis of a campaign's grid: the names of its levels, the reference first, and their values if they have any."""
 
     model_config = ConfigDict(frozen=True)
@@ -60,8 +60,8 @@ class DesignAxis(BaseModel):
     values: tuple[float, ...] | None = None
 
 
-class Variation(BaseModel):
-    """Where a scenario stands in a grid: the scenario that it varies, and its level of each axis."""
+class ScenarioLevels(BaseModel):
+    """Position of a scenario in a grid: the scenario that it varies, and its level of each axis."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -70,18 +70,18 @@ class Variation(BaseModel):
     levels: Mapping[str, str]
 
 
-class Design(BaseModel):
+class ScenarioGrid(BaseModel):
     """A campaign's grid: its axes, and its scenarios in order, the reference first."""
 
     model_config = ConfigDict(frozen=True)
 
     design: str
-    axes: tuple[DesignAxis, ...]
-    scenarios: tuple[Variation, ...]
+    axes: tuple[GridAxis, ...]
+    scenarios: tuple[ScenarioLevels, ...]
 
 
 class Manifest(BaseModel):
-    """What a report needs of ``manifest.json``; further keys are left alone.
+    """The keys of ``manifest.json`` that a report needs; further keys are ignored.
 
     ``credits`` has no default: a figure of somebody else's images without its credit line is not acceptable.
     """
@@ -103,13 +103,13 @@ class Manifest(BaseModel):
     report: str | None = None
     command: str = ""
     notes: tuple[str, ...] = ()
-    products: tuple[Product, ...] = ()
-    grid: Design | None = None
+    products: tuple[StoredProduct, ...] = ()
+    grid: ScenarioGrid | None = None
     campaign: Mapping[str, Any] = {}
 
     @property
     def experiment(self) -> str:
-        """The kind of its trials; empty where it is not said."""
+        """The kind of its trials; empty where the manifest has none."""
         return str(self.campaign.get("experiment", ""))
 
     @field_validator("scenarios")
@@ -118,7 +118,7 @@ class Manifest(BaseModel):
         for name, spec in scenarios.items():
             for key in ("images", "sequence"):
                 if not isinstance(spec.get(key) or {}, Mapping):
-                    raise ValueError(f"{name}.{key} is no section")  # noqa: TRY004  pydantic wants a ValueError
+                    raise ValueError(f"{name}.{key} is not a section")  # noqa: TRY004  pydantic wants a ValueError
         return scenarios
 
 
@@ -129,9 +129,9 @@ class RunData:
     Parameters
     ----------
     folder
-        Where the run lies.
+        Folder of the run.
     manifest
-        How it was made.
+        Its manifest.
     rows
         One row per trial and estimator; ``image`` is '' where the image was rendered, ``n_landmarks`` is
         NaN where the estimator does not count landmarks, ``database`` where it has no data base.
@@ -155,7 +155,7 @@ class RunData:
 
     @cached_property
     def databases(self) -> int:
-        """Count the data bases that an estimator had, trial by trial in turn."""
+        """Count the data bases that estimators used in turn, trial by trial."""
         return len(self.rows["database"].dropna().unique())
 
     @cached_property
@@ -165,7 +165,7 @@ class RunData:
 
     @cached_property
     def known(self) -> Mapping[str, Known] | None:
-        """What each scenario takes for known on board; None where one is not what this version of boresight reads."""
+        """Exact knowledge on board by scenario; None where this version of boresight cannot read a scenario."""
         try:
             specs = {name: ScenarioSpec.model_validate(dict(spec)) for name, spec in self.manifest.scenarios.items()}
         except ValueError:
@@ -177,7 +177,7 @@ class RunData:
         return list(self.rows[["scenario", "estimator"]].drop_duplicates().itertuples(index=False, name=None))
 
     def posed_pairs(self) -> list[tuple[str, str]]:
-        """List those of them that are about poses: their trials have a prior."""
+        """List the pairs that estimate poses: their trials have a prior."""
         posed = self.rows[self.rows["prior_position_error_m"].notna()]
         return list(posed[["scenario", "estimator"]].drop_duplicates().itertuples(index=False, name=None))
 
@@ -198,7 +198,7 @@ def select(table: pd.DataFrame, scenario: str, estimator: str) -> pd.DataFrame:
 
 
 def in_order_of(rows: pd.DataFrame, numbers: pd.Series) -> NDArray[np.float64]:
-    """Bring ``numbers``, which go by `TRIAL_KEY`, into the order of rows (n,); NaN where a row has none."""
+    """Return ``numbers``, indexed by `TRIAL_KEY`, in the order of the rows (n,); NaN where a row has none."""
     return numbers.reindex(pd.MultiIndex.from_frame(rows[TRIAL_KEY])).to_numpy(dtype=np.float64)
 
 
@@ -220,7 +220,7 @@ def read_run(folder: str | PathLike[str]) -> RunData:
         raise BoresightError(f"{folder}/rows: no finished trial is stored; continue the run first")
     unknown = sorted(set(rows["scenario"]) - manifest.scenarios.keys())
     if unknown:
-        raise BoresightError(f"{folder}/rows: are of the scenario {unknown[0]}, which the manifest does not name")
+        raise BoresightError(f"{folder}/rows: have the scenario {unknown[0]}, which the manifest does not name")
     return RunData(folder, manifest, _with_all_columns(rows), tables)
 
 
@@ -233,7 +233,7 @@ def _with_all_columns(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def refuse_older(manifest: object, path: Path) -> None:
-    """Refuse a run that another version of boresight stored in another way.
+    """Refuse a run that is stored in another format than this version of boresight reads.
 
     Raises
     ------

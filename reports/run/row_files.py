@@ -13,9 +13,9 @@ _FOLDER = "rows"
 
 
 def write_row_files(run: RunData, folder: Path) -> list[str]:
-    """Write the rows of each scenario and estimator, with the columns that hold something; name the files.
+    """Write the rows of each scenario and estimator, without empty columns, and return the names of the files.
 
-    A run of very many trials is left in its Parquet tables: text would be larger than all of it.
+    Nothing is written for a run of very many trials: its Parquet tables are much smaller than text.
     """
     if len(run.rows) > _MOST_ROWS:
         return []
@@ -33,7 +33,7 @@ def row_file(scenario: str, estimator: str) -> str:
 
 
 def row_links(run: RunData, grid: Grid) -> list[str]:
-    """Link each line of a table that names its estimator to the rows that its numbers are of; '' where none are."""
+    """Return, for each line of a table that names its estimator, the file of its rows; '' where there is none."""
     pairs = set(run.pairs()) if len(run.rows) <= _MOST_ROWS else set()
     alone = next(iter({scenario for scenario, _ in pairs})) if len({scenario for scenario, _ in pairs}) == 1 else ""
     links = []

@@ -1,1 +1,1 @@
-"""Statistics of rows, with intervals."""
+"""Statistics of the rows of a run, with 95 % intervals."""

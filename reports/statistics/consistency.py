@@ -1,4 +1,9 @@
-"""Whether estimators know how wrong they are, and how far they stay from what their observations allow."""
+"""Consistency of covariances: NEES, NIS, and RMS errors over their predicted values and Cramer-Rao bounds.
+
+NEES and NIS are chi-square where the covariance P of the error or innovation e is true: e^T P^-1 e with as many
+degrees of freedom as e has components (Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to
+Tracking and Navigation, 2001, section 5.4). A covariance that is too small gives larger values.
+"""
 
 from __future__ import annotations
 
@@ -8,38 +13,160 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from reports.run.clusters import clusters_of
-from reports.run.data import RunData, select
+from reports.run.data import TRIAL_KEY, RunData, select
 from reports.schema.grid import NO_VALUE, Grid, number, value_of
 from reports.schema.records import Record, find
 from reports.statistics.intervals import FloatArray
-from reports.statistics.measured import MEAN, MEDIAN, Measured, measure
-from reports.statistics.weighed import NEES, Judged, judged_pair, weighed_errors, weighed_label
+from reports.statistics.measured import MEAN, MEDIAN, Measured, measure, share_of
 
 CONSISTENCY = "consistency"
-"""Stage of the records that hold a covariance or a bound against the errors."""
+"""Stage of the records that compare errors with a covariance or a bound."""
 
 BAND, INSIDE, RATIO = "mean if consistent", "share within 95 %", "RMS ratio"
 ERRORS = {"position": "position_error_m", "attitude": "attitude_error_deg"}
-FORETOLD = {f"{what}_over_sigma": f"{what}_sigma" for what in ERRORS}
+PREDICTED = {f"{what}_over_sigma": f"{what}_sigma" for what in ERRORS}
 BOUNDED = {f"{what}_over_bound": f"{what}_bound" for what in ERRORS}
 _UNITS = {"position": "m", "attitude": "deg"}
 
 
 _NOTE = (
-    "NEES: the squared error weighed by the estimator's own covariance; NIS: the squared innovation weighed by what the"
-    " filter foretells of it. Where covariances are true, 95 % of the means of as many trials lie in the band; a mean"
-    " above it tells a covariance that is too small. Within 95 %: share of the trials inside the central 95 % of the"
-    " distribution. RMS error over the one that the covariance foretells, and over the Cramer-Rao bound of the"
-    " estimator's own observations: 1 is all that they allow. The covariance of the paper's method, which uses no"
-    " prior, is that bound itself, under the covariances that its data base gives the landmarks."
+    "NEES: the squared error weighted by the inverse of the estimator's own covariance; NIS: the squared"
+    " innovation weighted by the inverse of the covariance that the filter predicts for it. Where covariances are true,"
+    " 95 % of the means of as many trials lie in the band; a mean above it indicates a covariance that is too small."
+    " Within 95 %: share of the trials inside the central 95 % of the distribution. The last columns are the RMS error"
+    " over the one that the covariance predicts, and over the Cramer-Rao bound of the estimator's own observations: 1 is"
+    " the best that these allow. The covariance of the paper's method, which uses no prior, is that bound itself, under the"
+    " covariances that its data base gives the landmarks."
 )
+
+NEES, NIS = "nees", "innovation"
+AT_EPOCH = f"{NEES}_at_epoch"
+_AFTER, _EPOCH = f"{NEES}_after_", "epoch_nees"
+POSE_DEGREES, STATE_DEGREES, POSITION_DEGREES = 6, 6, 3
+_NIS_DEGREES = "innovation_degrees"
+_TAILS = (0.025, 0.975)
+_TURN_DEG = 360.0
+_SAME_FRAME_DEG = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Subject:
-    """The solved trials of an estimator, of all its trials, and what is resampled as a whole."""
+class NormalisedErrors:
+    """One kind of squared error of the trials of a run, normalised by its covariance.
+
+    Parameters
+    ----------
+    name
+        Of the records: ``nees`` of a pose, ``nees_after_K`` of a position after K revolutions, ``nees_at_epoch``
+        of position and velocity of an orbit, ``innovation``.
+    expected
+        Mean where covariances are true, in the unit of ``ratio``.
+    table
+        ``scenario``, ``estimator``, ``trial``, ``ratio`` (the normalised square, of innovations per measurement) and
+        ``degrees`` (of freedom of the whole square, which is ratio * degrees / expected).
+    """
+
+    name: str
+    expected: int
+    table: pd.DataFrame
+
+
+@dataclass(frozen=True, slots=True)
+class ConsistencyTest:
+    """NormalisedErrors errors against their distribution.
+
+    Parameters
+    ----------
+    n
+        How many.
+    mean, median
+        With their intervals.
+    band
+        Expected mean, and the range of 95 % of the means of as many.
+    inside
+        Share of the trials within the 95 % of the distribution, 2.5 % being left out at either end.
+    """
+
+    n: int
+    mean: Measured
+    median: Measured
+    band: Measured
+    inside: Measured
+
+
+def normalised_errors(run: RunData) -> Iterator[NormalisedErrors]:
+    """Yield every kind of normalised error in a run; nothing of estimators that give no covariance.
+
+    The mean innovation that an estimator reports leaves out those that its gate rejected, and is a little small for it.
+    """
+    if run.table("orbits").empty:  # Rows of orbits repeat what the table of orbits has.
+        rows = run.rows[(run.rows["status"] == "ok") & run.rows[NEES].notna()]
+        yield from _some(NEES, POSE_DEGREES, rows.assign(ratio=rows[NEES], degrees=POSE_DEGREES))
+    if not run.table("epochs").empty:
+        known = run.table("epochs")[run.table("epochs")[NEES].notna()]
+        known = known.assign(ratio=known[NEES], degrees=POSITION_DEGREES)
+        last = float(run.table("epochs")["anomaly_deg"].max())
+        for k in range(1, int((last + _SAME_FRAME_DEG) // _TURN_DEG) + 1):
+            at = known[(known["anomaly_deg"] - k * _TURN_DEG).abs() < _SAME_FRAME_DEG]
+            yield from _some(f"{_AFTER}{k}", POSITION_DEGREES, at)
+    if _EPOCH in run.table("orbits"):
+        # The table has it over the number of degrees of freedom, so that 1 is expected.
+        solved = run.table("orbits")[run.table("orbits")[_EPOCH].notna()]
+        squares = solved.assign(ratio=STATE_DEGREES * solved[_EPOCH], degrees=STATE_DEGREES)
+        yield from _some(AT_EPOCH, STATE_DEGREES, squares)
+    told = run.table("diagnostics")[run.table("diagnostics")["name"].isin([NIS, _NIS_DEGREES])]
+    wide = told.pivot_table(index=TRIAL_KEY, columns="name", values="value").reset_index()
+    if {NIS, _NIS_DEGREES} <= set(wide):
+        whole = wide.dropna().rename(columns={NIS: "ratio", _NIS_DEGREES: "degrees"})
+        yield from _some(NIS, 1, whole)
+
+
+def normalised_label(name: str) -> str:
+    """Return the label of a kind of normalised error."""
+    if name.startswith(_AFTER):
+        turns = name.removeprefix(_AFTER)
+        return f"NEES of the position after {turns} revolution{'' if turns == '1' else 's'}"
+    known = {NEES: "NEES of the pose", AT_EPOCH: "NEES of the orbit at its epoch", NIS: "NIS of a measurement"}
+    return known.get(name, name)
+
+
+def _some(name: str, expected: int, table: pd.DataFrame) -> Iterator[NormalisedErrors]:
+    if len(table):
+        yield NormalisedErrors(name, expected, table[["scenario", "estimator", "trial", "ratio", "degrees"]])
+
+
+def pair_consistency(run: RunData, weighed: NormalisedErrors, scenario: str, estimator: str) -> ConsistencyTest | None:
+    """Test the covariance of one estimator in one scenario; None where it gives none."""
+    own = select(weighed.table, scenario, estimator)
+    if own.empty:
+        return None
+    return consistency_test(
+        own["ratio"].to_numpy(np.float64), own["degrees"].to_numpy(np.float64), weighed.expected, clusters_of(run, own)
+    )
+
+
+def consistency_test(
+    ratios: FloatArray, degrees: FloatArray, expected: int, clusters: NDArray[np.generic]
+) -> ConsistencyTest:
+    """Compare normalised errors (n,), n >= 1, with the chi-square distribution of their degrees of freedom (n,)."""
+    mean, median = measure(ratios, clusters, (MEAN, MEDIAN))
+    whole = float(pd.Series(degrees).groupby(np.asarray(clusters)).mean().sum())
+    low, high = (expected * chi2.ppf(tail, degrees) / degrees for tail in _TAILS)
+    inside = share_of((ratios >= low) & (ratios <= high), clusters)
+    return ConsistencyTest(len(ratios), mean, median, consistent_mean(whole, expected), inside)
+
+
+def consistent_mean(degrees: float, expected: int) -> Measured:
+    """Bound the mean of normalised errors with ``degrees`` of freedom in all at the 95 % level."""
+    low, high = (expected * float(chi2.ppf(tail, degrees)) / degrees for tail in _TAILS)
+    return Measured(float(expected), low, high)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SolvedTrials:
+    """The solved trials of an estimator, their clusters, and the number of all its trials."""
 
     scenario: str
     estimator: str
@@ -55,23 +182,23 @@ class _Subject:
 
 
 def consistency_records(run: RunData) -> list[Record]:
-    """Hold every covariance and every bound against the errors; nothing of estimators that give neither."""
+    """Compare errors with every covariance and bound; no records of estimators that give neither."""
     records: list[Record] = []
-    kinds = list(weighed_errors(run))
+    kinds = list(normalised_errors(run))
     posed = set(run.posed_pairs())
     for scenario, estimator in run.pairs():
         own = select(run.rows, scenario, estimator)
         rows = own[own["status"] == "ok"]
-        subject = _Subject(scenario, estimator, rows, clusters_of(run, rows), len(own))
+        subject = _SolvedTrials(scenario, estimator, rows, clusters_of(run, rows), len(own))
         for kind in kinds:
-            found = judged_pair(run, kind, scenario, estimator)
-            records += [] if found is None else _judged_records(subject, kind.name, found)
+            found = pair_consistency(run, kind, scenario, estimator)
+            records += [] if found is None else _consistency_records(subject, kind.name, found)
         if (scenario, estimator) in posed:
             records += _ratio_records(subject)
     return records
 
 
-def _judged_records(subject: _Subject, name: str, found: Judged) -> Iterator[Record]:
+def _consistency_records(subject: _SolvedTrials, name: str, found: ConsistencyTest) -> Iterator[Record]:
     for statistic, measured in (
         (MEAN.name, found.mean),
         (MEDIAN.name, found.median),
@@ -81,13 +208,13 @@ def _judged_records(subject: _Subject, name: str, found: Judged) -> Iterator[Rec
         yield subject.record(name, statistic, measured, found.n)
 
 
-def _ratio_records(subject: _Subject) -> Iterator[Record]:
+def _ratio_records(subject: _SolvedTrials) -> Iterator[Record]:
     for what, error in ERRORS.items():
-        for name, column in (FORETOLD | BOUNDED).items():
+        for name, column in (PREDICTED | BOUNDED).items():
             foretold = f"{column}_{_UNITS[what]}"
             if name.startswith(what) and foretold in subject.rows:
                 pair = subject.rows[[error, foretold]].to_numpy(dtype=np.float64)
-                # A prior without error foretells none: there is nothing to hold against it.
+                # A prior without error predicts a zero RMS, over which no ratio exists.
                 known = np.isfinite(pair).all(axis=1) & (pair[:, 1] > 0.0)
                 if known.any():
                     measured = rms_ratio(pair[known, 0], pair[known, 1], subject.clusters[known])
@@ -95,7 +222,7 @@ def _ratio_records(subject: _Subject) -> Iterator[Record]:
 
 
 def rms_ratio(errors: FloatArray, sigmas: FloatArray, clusters: NDArray[np.generic]) -> Measured:
-    """Return the RMS of errors (n,) over that of what was foretold (n,), with its interval.
+    """Return the RMS of errors (n,) over that of the predicted ones (n,), with its interval.
 
     The interval is that of the ratio of means R, linearised: of the mean of R + (e^2 - R s^2) / mean(s^2).
     """
@@ -107,14 +234,14 @@ def rms_ratio(errors: FloatArray, sigmas: FloatArray, clusters: NDArray[np.gener
 
 
 def consistency_grid(records: Sequence[Record]) -> Grid | None:
-    """Tabulate what estimators say of their own errors, and their bounds; None where none says anything."""
+    """Tabulate the consistency of covariances and bounds; None where no estimator gives any."""
     own = [r for r in records if r.stage == CONSISTENCY]
     lines = dict.fromkeys((r.scenario, r.estimator, r.measure) for r in own if r.statistic == BAND)
     told = {(scenario, estimator) for scenario, estimator, _ in lines}
     lines |= dict.fromkeys((r.scenario, r.estimator, "") for r in own if (r.scenario, r.estimator) not in told)
     heads = (
-        "scenario", "estimator", "weighed", "mean [95 %]", "band", "within 95 %", "position, RMS over foretold",
-        "attitude, RMS over foretold", "position, RMS over bound", "attitude, RMS over bound",
+        "scenario", "estimator", "normalised", "mean [95 %]", "band", "within 95 %", "position, RMS over predicted",
+        "attitude, RMS over predicted", "position, RMS over bound", "attitude, RMS over bound",
     )  # fmt: skip
 
     def cells(scenario: str, estimator: str, kind: str) -> tuple[str, ...]:
@@ -123,9 +250,9 @@ def consistency_grid(records: Sequence[Record]) -> Grid | None:
 
         band = get(kind, BAND)
         ends = NO_VALUE if band is None else f"{number(band.low)} to {number(band.high)}"
-        what = NO_VALUE if band is None else f"{weighed_label(kind)} ({number(band.value)} expected)"
+        what = NO_VALUE if band is None else f"{normalised_label(kind)} ({number(band.value)} expected)"
         posed = kind in ("", NEES)
-        ratios = (value_of(get(name, RATIO) if posed else None, interval=True) for name in (*FORETOLD, *BOUNDED))
+        ratios = (value_of(get(name, RATIO) if posed else None, interval=True) for name in (*PREDICTED, *BOUNDED))
         mean, inside = (value_of(get(kind, name), interval=True) for name in (MEAN.name, INSIDE))
         return (scenario, estimator, what, mean, ends, inside, *ratios)
 

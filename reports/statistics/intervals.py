@@ -1,4 +1,4 @@
-"""95 % intervals of quantiles and of means that hold what they say where few trials are independent.
+"""95 % intervals of quantiles and means that keep their level where few trials are independent.
 
 - A quantile of independent values lies between two order statistics, whatever the values' distribution: their ranks are
   binomial. Between ranks it is interpolated (H. Nyblom, Note on interpolated order statistics, Statistics & Probability
@@ -11,7 +11,7 @@
   R. Tibshirani, An introduction to the bootstrap, 1993, section 12.5), clusters being drawn as a whole; of fewer than
   ten clusters Student's t over them. Of what can only be positive, the logarithm is bounded.
 
-How often they held the truth, in %, in 3,000 samples each (standard error 0.4 to 0.7); "-" where there is no interval
+Coverage of the truth, in %, in 3,000 samples each (standard error 0.4 to 0.7); "-" where there is no interval
 (``python -m pytest -s -m long tests/reports/test_intervals.py`` prints all of it):
 
 ==================== === ====== ==== ==== ====
@@ -38,13 +38,14 @@ Lognormal errors with sigma 0.8 of five data bases, 100 trials each, whose level
 Standard deviations of 20, 50 and 100 lognormal values with sigma 0.5: 87.4, 89.6 and 91.1; with sigma 0.8: 76.1, 84.4
 and 88.7. Of fewer than 20 there is no interval.
 
-The percentile bootstrap held 83 % of the means of 10 lognormal values with sigma 0.8, and 73 % of the mean squares of
-20. No interval of few values can know of a tail that none of them is in: an RMS of errors with such
-tails is less certain than its interval says.
+For comparison, the percentile bootstrap held 83 % of the means of 10 lognormal values with sigma 0.8, and 73 % of the
+mean squares of 20. No interval of few values can allow for a tail in which none of them lies:
+an RMS of errors with such tails is less certain than its interval shows.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 
 import numpy as np
@@ -52,34 +53,50 @@ from numpy.typing import NDArray
 from scipy.special import bdtr, ndtri, stdtrit
 from scipy.stats import binomtest
 
-from reports.statistics.resampling import RESAMPLES, content_rng, draw_counts
-
 FloatArray = NDArray[np.float64]
 Interval = tuple[float, float] | tuple[None, None]
 OfSums = Callable[[FloatArray], FloatArray]
 
 LEVEL = 0.95
 LARGE = 10_000
-"""Clusters from which on resampling brings nothing: what is studentised is nearly normal."""
+"""Number of clusters from which resampling is needless: the studentised value is nearly normal."""
 FEW = 10
-"""Clusters below which resamples are too much alike for it: Student's t is taken."""
+"""Number of clusters below which resamples are too much alike: Student's t is used instead."""
 _WIDEST = float(np.log(100.0))
-"""Logarithm of the greatest ratio of the ends. Beyond it there are two or three values, or one or two huge ones make
-the mean: resamples without them, a third or more, know nothing of it, and the studentised bootstrap has no bound."""
+"""Logarithm of the greatest ratio of the ends. It is exceeded with two or three values, or where one or two huge ones
+make the mean: a third or more of the resamples lack them, and the studentised bootstrap has no bound."""
 _TAIL = 0.5 * (1.0 - LEVEL)
 _STEP = 1e-5  # of a derivative, relative to the sums
 _CHUNK = 4_000_000  # numbers held at a time while resampling
 _NONE: Interval = (None, None)
 
+RESAMPLES = 2000
+
+
+def content_rng(*arrays: NDArray[np.generic]) -> np.random.Generator:
+    """Seed a generator with the bytes of ``arrays``, so that the same rows give the same interval."""
+    digest = hashlib.blake2b(digest_size=16)
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return np.random.default_rng(int.from_bytes(digest.digest(), "little"))
+
+
+def draw_counts(n_clusters: int, resamples: int, rng: np.random.Generator) -> NDArray[np.int32]:
+    """Draw (b, C) numbers of times that each cluster is in a resample of C clusters."""
+    drawn = rng.integers(0, n_clusters, size=(resamples, n_clusters))
+    drawn += n_clusters * np.arange(resamples)[:, None]
+    counts = np.bincount(drawn.ravel(), minlength=resamples * n_clusters)
+    return counts.reshape(resamples, n_clusters).astype(np.int32)
+
 
 def wilson(k: int, n: int) -> tuple[float, float]:
-    """Return Wilson's interval of a share of which k of n independent trials, n >= 1, are an example."""
+    """Return Wilson's interval of a share from k of n independent trials, n >= 1."""
     found = binomtest(k, n).proportion_ci(LEVEL, method="wilson")
     return float(found.low), float(found.high)
 
 
-def is_told(n: int, quantile: float) -> bool:
-    """Tell whether n values tell of a quantile: at least one of them is expected beyond it; of a median always."""
+def has_quantile(n: int, quantile: float) -> bool:
+    """Whether n values determine a quantile: at least one is expected beyond it; a median is always determined."""
     return quantile == 0.5 or n * min(quantile, 1.0 - quantile) >= 1.0 - 1e-9
 
 

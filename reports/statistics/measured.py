@@ -1,9 +1,9 @@
-"""Statistics of errors, with 95 % intervals that hold what they say where few trials are independent.
+"""Statistics of errors with 95 % intervals, also where few trials are independent.
 
-Whole clusters count as one (a trial, every noise realisation of one real image, every start on one set of images, or
-every trial with one data base), because what they share makes their trials depend on each other. A quantile lies
-between two order statistics, a mean is bounded by the bootstrap of its studentised value; `intervals` says how, and how
-often each interval held the truth in simulations.
+A whole cluster counts as one unit (a trial, every noise realisation of one real image, every start on one set of
+images, or every trial with one data base), because its trials depend on each other. A quantile lies between two
+order statistics, a mean is bounded by the bootstrap of its studentised value; `intervals` describes both, and how often
+each interval held the truth in simulations.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.statistics.intervals import FloatArray, Interval, interval_of_sums, is_told, quantile_interval, wilson
+from reports.statistics.intervals import FloatArray, Interval, has_quantile, interval_of_sums, quantile_interval, wilson
 
 WORST = 1e150
-"""Stands for the error of a failure that has none: above every error, and its square is still a number."""
+"""Error assigned to a failure: above every error, and its square does not overflow."""
 
 
 def bounded(value: float) -> float:
-    """Call a quantile infinite that lies among failures, or between one and an error."""
+    """Return infinity for a quantile that lies among failures, or between a failure and an error."""
     return math.inf if value > 1e-6 * WORST else value
 
 
@@ -59,7 +59,7 @@ P75 = Statistic("75th percentile", 0.75)
 P95 = Statistic("95th percentile", 0.95)
 P99 = Statistic("99th percentile", 0.99)
 DEVIATION = "deviation"
-"""Name of the standard deviation of a sample, which is no power mean."""
+"""Name of the standard deviation of a sample, which is not a power mean."""
 LEAST_SPREAD = 20
 """Clusters from which on a deviation has an interval."""
 
@@ -73,7 +73,7 @@ class Measured:
     value
         None where no value was measured.
     low, high
-        Bounds of the 95 % interval; None where too little is independent for one. Equal to ``value`` for a counted
+        Bounds of the 95 % interval; None where there are too few independent units. Equal to ``value`` for a counted
         fact.
     """
 
@@ -101,7 +101,7 @@ def measure(values: FloatArray, clusters: NDArray[np.generic], statistics: Seque
 
 
 def _measured(values: FloatArray, codes: NDArray[np.integer], statistic: Statistic) -> Measured:
-    if statistic.quantile is not None and not is_told(len(values), statistic.quantile):
+    if statistic.quantile is not None and not has_quantile(len(values), statistic.quantile):
         return Measured(None)
     powers = values**statistic.power
     if statistic.quantile is not None:
@@ -119,7 +119,7 @@ def _root(end: float, power: int) -> float:
 def share_of(marked: NDArray[np.bool_], clusters: NDArray[np.generic] | None = None) -> Measured:
     """Share of marked trials with Wilson's interval, or with that of the clusters that they form if it is wider.
 
-    Where none or all are marked, nothing tells how alike the trials of a cluster are: they are taken as independent.
+    Where none or all are marked, the correlation within clusters is unknown: trials are taken as independent.
     """
     if not len(marked):
         return Measured(None)
@@ -142,10 +142,11 @@ def widened(
 def measure_share(part: FloatArray, whole: FloatArray, clusters: NDArray[np.generic]) -> Measured:
     """Return 100 sum(part) / sum(whole) with its interval, in percent; no value where there is nothing to share.
 
-    It is for what an image holds, as craters, whose images are the clusters; of trials it is `share_of`.
+    For counts in images, such as craters, with images as the clusters; for trials use `share_of`.
 
-    Of independent trials, each a yes or a no, the interval is Wilson's. So it is, by the number of clusters, where none
-    or all are a yes: what never happened in n clusters may happen in 3 / n of them.
+    The interval is Wilson's for independent yes-or-no trials. It is also Wilson's, by the number of clusters, where
+    none
+    or all are a yes: what never happened in n clusters may happen in 3 / n of them (the rule of three).
     """
     if whole.sum() == 0.0:
         return Measured(None)
@@ -166,7 +167,8 @@ def _percent(sums: FloatArray) -> FloatArray:
 def measure_deviation(values: FloatArray, clusters: NDArray[np.generic]) -> Measured:
     """Return the standard deviation (with n - 1) of ``values`` (n,) with its interval, as `measure` does.
 
-    There is none below `LEAST_SPREAD` clusters: of eight skewed errors it would hold the truth in 60 to 75 % of cases.
+    There is no interval below `LEAST_SPREAD` clusters: of eight skewed errors it would hold the truth in 60 to 75 %
+    of cases.
     """
     if len(values) < 2:
         return Measured(None)

@@ -1,4 +1,4 @@
-"""Every number of a report, in one tidy table: what was measured, over how many trials, how well it is known."""
+"""The tidy table of a report: every measured number, its interval, and the trials behind it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from reports.run.clusters import clusters_of, groups, rows_by_group
 from reports.run.data import RunData, select
-from reports.run.stages import errors_by_stage, final_stage
-from reports.run.success import succeeded
+from reports.run.outcomes import errors_by_stage, final_stage, succeeded
 from reports.schema.common import POSE_COLUMNS
 from reports.schema.kinds.sequence import SEQUENCE_COLUMNS
 from reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, SEQUENCE, Record
@@ -41,8 +40,8 @@ _POSE_STATISTICS = dict(zip(POSE_COLUMNS, (_MAGNITUDE, _MAGNITUDE, _COMPONENT, _
 
 
 @dataclass(frozen=True, slots=True)
-class _Subject:
-    """What a group of records is about."""
+class _RecordKey:
+    """The fields that a group of records has in common, and their total count n."""
 
     scenario: str
     estimator: str
@@ -77,7 +76,7 @@ class _Subject:
         return [self.record(name, s.name, m, n_ok) for s, m in zip(statistics, measured, strict=True)]
 
     def share(self, name: str, yes: NDArray[np.bool_], clusters: NDArray[np.generic]) -> Record:
-        """Measure the share of trials of which something holds."""
+        """Measure the share of the marked trials."""
         found = share_of(yes, clusters)
         percent = (None if number is None else 100.0 * number for number in (found.value, found.low, found.high))
         return self.record(name, MEAN.name, Measured(*percent), len(yes))
@@ -119,10 +118,10 @@ def pose_measures(run: RunData) -> list[Record]:
             )
         for stage, errors in stages.items():
             errors = errors.assign(scenario=scenario)
-            records += _Subject(scenario, estimator, stage, len(rows)).pose_records(errors, clusters_of(run, errors))
+            records += _RecordKey(scenario, estimator, stage, len(rows)).pose_records(errors, clusters_of(run, errors))
         if estimator != CONTROL:
-            subject = _Subject(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
-            records.append(subject.share("success_share", succeeded(rows), clusters_of(run, rows)))
+            key = _RecordKey(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
+            records.append(key.share("success_share", succeeded(rows), clusters_of(run, rows)))
     return records
 
 
@@ -137,8 +136,8 @@ def reference_measures(run: RunData) -> list[Record]:
         further = set(table["reference"]) - known
         for reference in sorted(further):
             errors = table[table["reference"] == reference]
-            subject = _Subject(scenario, estimator, final_stage(run, scenario, estimator), n, str(reference))
-            records += subject.pose_records(errors, clusters_of(run, errors))
+            key = _RecordKey(scenario, estimator, final_stage(run, scenario, estimator), n, str(reference))
+            records += key.pose_records(errors, clusters_of(run, errors))
     return records
 
 
@@ -154,21 +153,21 @@ def improvement_measures(run: RunData) -> list[Record]:
         rows = select(run.rows, scenario, estimator)
         ok = rows[rows["status"] == "ok"]
         prior = ok.assign(**{name: ok[f"prior_{name}"] for name in _REDUCTIONS.values()})
-        subject = _Subject(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
-        records += _reductions(run, subject, prior, ok)
+        key = _RecordKey(scenario, estimator, final_stage(run, scenario, estimator), len(rows))
+        records += _reductions(run, key, prior, ok)
         mine, control = (select(run.table("references"), scenario, name) for name in (estimator, CONTROL))
         for reference in sorted(set(mine["reference"]) - {run.truth_name(scenario)}):
             final, before = (table[table["reference"] == reference] for table in (mine, control))
-            records += _reductions(run, replace(subject, reference=str(reference)), before, final)
+            records += _reductions(run, replace(key, reference=str(reference)), before, final)
     return records
 
 
-def _reductions(run: RunData, subject: _Subject, before: pd.DataFrame, after: pd.DataFrame) -> list[Record]:
+def _reductions(run: RunData, key: _RecordKey, before: pd.DataFrame, after: pd.DataFrame) -> list[Record]:
     """Measure how much smaller the errors of ``after`` are than those of ``before`` in the same trials."""
     records, prior = [], before.set_index("trial")
     for name, error in _REDUCTIONS.items():
         reduction = prior[error].reindex(after["trial"]).to_numpy() - after[error]
-        records += subject.records(name, reduction, clusters_of(run, after), (MEDIAN, MEAN))
+        records += key.records(name, reduction, clusters_of(run, after), (MEDIAN, MEAN))
     return records
 
 
@@ -182,35 +181,35 @@ def landmark_measures(run: RunData) -> list[Record]:
         ok = rows[(rows["status"] == "ok") & rows["n_landmarks"].notna()]
         stage = final_stage(run, scenario, estimator)
         if (ok["n_landmarks"] > 0).any():
-            subject = _Subject(scenario, estimator, stage, len(rows))
-            records += subject.records("n_landmarks", ok["n_landmarks"], clusters_of(run, ok), (MEDIAN, MEAN))
+            key = _RecordKey(scenario, estimator, stage, len(rows))
+            records += key.records("n_landmarks", ok["n_landmarks"], clusters_of(run, ok), (MEDIAN, MEAN))
             enough = (rows["n_landmarks"].fillna(0.0) >= MIN_LANDMARKS).to_numpy()
-            records.append(subject.share("four_landmarks_share", enough, clusters_of(run, rows)))
+            records.append(key.share("four_landmarks_share", enough, clusters_of(run, rows)))
         marks = select(run.table("landmarks"), scenario, estimator)
         if len(marks):
-            subject, count = _Subject(scenario, estimator, stage, len(marks)), Measured(*3 * (len(marks),))
-            records.append(subject.record("landmark_observations", "count", count, len(marks)))
+            key, count = _RecordKey(scenario, estimator, stage, len(marks)), Measured(*3 * (len(marks),))
+            records.append(key.record("landmark_observations", "count", count, len(marks)))
             clusters = clusters_of(run, marks)
-            records += subject.records("landmark_error_m", marks["error_m"], clusters, (MEDIAN, RMS, P95))
-            records += subject.records("chi_square", marks["chi_square"], clusters, (MEDIAN, MEAN))
+            records += key.records("landmark_error_m", marks["error_m"], clusters, (MEDIAN, RMS, P95))
+            records += key.records("chi_square", marks["chi_square"], clusters, (MEDIAN, MEAN))
     return records
 
 
 def database_measures(run: RunData) -> list[Record]:
     """Count the landmarks and facets of each data base, and its bytes as it is stored; of several, of the first.
 
-    A single data base of a run with a single estimator beside the control belongs to it, even if it does not say so.
+    A single data base belongs to the single estimator of a run (the control apart), even if the manifest names none.
     """
     records = []
     pairs = [pair for pair in run.pairs() if pair[1] != CONTROL]
     only = pairs[0] if len(pairs) == len(run.manifest.products) == 1 else ("", "")
     for product in (one for one in run.manifest.products if one.database == 0):
         scenario, estimator = (product.scenario, product.estimator) if product.scenario else only
-        subject = _Subject(scenario, estimator, "database", 1)
+        key = _RecordKey(scenario, estimator, "database", 1)
         counts = {"landmarks": product.n_landmarks, "facets": product.n_facets, "bytes": product.bytes}
         for name, count in ((f"database_{name}", count) for name, count in counts.items()):
             if count is not None:
-                records.append(subject.record(name, "count", Measured(count, count, count), 1))
+                records.append(key.record(name, "count", Measured(count, count, count), 1))
     return records
 
 
@@ -221,24 +220,24 @@ def diagnostic_measures(run: RunData) -> list[Record]:
         own = run.table("diagnostics")[run.table("diagnostics")["scenario"].isin(members)]
         for (estimator, name), table in own.groupby(["estimator", "name"], sort=False):
             n = int((run.rows["scenario"].isin(members) & (run.rows["estimator"] == estimator)).sum())
-            subject = _Subject(group, str(estimator), DIAGNOSTICS, n)
-            records += subject.records(str(name), table["value"], clusters_of(run, table), (MEDIAN, MEAN, RMS, P95))
+            key = _RecordKey(group, str(estimator), DIAGNOSTICS, n)
+            records += key.records(str(name), table["value"], clusters_of(run, table), (MEDIAN, MEAN, RMS, P95))
     return records
 
 
 def sequence_measures(run: RunData) -> list[Record]:
-    """Measure what the trials of sequences come to, under the stage ``sequence``."""
+    """Measure the errors of whole sequences, under the stage ``sequence``."""
     records: list[Record] = []
     if run.table("epochs").empty:
         return records
     for group, estimator, rows in rows_by_group(run):
-        subject, clusters = _Subject(group, estimator, SEQUENCE, len(rows)), clusters_of(run, rows)
+        key, clusters = _RecordKey(group, estimator, SEQUENCE, len(rows)), clusters_of(run, rows)
         for name in SEQUENCE_COLUMNS:
             known = rows[name].notna().to_numpy()
             if known.any():
-                records += subject.records(name, rows[name], clusters, (MEDIAN, MEAN, RMS, P95))
+                records += key.records(name, rows[name], clusters, (MEDIAN, MEAN, RMS, P95))
                 values = rows[name].to_numpy(dtype=np.float64)[known]
-                records.append(subject.record(name, DEVIATION, measure_deviation(values, clusters[known]), len(values)))
+                records.append(key.record(name, DEVIATION, measure_deviation(values, clusters[known]), len(values)))
     return records
 
 
@@ -249,6 +248,6 @@ def timing_measures(run: RunData) -> list[Record]:
         own = run.table("timings")[run.table("timings")["scenario"].isin(members)]
         for (estimator, stage), times in own.groupby(["estimator", "stage"], sort=False):
             total = times.groupby(["scenario", "trial"], sort=False)[["seconds"]].sum().reset_index()
-            subject = _Subject(group, str(estimator), str(stage), len(total))
-            records += subject.records("seconds", total["seconds"], clusters_of(run, total), (MEDIAN, MEAN, P95))
+            key = _RecordKey(group, str(estimator), str(stage), len(total))
+            records += key.records("seconds", total["seconds"], clusters_of(run, total), (MEDIAN, MEAN, P95))
     return records

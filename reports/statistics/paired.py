@@ -1,13 +1,13 @@
-"""Estimators beside each other on the same trials: median difference, sign test, failure rates.
+"""Comparisons over common trials: differences of estimators, sign test, failure rates, and main effects of factors.
 
 The first estimator that a campaign names, after the control, is what the others are compared with. Differences are
-those of trials that both solved. The sign test asks whether either of a pair is better with equal chance; the noise
-realisations of one real image count as one, by the sign of their median.
+those of trials that both solved. The null hypothesis of the sign test is that either of a pair is better with
+equal chance; the noise realisations of one real image count as one, by the sign of their median.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,15 +17,15 @@ from scipy.stats import binomtest, ttest_1samp
 
 from reports.run.clusters import clusters_of
 from reports.run.data import RunData, select
-from reports.run.success import succeeded
+from reports.run.outcomes import succeeded
 from reports.schema.grid import Grid, counts, value_of
 from reports.schema.records import CONTROL, Record, find
 from reports.schema.tables import unit_of
-from reports.statistics.intervals import wilson
+from reports.statistics.intervals import LEVEL, RESAMPLES, content_rng, draw_counts, wilson
 from reports.statistics.measured import MEDIAN, Measured, measure, share_of, widened
 
 PAIRED = "paired"
-"""Stage of the records that set an estimator beside another, which their ``reference`` names."""
+"""Stage of the records that compare an estimator with another, which their ``reference`` names."""
 
 DIFFERENCES = {"position_difference_m": "position_error_m", "attitude_difference_deg": "attitude_error_deg"}
 FAILURE_RATE = "failure_rate"
@@ -33,7 +33,55 @@ BETTER, SIGN_TEST = "share better", "sign test p"
 OWN, THEIRS, DIFFERENCE = "rate", "rate of the other", "difference"
 _NORMAL_95 = 1.959964
 _LEAST_SIGNS = 6
-"""Of fewer, not even equal signs have a chance below 5 %."""
+"""With fewer, even equal signs have p above 5 %: 2 / 2^5 is 6 %."""
+
+
+def main_effects(errors: Mapping[str, pd.Series], high: Mapping[str, Sequence[bool]]) -> list[Measured]:
+    """Estimate the factor by which an error changes where each axis is high.
+
+    Least squares of ``ln e_ts = a_t + sum_k b_k x_sk`` over trials t and scenarios s, with a constant of its own for
+    each trial (a view and a prior) and x = 0 or 1: without failures b_k is the difference of the means at high and at
+    low, and with some the effects of the other axes stay unbiased. The interval is a percentile bootstrap over trials.
+
+    Parameters
+    ----------
+    errors
+        The errors of each scenario by trial; failed trials are absent.
+    high
+        For each scenario whether each of K axes is high.
+
+    Returns
+    -------
+    effects
+        exp(b_k) of the K axes; without a value where the trials do not separate them.
+    """
+    table = pd.DataFrame({name: np.log(series.clip(lower=1e-12)) for name, series in errors.items()})
+    count = len(next(iter(high.values())))
+    levels = np.array([high[name] for name in table.columns], dtype=np.float64).reshape(-1, count)
+    squares, products = [], []
+    for logs in table.to_numpy():
+        known = np.isfinite(logs)
+        if known.sum() > 1:
+            x, y = levels[known] - levels[known].mean(axis=0), logs[known] - logs[known].mean()
+            squares.append(x.T @ x)
+            products.append(x.T @ y)
+    if not squares or np.linalg.matrix_rank(np.sum(squares, axis=0)) < count:
+        return [Measured(None)] * count
+    normal, right = np.array(squares), np.array(products)
+    point = np.linalg.solve(normal.sum(axis=0), right.sum(axis=0))
+    counts = draw_counts(len(normal), RESAMPLES, content_rng(normal, right))
+    drawn = np.array([_solution(c, normal, right) for c in counts])
+    tail = 50.0 * (1.0 - LEVEL)
+    low, top = np.nanpercentile(drawn, [tail, 100.0 - tail], axis=0)
+    return [Measured(*map(float, np.exp(values))) for values in zip(point, low, top, strict=True)]
+
+
+def _solution(counts: np.ndarray, normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve a resample in which trial t occurs ``counts[t]`` times; NaN where it does not separate the axes."""
+    try:
+        return np.asarray(np.linalg.solve(np.tensordot(counts, normal, 1), counts @ right))
+    except np.linalg.LinAlgError:
+        return np.full(right.shape[1], np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,10 +137,10 @@ def _difference_records(
 
 
 def sign_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) -> tuple[Measured, Measured, int]:
-    """Ask whether differences (n,) are as often above zero as below; a cluster counts once, by its median.
+    """Test whether differences (n,) are as often above zero as below; a cluster counts once, by its median.
 
-    Of two to five clusters of several trials, whose signs can never decide, the shares are held against one half by
-    Student's t instead, see `_share_test`.
+    The signs of two to five clusters can never be significant: where clusters have several trials, their shares
+    are tested against one half by Student's t instead, see `_share_test`.
 
     Returns
     -------
@@ -111,11 +159,11 @@ def sign_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) ->
 
 
 def _share_test(difference: NDArray[np.float64], clusters: NDArray[np.generic]) -> tuple[Measured, Measured, int]:
-    """Hold the shares of negative differences of few clusters against one half; all that is not zero is decided.
+    """Test the shares of negative differences in few clusters against one half, leaving out zeros.
 
     R. Ibragimov and U. Mueller, t-statistic based correlation and heterogeneity robust inference, Journal of Business &
     Economic Statistics 28, 2010: Student's t over the clusters holds its level of 5 % however their variances differ.
-    The test says no more than that of as many independent trials: few clusters may be alike by chance.
+    Its p is at least that of the sign test of as many independent trials: few clusters may be alike by chance.
     """
     decided = difference != 0.0
     if not decided.any():
@@ -134,7 +182,8 @@ def rate_difference(
     """Difference of two rates over the same trials, negative where the first is smaller.
 
     With b and c trials of n that one and the other alone have marked, the variance of the difference is
-    (b + c - (b - c)^2 / n) / n^2 (McNemar), here of half a trial more in each of the four cells, which holds its level
+    (b + c - (b - c)^2 / n) / n^2 (McNemar), here with half a trial more in each of the four cells, which keeps the
+    level
     where b and c are few (A. Agresti and Y. Min, Statistics in Medicine 24, 2005). Where trials form clusters the
     interval is that of these if it is wider.
     """
@@ -157,7 +206,7 @@ def _failure_records(pair: _Pair, clusters: NDArray[np.generic]) -> Iterator[Rec
 
 
 def paired_grid(records: Sequence[Record]) -> Grid | None:
-    """Tabulate estimators beside the first one on the same trials; None where there is only one."""
+    """Tabulate estimators against the first one on the same trials; None where there is only one."""
     names = list(DIFFERENCES)
     lines = [r for r in records if r.stage == PAIRED and r.measure == names[0] and r.statistic == MEDIAN.name]
     heads = (

@@ -1,4 +1,4 @@
-"""How well the numbers that an estimator reports tell its bad solutions: receiver operating characteristics.
+"""Receiver operating characteristics (ROC): detection of bad solutions by the numbers that an estimator reports.
 
 A solution is bad where its position error is above that of its prior, or above three times the median of all solutions.
 Every number of the table ``diagnostics`` is a score. The area under its curve is the chance that a bad solution scores
@@ -21,9 +21,8 @@ from reports.run.clusters import clusters_of
 from reports.run.data import RunData, select
 from reports.schema.grid import Grid, value_of
 from reports.schema.records import CONTROL, Record, find
-from reports.statistics.intervals import FEW, LARGE, LEVEL
+from reports.statistics.intervals import FEW, LARGE, LEVEL, RESAMPLES, content_rng, draw_counts
 from reports.statistics.measured import Measured
-from reports.statistics.resampling import RESAMPLES, content_rng, draw_counts
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -41,8 +40,8 @@ _CHUNK = 4_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Detection:
-    """A score with the class of each solution.
+class OutlierScore:
+    """A score that may indicate bad solutions, with the class of each solution.
 
     Parameters
     ----------
@@ -66,11 +65,11 @@ class Detection:
 
     @property
     def low_is_bad(self) -> bool:
-        """Whether small values tell the bad solutions rather than large ones."""
+        """Whether small values indicate bad solutions rather than large ones."""
         return area(self.score, self.bad) < 0.5
 
 
-def detections(run: RunData) -> Iterator[Detection]:
+def outlier_scores(run: RunData) -> Iterator[OutlierScore]:
     """Yield every score of every estimator, for each definition with at least five solutions of either kind."""
     for scenario, estimator in run.posed_pairs():
         rows = select(run.rows, scenario, estimator)
@@ -90,7 +89,7 @@ def detections(run: RunData) -> Iterator[Detection]:
 
 def _of_score(
     run: RunData, rows: pd.DataFrame, name: str, values: FloatArray, classes: dict[str, BoolArray]
-) -> Iterator[Detection]:
+) -> Iterator[OutlierScore]:
     known = np.isfinite(values)
     if len(np.unique(values[known])) < 2:
         return
@@ -98,7 +97,7 @@ def _of_score(
     scenario, estimator = rows["scenario"].iloc[0], rows["estimator"].iloc[0]
     for definition, bad in classes.items():
         if min(bad[known].sum(), (~bad[known]).sum()) >= _MIN_CLASS:
-            yield Detection(scenario, estimator, name, definition, values[known], bad[known], clusters)
+            yield OutlierScore(scenario, estimator, name, definition, values[known], bad[known], clusters)
 
 
 def roc_curve(score: FloatArray, bad: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -135,29 +134,29 @@ def _areas(score: FloatArray, bad: BoolArray, counts: NDArray[np.int32]) -> Floa
     return areas
 
 
-def measured_area(detection: Detection) -> Measured:
+def measured_area(found: OutlierScore) -> Measured:
     """Measure the area under the curve with its 95 % interval; without one where few are independent."""
-    codes = np.unique(detection.clusters, return_inverse=True)[1]
+    codes = np.unique(found.clusters, return_inverse=True)[1]
     if codes.max() + 1 < FEW:
-        return Measured(area(detection.score, detection.bad))
+        return Measured(area(found.score, found.bad))
     if codes.max() + 1 == len(codes) >= LARGE:
-        return Measured(area(detection.score, detection.bad), *large_sample_area(detection.score, detection.bad))
-    rng = content_rng(detection.score, detection.bad, codes)
+        return Measured(area(found.score, found.bad), *large_sample_area(found.score, found.bad))
+    rng = content_rng(found.score, found.bad, codes)
     block = max(1, _CHUNK // len(codes))
     draws = [
-        _areas(detection.score, detection.bad, np.take(draw_counts(int(codes.max()) + 1, n, rng), codes, axis=1))
+        _areas(found.score, found.bad, np.take(draw_counts(int(codes.max()) + 1, n, rng), codes, axis=1))
         for n in (min(block, RESAMPLES - start) for start in range(0, RESAMPLES, block))
     ]
     tail = 50.0 * (1.0 - LEVEL)
     low, high = np.nanpercentile(np.concatenate(draws), [tail, 100.0 - tail])
-    return Measured(area(detection.score, detection.bad), float(low), float(high))
+    return Measured(area(found.score, found.bad), float(low), float(high))
 
 
 def large_sample_area(score: FloatArray, bad: BoolArray) -> tuple[float, float]:
     """Bound the area of many independent solutions at the 95 % level, without resampling.
 
     After E. DeLong, D. DeLong and D. Clarke-Pearson, Biometrics 44, 1988: the area is a mean over either class of the
-    share of the other class that each member beats, and its variance is the sum of those two means' variances.
+    share of the other class that each member exceeds, and its variance is the sum of those two means' variances.
     """
     ranks, m, n = rankdata(score), int(bad.sum()), int((~bad).sum())
     of_bad = (ranks[bad] - rankdata(score[bad])) / n
@@ -167,10 +166,10 @@ def large_sample_area(score: FloatArray, bad: BoolArray) -> tuple[float, float]:
     return max(middle - half, 0.0), min(middle + half, 1.0)
 
 
-def operating_point(detection: Detection) -> tuple[float, float]:
-    """Find the true positive rate and the threshold of the most that can be flagged at 5 % of false positives."""
-    sign = -1.0 if detection.low_is_bad else 1.0
-    false, true, thresholds = roc_curve(sign * detection.score, detection.bad)
+def operating_point(found: OutlierScore) -> tuple[float, float]:
+    """Find the highest true positive rate with at most 5 % of false positives, and its threshold."""
+    sign = -1.0 if found.low_is_bad else 1.0
+    false, true, thresholds = roc_curve(sign * found.score, found.bad)
     best = int(np.flatnonzero(false <= _FALSE_POSITIVES)[-1])
     return float(true[best]), float(sign * thresholds[best])
 
@@ -178,7 +177,7 @@ def operating_point(detection: Detection) -> tuple[float, float]:
 def outlier_records(run: RunData) -> list[Record]:
     """Measure every score: area under the curve, and the point of 5 % false positives."""
     records = []
-    for found in detections(run):
+    for found in outlier_scores(run):
         true, threshold = operating_point(found)
         for statistic, measured in (
             (AUC, measured_area(found)),
@@ -190,7 +189,7 @@ def outlier_records(run: RunData) -> list[Record]:
     return records
 
 
-def _record(found: Detection, statistic: str, measured: Measured) -> Record:
+def _record(found: OutlierScore, statistic: str, measured: Measured) -> Record:
     n = len(found.bad)
     return Record(
         found.scenario, found.estimator, found.definition, "", MEASURE + found.name, "", statistic,
@@ -199,7 +198,7 @@ def _record(found: Detection, statistic: str, measured: Measured) -> Record:
 
 
 def outlier_grid(records: Sequence[Record]) -> Grid | None:
-    """Tabulate how well the numbers that estimators report tell their bad solutions; None where there are none."""
+    """Tabulate how well the numbers that estimators report indicate bad solutions; None where there are none."""
     lines = [r for r in records if r.measure.startswith(MEASURE) and r.statistic == AUC]
     heads = ("scenario", "estimator", "bad", "number", "of", "AUC [95 %]", TRUE_POSITIVES, "threshold", "flagged")
 
@@ -219,9 +218,13 @@ def outlier_grid(records: Sequence[Record]) -> Grid | None:
         )
 
     note = (
-        "How well a number that the estimator reports tells its bad solutions: area under the receiver operating"
-        " characteristic (0.5 is chance; below it, small values tell), and the share of bad solutions beyond the"
-        " threshold that flags 5 % of the good ones."
+        "How well a number that the estimator reports indicates its bad solutions: area under the receiver operating"
+        " characteristic (0.5 is chance; below it, small values indicate them), and the share of bad solutions beyond"
+        " the threshold that flags 5 % of the good ones."
     )
     rows = tuple(cells(line) for line in lines)
-    return Grid("Bad solutions, and what tells them", heads, rows, frozenset({0, 1, 2, 3, 8}), note) if rows else None
+    return (
+        Grid("Bad solutions, and the numbers that indicate them", heads, rows, frozenset({0, 1, 2, 3, 8}), note)
+        if rows
+        else None
+    )

@@ -9,7 +9,7 @@ from campaign.store import RunFolder
 from estimators.landmark.build import DatabaseOptions
 from estimators.landmark.database import LandmarkDatabase
 from renderers.mitsuba3 import choose_variant
-from reports.kinds.report import report_grids
+from reports.kinds import report_grids
 from reports.pages.content import read_content
 
 DATABASES = """\

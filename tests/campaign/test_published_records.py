@@ -13,7 +13,7 @@ from tiny_campaign import SCENE, compute
 from tiny_pairs import PAIRS
 
 from campaign.runs.resolve import CATALOG
-from reports.kinds.kind import Content
+from reports.kinds import Content
 from reports.pages.content import read_content
 from reports.published import Comparison, load_published
 from reports.schema.records import DERIVED

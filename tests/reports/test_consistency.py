@@ -10,12 +10,15 @@ from reports.schema.records import find
 from reports.statistics.consistency import (
     BAND,
     INSIDE,
+    NEES,
     RATIO,
     consistency_grid,
     consistency_records,
+    consistency_test,
+    consistent_mean,
+    normalised_errors,
     rms_ratio,
 )
-from reports.statistics.weighed import NEES, consistent_mean, judge, weighed_errors
 
 TRIALS = 400
 
@@ -110,17 +113,17 @@ def test_the_nis_is_held_against_its_degrees_of_freedom():
     """Drawn chi-squares of 40 to 400 degrees: the mean lies in the band, and 95 % of the trials in theirs."""
     rng = np.random.default_rng(13)
     degrees = rng.integers(40, 400, 3000)
-    found = judge(rng.chisquare(degrees) / degrees, degrees.astype(float), 1, np.arange(3000))
+    found = consistency_test(rng.chisquare(degrees) / degrees, degrees.astype(float), 1, np.arange(3000))
     assert found.band.value == 1.0
     assert found.band.low < found.mean.value < found.band.high
     assert found.inside.value == pytest.approx(0.95, abs=0.012)
-    # Weighed by degrees the mean is chi-square of them all; by trials its spread is at least that.
+    # NormalisedErrors by degrees the mean is chi-square of them all; by trials its spread is at least that.
     assert found.band.high - found.band.low == pytest.approx(2 * 1.96 * np.sqrt(2 / degrees.sum()), rel=0.01)
 
 
 def test_realisations_of_one_image_widen_the_band():
     ratios = np.full(40, 6.0)
-    alone, shared = (judge(ratios, ratios, 6, np.arange(40) // n) for n in (1, 4))
+    alone, shared = (consistency_test(ratios, ratios, 6, np.arange(40) // n) for n in (1, 4))
     assert shared.band.high - 6 == pytest.approx(2 * (alone.band.high - 6), rel=0.1)
 
 
@@ -137,7 +140,7 @@ def test_sequences_are_judged_after_whole_revolutions(builder):
                 builder.add("epochs", **key, frame=int(angle), anomaly_deg=angle, position_error_m=1.0, nees=nees,
                             landmark_rmse_m=1.0, settled_landmark_rmse_m=1.0)  # fmt: skip
     run = read_run(builder.write(scenarios={"rock": {}}, estimators=["true", "bold", "silent"]))
-    assert [kind.name for kind in weighed_errors(run)] == ["nees_after_1"]
+    assert [kind.name for kind in normalised_errors(run)] == ["nees_after_1"]
     grid = consistency_grid(consistency_records(run))
     assert [row[1] for row in grid.rows] == ["bold", "true"]
     records = {r.estimator: r for r in consistency_records(run) if r.statistic == "mean"}

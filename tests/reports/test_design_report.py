@@ -9,13 +9,13 @@ from stored_runs import RunBuilder, pose_error
 
 from reports.figures.designs import CurvePanel, Points, draw_curves
 from reports.figures.matrix import Matrix, draw_matrix
-from reports.kinds.designs.report import design_figures
+from reports.kinds import report_grids
+from reports.kinds.designs.figures import design_figures
 from reports.kinds.designs.tables import DesignData, Outcome, design_grids, outcomes
-from reports.kinds.report import report_grids
 from reports.pages.build import write_report
 from reports.pages.content import read_content
 from reports.run.data import read_run
-from reports.tables.general import failure_grid
+from reports.tables import failure_grid
 
 TRIALS = 40
 POSITION = Outcome("landmark-harris", "", "position_error_m")

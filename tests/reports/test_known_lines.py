@@ -8,13 +8,13 @@ from terminal_text import terminal_lines
 
 from reports import summary
 from reports.compare import compare_runs, write_comparison
-from reports.kinds.report import brief_grids, report_grids
+from reports.kinds import brief_grids, report_grids
 from reports.pages.build import write_report
 from reports.pages.content import read_content
 from reports.run.data import read_run
-from reports.run.known import UNTOLD, known_lines, short_line
+from reports.run.limits import KNOWLEDGE_UNREADABLE, known_lines, short_line
 from reports.schema.grid import Grid
-from reports.tables.general import reference_grid
+from reports.tables import reference_grid
 
 CAMERA, VIEW = {"width_px": 64, "height_px": 64, "fov_deg": 20}, {"range_m": 2000}
 IDEAL = {"name": SCENARIO, "camera": CAMERA, "viewpoint": VIEW}
@@ -77,8 +77,8 @@ def test_the_kind_of_trials_comes_from_the_campaign(builder):
 def test_scenarios_of_another_version_are_said_to_be_so(builder):
     builder.trial(0, ([3, 4, 0], 1), ([1, 0, 0], 1))
     content = read_content(builder.write(scenarios={SCENARIO: IDEAL | {"no_such_section": {}}}))
-    assert UNTOLD in content.notes
-    assert [grid.known for grid in brief_grids(content)][:1] == [UNTOLD]
+    assert KNOWLEDGE_UNREADABLE in content.notes
+    assert [grid.known for grid in brief_grids(content)][:1] == [KNOWLEDGE_UNREADABLE]
 
 
 def test_errors_against_an_aligned_reference_are_called_correlated(builder):

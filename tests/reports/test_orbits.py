@@ -10,8 +10,7 @@ from reports.kinds.orbit_determination import ORBIT
 from reports.pages.build import write_report
 from reports.schema.grid import of_ended
 from reports.schema.records import find
-from reports.statistics.consistency import BAND, CONSISTENCY, INSIDE
-from reports.statistics.weighed import AT_EPOCH
+from reports.statistics.consistency import AT_EPOCH, BAND, CONSISTENCY, INSIDE
 
 ERRORS = (1.0, 2.0, 3.0, 10.0)
 

@@ -6,7 +6,7 @@ from scipy.stats import binom, binomtest, ttest_1samp
 
 from reports.pages.build import write_report
 from reports.run.data import read_run, select
-from reports.run.success import succeeded
+from reports.run.outcomes import succeeded
 from reports.statistics.measured import MEDIAN
 from reports.statistics.paired import (
     BETTER,

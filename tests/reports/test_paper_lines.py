@@ -6,12 +6,12 @@ from typing import cast
 
 import pytest
 
-from reports.kinds.kind import Content
+from reports.kinds import Content
 from reports.papers.page import paper_lines
 from reports.published import load_published
 from reports.run.data import RunData
 from reports.schema.records import Record
-from reports.verdicts.comparison import compare
+from reports.verdicts import compare
 
 
 def made_by(labels: list[str]) -> Content:

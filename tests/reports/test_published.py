@@ -4,10 +4,17 @@ from importlib import resources
 import pytest
 
 from campaign.runs.resolve import resolve
-from reports.published import Claim, Comparison, PublishedValue, load_published, parse, published_names
+from reports.published import Comparison, PublishedClaim, PublishedValue, load_published, parse, published_names
 from reports.schema.records import Record
-from reports.verdicts.comparison import compare, compare_claims, judge, judge_order
-from reports.verdicts.tables import claim_values, verdict_of, verdict_of_claim
+from reports.verdicts import (
+    claim_values,
+    compare,
+    compare_claims,
+    order_verdict,
+    value_verdict,
+    verdict_of,
+    verdict_of_claim,
+)
 from scenarios.errors import BoresightError
 
 # Abstract, sections 4.1, 4.2.1, 4.2.2, 4.3.1, 4.3.2 and table 1 of the paper, typed apart from the package's file.
@@ -177,16 +184,19 @@ OURS = Record("s", "e", "recognition", "", "position_error_m", "m", "median", 20
     ],
 )
 def test_verdict_rule(value, low, high, verdict):
-    assert judge(replace(OURS, value=value, low=low, high=high), VALUE) == verdict
+    assert value_verdict(replace(OURS, value=value, low=low, high=high), VALUE) == verdict
 
 
 def test_only_a_method_that_the_paper_does_not_have_is_better_and_only_on_the_better_side():
     low, high = replace(OURS, value=14.0, low=13.0, high=15.0), replace(OURS, value=26.0, low=25.0, high=27.0)
     upwards = VALUE.model_copy(update={"better": "higher"})
     neither = VALUE.model_copy(update={"better": "neither"})
-    assert [judge(low, one, own=False) for one in (VALUE, upwards, neither)] == ["better", *["differs (lower)"] * 2]
-    assert [judge(high, one, own=False) for one in (VALUE, upwards)] == ["differs (higher)", "better"]
-    assert [judge(high, one) for one in (VALUE, upwards)] == ["differs (higher)"] * 2
+    assert [value_verdict(low, one, own=False) for one in (VALUE, upwards, neither)] == [
+        "better",
+        *["differs (lower)"] * 2,
+    ]
+    assert [value_verdict(high, one, own=False) for one in (VALUE, upwards)] == ["differs (higher)", "better"]
+    assert [value_verdict(high, one) for one in (VALUE, upwards)] == ["differs (higher)"] * 2
 
 
 def test_whose_method_it_is_follows_from_the_label_and_the_value():
@@ -199,7 +209,7 @@ def test_whose_method_it_is_follows_from_the_label_and_the_value():
 
 
 def test_no_verdict_without_a_tolerance_or_across_conditions():
-    assert judge(OURS, VALUE.model_copy(update={"tolerance": None})) == "context"
+    assert value_verdict(OURS, VALUE.model_copy(update={"tolerance": None})) == "context"
     prior = replace(OURS, stage="prior", statistic="RMS")
     compared = compare((prior, OURS), load_published("rowell2015-real-context"))
     assert {c.verdict for c in compared} == {"context"}
@@ -223,7 +233,7 @@ def test_ranges_and_rough_numbers_are_read(printed, value):
 )
 def test_a_value_above_a_bound_needs_its_whole_interval_there(low, high, verdict):
     above = VALUE.model_copy(update={"printed": "3 m", "relation": "above", "tolerance": None})
-    assert judge(replace(OURS, value=0.5 * (low + high), low=low, high=high), above) == verdict
+    assert value_verdict(replace(OURS, value=0.5 * (low + high), low=low, high=high), above) == verdict
 
 
 @pytest.mark.parametrize(
@@ -238,7 +248,8 @@ def test_a_value_above_a_bound_needs_its_whole_interval_there(low, high, verdict
 def test_somewhat_more_is_not_a_hundred_times_more(low, high, verdict):
     changes = {"printed": "3 m", "relation": "above", "tolerance": None, "at_most": 6.0}
     assert (
-        judge(replace(OURS, value=0.5 * (low + high), low=low, high=high), VALUE.model_copy(update=changes)) == verdict
+        value_verdict(replace(OURS, value=0.5 * (low + high), low=low, high=high), VALUE.model_copy(update=changes))
+        == verdict
     )
 
 
@@ -263,7 +274,7 @@ def medians(*bounds):
     ],
 )
 def test_orders_need_intervals_that_are_apart(bounds, verdict):
-    assert judge_order(medians(*bounds)) == verdict
+    assert order_verdict(medians(*bounds)) == verdict
 
 
 def test_claims_of_the_paper_name_the_solvers_of_its_campaign():
@@ -282,20 +293,20 @@ def test_claims_of_the_paper_name_the_solvers_of_its_campaign():
 )
 def test_functional_means_nine_runs_of_ten_by_an_interval_of_their_share(n_ok, n, verdict):
     """Wilson's intervals of 1, 0.8, 0.93 and 1: [0.963, 1], [0.711, 0.867], [0.863, 0.966] and [0.610, 1]."""
-    claim = Claim(text="it is functional", solves="e", stage="recognition", place="section 6")
+    claim = PublishedClaim(text="it is functional", solves="e", stage="recognition", place="section 6")
     (found,) = compare_claims([replace(OURS, n_ok=n_ok, n=n)], Comparison(conditions="c", claims=(claim,)))
     assert found.verdict == verdict
     assert f"{n_ok}/{n}" in claim_values(found)
 
 
 def test_a_statement_that_no_row_tells_of_says_why():
-    claim = Claim(text="it is elegant", unmeasured="no rule for elegance", place="section 6")
+    claim = PublishedClaim(text="it is elegant", unmeasured="no rule for elegance", place="section 6")
     (found,) = compare_claims([OURS], Comparison(conditions="c", claims=(claim,)))
     assert (found.verdict, claim_values(found)) == ("not measured", "no rule for elegance")
 
 
 def test_a_statement_may_order_stages_and_scenarios_of_one_estimator():
-    claim = Claim(
+    claim = PublishedClaim(
         text="it is less after than before",
         estimator="e",
         order=({"stage": "recognition", "scenario": "s"}, {"stage": "prior", "scenario": "s"}),
@@ -312,7 +323,7 @@ def test_a_statement_may_order_stages_and_scenarios_of_one_estimator():
 
 
 def test_a_time_has_its_unit_once():
-    claim = Claim(text="it is faster", order=("a", "b"), measure="seconds", stage="cycle", place="p")
+    claim = PublishedClaim(text="it is faster", order=("a", "b"), measure="seconds", stage="cycle", place="p")
     records = [
         replace(OURS, estimator=label, stage="cycle", measure="seconds", unit="s", value=s, low=s, high=s)
         for label, s in (("a", 0.01), ("b", 0.02))
@@ -322,7 +333,7 @@ def test_a_time_has_its_unit_once():
 
 
 def test_of_all_cases_none_may_fail():
-    claim = Claim(text="in all test cases", solves="e", share=1, stage="recognition", place="p")
+    claim = PublishedClaim(text="in all test cases", solves="e", share=1, stage="recognition", place="p")
     for n_ok, verdict in ((20, "reproduced"), (19, "differs (lower)")):
         (found,) = compare_claims([replace(OURS, n_ok=n_ok, n=20)], Comparison(conditions="c", claims=(claim,)))
         assert found.verdict == verdict
@@ -349,14 +360,14 @@ def test_less_than_is_kept_by_the_whole_interval(low, high, own, verdict):
         better="lower",
         place="p",
     )
-    assert judge(replace(OURS, low=low, high=high), words, own) == verdict
+    assert value_verdict(replace(OURS, low=low, high=high), words, own) == verdict
     assert words.quoted == '"less than 5%" (read as 5 %)'
 
 
 @pytest.mark.parametrize("ways", [{}, {"order": ("a",)}, {"order": ("a", "b"), "solves": "a"}])
 def test_a_statement_is_measured_in_one_way(ways):
     with pytest.raises(ValueError, match="one"):
-        Claim(text="t", place="p", **ways)
+        PublishedClaim(text="t", place="p", **ways)
 
 
 @pytest.mark.parametrize(
@@ -424,7 +435,7 @@ def test_a_reduction_says_what_it_is_from():
         parse(text.replace("against: ba-slam-3, ", "", 1), "x.yaml")
 
 
-ORDER = Claim(text="a is less than b", order=("a", "b"), stage="recognition", place="p")
+ORDER = PublishedClaim(text="a is less than b", order=("a", "b"), stage="recognition", place="p")
 APART = [
     replace(OURS, estimator=label, value=low + 0.5, low=low, high=low + 1) for label, low in (("a", 1.0), ("b", 5.0))
 ]
@@ -446,7 +457,9 @@ def test_words_have_no_verdict_where_none_is_due(claim, verdicts, verdict):
 
 
 def test_a_verdict_over_survivors_says_so():
-    claims = Comparison(conditions="c", claims=(ORDER, Claim(text="t", solves="a", stage="recognition", place="p")))
+    claims = Comparison(
+        conditions="c", claims=(ORDER, PublishedClaim(text="t", solves="a", stage="recognition", place="p"))
+    )
     order, solved = compare_claims([replace(APART[0], n_ok=9), APART[1]], claims)
     assert verdict_of_claim(order) == "reproduced of the runs that ended"
     assert verdict_of_claim(solved) == "undecided", "it counts those that did not end"

@@ -7,11 +7,11 @@ from terminal_text import terminal_lines
 from reports.compare import compare_runs
 from reports.pages.content import read_content
 from reports.run.data import read_run
-from reports.run.reasons import reason_lines
+from reports.run.outcomes import reason_lines
 from reports.schema.grid import Grid, number, value_of
 from reports.schema.labels import count_of
 from reports.schema.records import Record
-from reports.tables.general import failure_grid, pose_grids, reference_grid, timing_grid
+from reports.tables import failure_grid, pose_grids, reference_grid, timing_grid
 
 LINE = Record("s", "e", "recognition", "", "position_error_m", "m", "median", 20.94, 19.06, 121.4, 9, 10)
 

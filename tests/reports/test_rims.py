@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from reports.kinds.crater_detection.rates import Shown
-from reports.kinds.crater_detection.report import rim_grid, rim_scatter
+from reports.kinds.crater_detection import rim_grid, rim_scatter
+from reports.kinds.crater_detection.rates import DetectorResults
 
 
 def seen(n=4000, wild=0.05):
@@ -36,7 +36,7 @@ def looks():
 
 def detector(detections, craters):
     images = pd.DataFrame({"trial": np.arange(3), "unit": np.arange(3)})
-    return Shown("scene", "own", images, craters, detections)
+    return DetectorResults("scene", "own", images, craters, detections)
 
 
 def test_craters_of_one_number_in_several_worlds_are_several():

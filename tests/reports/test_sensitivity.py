@@ -6,7 +6,7 @@ import pandas as pd
 
 from reports.kinds.single_image.sensitivity import mesh_variants, sensitivity_grid
 from reports.published import load_published
-from reports.run.data import Manifest, Product, RunData
+from reports.run.data import Manifest, RunData, StoredProduct
 from reports.schema.records import Record
 
 
@@ -50,7 +50,7 @@ def run_with(*products):
     manifest = Manifest(
         name="c", seed=0, trials=1, scenarios={"s": {}}, estimators=(), versions={}, machine={}, credits=(),
         products=[
-            Product(kind="k", scenario="s", estimator=estimator, folder=folder, n_landmarks=4, n_facets=facets)
+            StoredProduct(kind="k", scenario="s", estimator=estimator, folder=folder, n_landmarks=4, n_facets=facets)
             for estimator, folder, facets in products
         ],
     )  # fmt: skip

@@ -3,6 +3,7 @@ import warnings
 import numpy as np
 import pytest
 
+from reports.statistics.intervals import content_rng
 from reports.statistics.measured import (
     MEAN,
     MEDIAN,
@@ -16,7 +17,6 @@ from reports.statistics.measured import (
     measure_share,
     share_of,
 )
-from reports.statistics.resampling import content_rng
 
 ALL = (MEDIAN, MEAN, RMS, ROOT_MEDIAN_SQUARE, P95)
 

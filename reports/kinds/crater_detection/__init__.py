@@ -1,5 +1,122 @@
-"""What a report tells of crater detection."""
+"""What a report tells of trials of crater detection."""
 
-from reports.kinds.crater_detection.report import REPORT
+from __future__ import annotations
 
-__all__ = ["REPORT"]
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from reports.kinds import Content, ReportKind, Tables
+from reports.kinds.crater_detection.figures import crater_figures
+from reports.kinds.crater_detection.rates import (
+    DetectorResults,
+    crater_brief,
+    crater_grids,
+    crater_records,
+    detector_results,
+)
+from reports.schema.grid import Grid
+from reports.tables import timing_grid
+from reports.verdicts import comparison_grid
+
+FloatArray = NDArray[np.float64]
+
+_OF_NORMAL = 1.4826
+_SIZES = 10
+_LEAST = 5 * _SIZES
+_EMISSION_DEG, _INCIDENCE_DEG, _IN_FRAME = 65.0, 80.0, 0.95
+_HEADS = ("centre_sigma_px", "centre_sigma_radii", "size_sigma", "axes_sigma", "redetected")
+_NOTE = (
+    "Deviations under the names that `association` has for them, of detections that reach the detector's threshold and"
+    " are matched. A coordinate of the centre has the variance centre_sigma_px^2 + (centre_sigma_radii r)^2, fitted to"
+    " tenths of the detections by their radius r; each tenth's is the median absolute deviation times 1.4826, as those"
+    " who use it leave out what is far off. Size and axes are logarithms of the ratios of radii and of ratios of axes,"
+    " weighed by a normal law: standard deviations. redetected: of craters that two other images show detected, the"
+    f" share detected where they are in the frame, emission under {_EMISSION_DEG:g} deg and incidence under"
+    f" {_INCIDENCE_DEG:g} deg. A campaign whose methods are given these must show other craters."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RimScatter:
+    """Scatter of detected rims about true ones; see the note of `rim_grid`."""
+
+    centre_px: float
+    centre_radii: float
+    size: float
+    axes: float
+    redetected: float
+
+
+def rim_scatter(one: DetectorResults) -> RimScatter | None:
+    """Measure it; None with too few detections that are matched."""
+    found = one.detections
+    found = found[found["kept"].to_numpy(dtype=bool) & (found["crater"].to_numpy() >= 0)]
+    if len(found) < _LEAST:
+        return None
+    axes = found[["major_px", "minor_px"]].to_numpy(dtype=np.float64)
+    true = axes - found[["major_error_px", "minor_error_px"]].to_numpy(dtype=np.float64)
+    radius = np.sqrt(true.prod(axis=1))
+    centre = found[["centre_error_u_px", "centre_error_v_px"]].to_numpy(dtype=np.float64)
+    ratios = np.log(axes / true)
+    size, shape = 0.5 * ratios.sum(axis=1), ratios[:, 1] - ratios[:, 0]
+    return RimScatter(*_centre_sigmas(radius, centre), float(size.std()), float(shape.std()), _redetected(one.craters))
+
+
+def _centre_sigmas(radius_px: FloatArray, centre_px: FloatArray) -> tuple[float, float]:
+    """Fit the variance of a coordinate, by tenths of the radii: each counts by the relative error of its variance."""
+    tenths = np.array_split(np.argsort(radius_px, kind="stable"), _SIZES)
+    variance = np.array([_spread(centre_px[rows].ravel()) ** 2 for rows in tenths])
+    squares = np.array([np.mean(radius_px[rows] ** 2) for rows in tenths])
+    weight = 1.0 / np.maximum(variance, np.finfo(np.float64).tiny)
+    fitted, _ = nnls(np.column_stack([weight, weight * squares]), weight * variance)
+    return float(np.sqrt(fitted[0])), float(np.sqrt(fitted[1]))
+
+
+def _spread(values: FloatArray) -> float:
+    return float(_OF_NORMAL * np.median(np.abs(values - np.median(values))))
+
+
+def _redetected(craters: pd.DataFrame) -> float:
+    """Share of the looks at known craters, those that two other images show detected, in which they are detected."""
+    kept = craters["kept"].to_numpy(dtype=bool)
+    elsewhere = craters.groupby(["world", "crater"])["kept"].transform("sum").to_numpy(dtype=np.int64) - kept
+    looks = (
+        (elsewhere >= 2)
+        & (craters["in_frame"].to_numpy() >= _IN_FRAME)
+        & (craters["emission_deg"].to_numpy() <= _EMISSION_DEG)
+        & (craters["incidence_deg"].to_numpy() <= _INCIDENCE_DEG)
+    )
+    return float(kept[looks].mean()) if looks.any() else 0.0
+
+
+def rim_grid(ones: Sequence[DetectorResults]) -> Grid:
+    """Tabulate the scatter of each detector."""
+    rows = []
+    for one in ones:
+        scatter = rim_scatter(one)
+        cells = ("-",) * len(_HEADS) if scatter is None else tuple(f"{value:.3g}" for value in astuple(scatter))
+        rows.append((one.scenario, one.estimator, *cells))
+    return Grid("Scatter of detected rims", ("scenario", "detector", *_HEADS), tuple(rows), frozenset({0, 1}), _NOTE)
+
+
+def tables(content: Content) -> Tables:
+    """List the tables of a report."""
+    return (
+        *crater_grids(content.records, content.run),
+        rim_grid(list(detector_results(content.run))),
+        comparison_grid(content.compared),
+        timing_grid(content.records),
+    )
+
+
+REPORT = ReportKind(
+    records=lambda run, comparison: crater_records(run),
+    tables=tables,
+    brief=lambda content: crater_brief(content.records),
+    figures=lambda content: () if content.run.table("craters").empty else crater_figures(content.run),
+)

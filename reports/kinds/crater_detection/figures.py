@@ -19,7 +19,13 @@ from reports.figures.crater_results import (
     draw_rates,
 )
 from reports.figures.craters import draw_stages
-from reports.kinds.crater_detection.rates import BINNINGS, Shown, binned_rates, confidence_curve, shown
+from reports.kinds.crater_detection.rates import (
+    BINNINGS,
+    DetectorResults,
+    binned_rates,
+    confidence_curve,
+    detector_results,
+)
 from reports.run.data import RunData
 from reports.schema.named_figure import NamedFigure, file_stem
 from scenarios.geometry import Ellipses
@@ -29,7 +35,7 @@ _ELLIPSE = ["u_px", "v_px", "major_px", "minor_px", "angle_deg"]
 
 def crater_figures(run: RunData) -> Iterator[NamedFigure]:
     """Draw, for each scenario, the curves over confidence and the rates by what craters are like."""
-    every = list(shown(run))
+    every = list(detector_results(run))
     for scenario in dict.fromkeys(one.scenario for one in every):
         ones = [one for one in every if one.scenario == scenario and len(one.detections)]
         if ones:
@@ -37,7 +43,7 @@ def crater_figures(run: RunData) -> Iterator[NamedFigure]:
             yield _rates(scenario, ones)
 
 
-def _curves(scenario: str, ones: list[Shown]) -> NamedFigure:
+def _curves(scenario: str, ones: list[DetectorResults]) -> NamedFigure:
     curves = {}
     for one in ones:
         curve = confidence_curve(one)
@@ -56,7 +62,7 @@ def _curves(scenario: str, ones: list[Shown]) -> NamedFigure:
     )
 
 
-def _rates(scenario: str, ones: list[Shown]) -> NamedFigure:
+def _rates(scenario: str, ones: list[DetectorResults]) -> NamedFigure:
     panels = {
         what: {
             one.estimator: [

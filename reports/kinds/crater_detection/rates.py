@@ -15,7 +15,7 @@ from reports.run.data import RunData, select
 from reports.schema.grid import NO_VALUE, Grid, value_of
 from reports.schema.records import Record
 from reports.schema.tables import measure_heading, unit_of
-from reports.statistics.intervals import is_told
+from reports.statistics.intervals import has_quantile
 from reports.statistics.measured import MEDIAN, RMS, measure, measure_share
 
 FloatArray = NDArray[np.float64]
@@ -49,7 +49,7 @@ _NOTE = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shown:
+class DetectorResults:
     """What one detector was shown and found: images, true craters with what was found of each, and detections.
 
     Craters and detections have the columns ``kept``: whether by the detector's own threshold; ``world``: within which
@@ -64,7 +64,7 @@ class Shown:
     detections: pd.DataFrame
 
 
-def shown(run: RunData) -> Iterator[Shown]:
+def detector_results(run: RunData) -> Iterator[DetectorResults]:
     """Yield each detector's images, of the trials that it did not fail on for a fault of its own."""
     for scenario, estimator in run.pairs():
         rows = select(run.rows, scenario, estimator)
@@ -76,15 +76,17 @@ def shown(run: RunData) -> Iterator[Shown]:
         matched = found.loc[found["crater"] >= 0, ["trial", "crater", "confidence", "kept"]]
         craters = here.merge(matched, on=["trial", "crater"], how="left")
         craters["kept"] = craters["kept"].eq(True)
-        yield Shown(scenario, estimator, images, craters, found)
+        yield DetectorResults(scenario, estimator, images, craters, found)
 
 
 def crater_records(run: RunData) -> list[Record]:
     """Measure every detector; images on which it failed count with what is there and nothing found."""
-    return [record for one in (shown(run) if not run.table("craters").empty else ()) for record in _records(one)]
+    return [
+        record for one in (detector_results(run) if not run.table("craters").empty else ()) for record in _records(one)
+    ]
 
 
-def _records(one: Shown) -> Iterator[Record]:
+def _records(one: DetectorResults) -> Iterator[Record]:
     craters, found = one.craters, one.detections[one.detections["kept"].to_numpy(dtype=bool)]
     was_found = craters["kept"].to_numpy(dtype=bool)
     detectable, clean = craters["detectable"].to_numpy(dtype=bool), craters["clean"].to_numpy(dtype=bool)
@@ -92,7 +94,7 @@ def _records(one: Shown) -> Iterator[Record]:
     yield _share(one, "detection_share", was_found[detectable], around[detectable])
     yield _share(one, "clean_detection_share", was_found[clean], around[clean])
     false = found["crater"].to_numpy() < 0
-    counted = counts_as_detection(found)
+    counted = counted_detections(found)
     unit = found["unit"].to_numpy()
     yield _share(one, "false_alarm_share", false[counted], unit[counted])
     yield _share(one, "listed_false_alarm_share", false, unit)
@@ -116,12 +118,12 @@ def _records(one: Shown) -> Iterator[Record]:
         yield from _errors(one, f"{prefix}axes_error_px", np.abs(axes[seen]).ravel(), np.repeat(unit[seen], 2))
 
 
-def counts_as_detection(found: pd.DataFrame) -> BoolArray:
+def counted_detections(found: pd.DataFrame) -> BoolArray:
     """Tell which detections (m,) count: false ones and those of detectable craters, not of other listed ones."""
     return np.asarray((found["crater"] < 0) | found["detectable"].astype(bool))
 
 
-def _share(one: Shown, name: str, yes: BoolArray, unit: NDArray[np.generic]) -> Record:
+def _share(one: DetectorResults, name: str, yes: BoolArray, unit: NDArray[np.generic]) -> Record:
     """Measure a share in percent, images or worlds being drawn as a whole."""
     return _record(one, name, "mean", ratio(yes, unit), len(yes), len(yes))
 
@@ -134,13 +136,18 @@ def ratio(yes: BoolArray, unit: NDArray[np.generic]) -> tuple[float | None, floa
     return found.value, found.low, found.high
 
 
-def _errors(one: Shown, name: str, error: FloatArray, unit: NDArray[np.generic]) -> Iterator[Record]:
+def _errors(one: DetectorResults, name: str, error: FloatArray, unit: NDArray[np.generic]) -> Iterator[Record]:
     for statistic, known in zip((MEDIAN, RMS), measure(error, unit, (MEDIAN, RMS)), strict=True):
         yield _record(one, name, statistic.name, (known.value, known.low, known.high), len(error), len(error))
 
 
 def _record(
-    one: Shown, name: str, statistic: str, bounds: tuple[float | None, float | None, float | None], n_ok: int, n: int
+    one: DetectorResults,
+    name: str,
+    statistic: str,
+    bounds: tuple[float | None, float | None, float | None],
+    n_ok: int,
+    n: int,
 ) -> Record:
     return Record(one.scenario, one.estimator, DETECTION, "", name, unit_of(name), statistic, *bounds, n_ok, n)
 
@@ -155,7 +162,7 @@ def crater_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
     if not lines:
         return []
     heads = ("scenario", "detector", "quantity", "statistic", "value [95 %]", "n")
-    ones = list(shown(run))
+    ones = list(detector_results(run))
     return [
         Grid("Detection of craters", heads, lines, frozenset({0, 1, 2, 3}), _NOTE),
         _curve_grid(ones),
@@ -178,10 +185,10 @@ def crater_brief(records: Sequence[Record]) -> list[Grid]:
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class OperatingCurve:
     """A detector's operating points as the confidence falls: (m,) shares of false alarms and of craters found.
 
-    ``false_share`` is among the detections that count (`counts_as_detection`), ``listed_false_share`` among all.
+    ``false_share`` is among the detections that count (`counted_detections`), ``listed_false_share`` among all.
     """
 
     false_share: FloatArray
@@ -191,15 +198,15 @@ class Curve:
     confidence: FloatArray
 
 
-def confidence_curve(one: Shown) -> Curve:
+def confidence_curve(one: DetectorResults) -> OperatingCurve:
     """Follow the threshold on the confidence from the highest to the lowest."""
     found = one.detections.sort_values("confidence", ascending=False, kind="stable")
     false = np.cumsum(found["crater"].to_numpy() < 0)
-    counted = np.cumsum(counts_as_detection(found))
+    counted = np.cumsum(counted_detections(found))
     matched = found["crater"].to_numpy() >= 0
     hits = {name: np.cumsum(found[name].to_numpy(dtype=bool) & matched) for name in ("detectable", "clean")}
     totals = {name: max(int(one.craters[name].sum()), 1) for name in hits}
-    return Curve(
+    return OperatingCurve(
         false / np.maximum(counted, 1),
         false / np.arange(1, len(found) + 1),
         hits["detectable"] / totals["detectable"],
@@ -208,7 +215,7 @@ def confidence_curve(one: Shown) -> Curve:
     )
 
 
-def _curve_grid(ones: Sequence[Shown]) -> Grid:
+def _curve_grid(ones: Sequence[DetectorResults]) -> Grid:
     """List what is found where the threshold lets so many false alarms through at most."""
     rows: list[tuple[str, ...]] = []
     for one in ones:
@@ -265,7 +272,7 @@ BINNINGS: tuple[Binning, ...] = (
 
 
 def binned_rates(
-    one: Shown, values: Callable[[pd.DataFrame], FloatArray], edges: Sequence[float]
+    one: DetectorResults, values: Callable[[pd.DataFrame], FloatArray], edges: Sequence[float]
 ) -> Mapping[tuple[float, float], tuple[tuple[float | None, float | None, float | None], int]]:
     """Rates of detectable craters found, with intervals, and their numbers, between edges of something of theirs."""
     craters = one.craters[one.craters["detectable"].astype(bool)]
@@ -279,7 +286,7 @@ def binned_rates(
 
 
 def _binned_grid(
-    ones: Sequence[Shown], what: str, values: Callable[[pd.DataFrame], FloatArray], edges: Sequence[float]
+    ones: Sequence[DetectorResults], what: str, values: Callable[[pd.DataFrame], FloatArray], edges: Sequence[float]
 ) -> Grid:
     rows = []
     for one in ones:
@@ -309,7 +316,7 @@ def _image_grid(run: RunData) -> Grid:
         ):
             values = images[name].to_numpy(dtype=np.float64)
             low, middle, high = (f"{end:.3g}" for end in np.percentile(values, [5.0, 50.0, 95.0]))
-            if not is_told(len(values), 0.05):
+            if not has_quantile(len(values), 0.05):
                 low = high = NO_VALUE
             rows.append((str(scenario), label, low, middle, high, str(len(values))))
     heads = ("scenario", "of an image", "5 %", "median", "95 %", "images")

@@ -15,17 +15,16 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from reports.run.clusters import clusters_of, image_set
-from reports.run.data import Design, RunData, select
-from reports.run.stages import errors_by_stage, final_stage
-from reports.run.success import MEANING, succeeded
+from reports.run.data import RunData, ScenarioGrid, select
+from reports.run.outcomes import MEANING, errors_by_stage, final_stage, succeeded
 from reports.schema.grid import NO_VALUE, Grid, of_ended
 from reports.schema.kinds.sequence import SEQUENCE_COLUMNS
 from reports.schema.labels import stage_label
 from reports.schema.records import CONTROL, SEQUENCE
 from reports.schema.tables import measure_label, unit_of
-from reports.statistics.main_effects import main_effects
 from reports.statistics.measured import MEAN, MEDIAN, Measured, measure
-from reports.tables.cells import interval
+from reports.statistics.paired import main_effects
+from reports.tables import interval
 
 POSITION, ATTITUDE, CENTROID = "position_error_m", "attitude_error_deg", "centroid_offset_px"
 REVOLUTION_ERRORS = tuple(name for name in SEQUENCE_COLUMNS if name.startswith("error_after_"))
@@ -99,7 +98,7 @@ class DesignData:
         That description.
     """
 
-    def __init__(self, run: RunData, design: Design) -> None:
+    def __init__(self, run: RunData, design: ScenarioGrid) -> None:
         self.run = run
         self.design = design
         done = set(run.rows["scenario"])
@@ -220,7 +219,7 @@ def design_grids(run: RunData) -> list[Grid]:
     return [grid for base, names in data.bases().items() for grid in tabulate[design.design](data, base, names)]
 
 
-def matching(design: Design, levels: dict[str, str]) -> dict[str, str] | None:
+def matching(design: ScenarioGrid, levels: dict[str, str]) -> dict[str, str] | None:
     """Return the levels at which the last of two axes agrees with the first; None where it has no such level."""
     first, last = design.axes[0], design.axes[-1]
     if len(design.axes) != 2 or first.levels != last.levels:

@@ -1,5 +1,48 @@
-"""What a report tells of sequences."""
+"""What a report tells of trials of sequences."""
 
-from reports.kinds.sequence.report import REPORT
+from __future__ import annotations
 
-__all__ = ["REPORT"]
+from collections.abc import Iterable
+
+from reports.kinds import Content, ReportKind, Tables
+from reports.kinds.designs import REPORT as DESIGN_REPORT
+from reports.kinds.sequence.contrasts import cycle_ratio_records, ratio_records, reduction_records
+from reports.kinds.sequence.tables import sequence_figures, sequence_grid, sequence_grids
+from reports.kinds.sequence.vision import vision_records
+from reports.kinds.single_image import pose_brief
+from reports.published import Comparison
+from reports.run.clusters import pools
+from reports.run.data import RunData
+from reports.schema.named_figure import NamedFigure
+from reports.schema.records import Record
+
+
+def records(run: RunData, comparison: Comparison | None) -> Iterable[Record]:
+    """Measure vision, and errors and times of estimators against each other."""
+    reductions = reduction_records(run, comparison) if comparison else ()
+    return (*vision_records(run), *reductions, *ratio_records(run), *cycle_ratio_records(run))
+
+
+def brief(content: Content) -> Tables:
+    """List what the terminal shows: of a grid of scenarios its axes, and before them what is pooled."""
+    if content.run.manifest.grid is None:
+        return pose_brief(content)
+    own = [pool.name for pool in pools(content.run)]
+    pooled = sequence_grid([record for record in content.records if record.scenario in own])
+    return [pooled, *DESIGN_REPORT.brief(content)]
+
+
+def figures(content: Content) -> Iterable[NamedFigure]:
+    """Draw errors along the frames, or, where one thing varies at a time, over the axes."""
+    grid = content.run.manifest.grid
+    if grid is not None and grid.design == "one-at-a-time":
+        return DESIGN_REPORT.figures(content)
+    return sequence_figures(content.run)
+
+
+REPORT = ReportKind(
+    records=records,
+    tables=lambda content: sequence_grids(content.records, content.compared, content.run),
+    brief=brief,
+    figures=figures,
+)

@@ -32,7 +32,7 @@ _CYCLE, _CYCLE_RATIO = "cycle", "cycle_seconds_ratio"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _SideBySide:
+class _ErrorTable:
     """One error of all estimators in a group of scenarios, side by side.
 
     Parameters
@@ -53,7 +53,7 @@ class _SideBySide:
     clusters: NDArray[np.generic]
 
     @classmethod
-    def of(cls, run: RunData, rows: pd.DataFrame, error: str) -> _SideBySide:
+    def of(cls, run: RunData, rows: pd.DataFrame, error: str) -> _ErrorTable:
         """Lay out rows; lines are in their order."""
         one_each = rows.assign(there=1.0).set_index(["trial", "scenario", "estimator"])[[error, "there"]]
         laid = one_each.unstack()  # noqa: PD010  pivot_table would leave out lines without an error
@@ -61,16 +61,16 @@ class _SideBySide:
         errors, there = (np.asarray(laid[name], dtype=np.float64) for name in (error, "there"))
         return cls([str(label) for label in laid["there"]], errors, np.isfinite(there), clusters)
 
-    def both(self, one: str, other: str) -> _Both:
+    def both(self, one: str, other: str) -> _PairedErrors:
         """Take the trials of two estimators."""
         columns = [self.estimators.index(one), self.estimators.index(other)]
         errors = self.errors[:, columns]
         known = np.isfinite(errors).all(axis=1)
-        return _Both(errors[known], self.clusters[known], int(self.there[:, columns].all(axis=1).sum()))
+        return _PairedErrors(errors[known], self.clusters[known], int(self.there[:, columns].all(axis=1).sum()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Both:
+class _PairedErrors:
     """Two errors of the same trials.
 
     Parameters
@@ -88,7 +88,7 @@ class _Both:
     n: int
 
     @classmethod
-    def of(cls, run: RunData, one: pd.DataFrame, other: pd.DataFrame, error: str) -> _Both:
+    def of(cls, run: RunData, one: pd.DataFrame, other: pd.DataFrame, error: str) -> _PairedErrors:
         """Join the rows of two scenarios by their trials."""
         both = one.merge(other[["trial", error]], on="trial", suffixes=("", "_other"))
         known = both[[error, f"{error}_other"]].notna().all(axis=1)
@@ -117,7 +117,7 @@ def ratio_records(run: RunData) -> Iterator[Record]:
         if name in pooled:
             continue
         own = run.rows[run.rows["scenario"].isin(members)]
-        sides = {ratio: _SideBySide.of(run, own, error) for ratio, error in ERROR_RATIOS.items()}
+        sides = {ratio: _ErrorTable.of(run, own, error) for ratio, error in ERROR_RATIOS.items()}
         for one, other in permutations(dict.fromkeys(own["estimator"]), 2):
             for ratio, side in sides.items():
                 both = side.both(one, other)
@@ -134,7 +134,7 @@ def cycle_ratio_records(run: RunData) -> Iterator[Record]:
         own = cycles[cycles["scenario"].isin(members)]
         if name in pooled or own.empty:
             continue
-        side = _SideBySide.of(run, own, "seconds")
+        side = _ErrorTable.of(run, own, "seconds")
         for one, other in permutations(side.estimators, 2):
             both = side.both(one, other)
             if not (both.errors > 0.0).all():  # a method tells its times itself, and may not measure them
@@ -146,7 +146,7 @@ def cycle_ratio_records(run: RunData) -> Iterator[Record]:
             )  # fmt: skip
 
 
-def _ratio_records(both: _Both, said: tuple[str, str, str, str]) -> Iterator[Record]:
+def _ratio_records(both: _PairedErrors, said: tuple[str, str, str, str]) -> Iterator[Record]:
     """Yield ratio and sign test; ``said``: group, estimator, the other one and the measure."""
     group, estimator, other, name = said
 
@@ -186,7 +186,7 @@ def _contrasted(run: RunData, published: PublishedValue) -> Iterator[tuple[Pair,
 
 def _reduction_record(run: RunData, one: Pair, other: Pair, published: PublishedValue) -> Record:
     error = f"{published.measure.removesuffix('_reduction')}_m"
-    both = _Both.of(run, select(run.rows, *one), select(run.rows, *other), error)
+    both = _PairedErrors.of(run, select(run.rows, *one), select(run.rows, *other), error)
     measured = both.measured(_reduction)
     return Record(
         *one, REDUCTION, published.against, published.measure, unit_of(published.measure), MEAN.name,

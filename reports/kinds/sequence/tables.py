@@ -24,9 +24,8 @@ from reports.schema.tables import measure_label
 from reports.statistics.consistency import consistency_grid
 from reports.statistics.measured import DEVIATION, MEAN, MEDIAN, P95, RMS
 from reports.statistics.paired import BETTER, SIGN_TEST
-from reports.tables.general import diagnostic_grid, timing_grid
-from reports.verdicts.comparison import ComparedValue
-from reports.verdicts.tables import comparison_grid
+from reports.tables import diagnostic_grid, timing_grid
+from reports.verdicts import ComparedValue, comparison_grid
 
 _NUMBERED = re.compile(r"(?P<stem>.+)-(?P<number>\d+)")
 
@@ -50,7 +49,7 @@ def sequence_grids(records: Sequence[Record], compared: Sequence[ComparedValue],
     design = run.manifest.grid
     if design is not None and design.design == "one-at-a-time":
         return design_grids(run)
-    shown = pooled_alone(run, records)
+    shown = without_pooled(run, records)
     found = (
         comparison_grid(compared),
         *ratio_grids(shown),
@@ -65,7 +64,7 @@ def sequence_grids(records: Sequence[Record], compared: Sequence[ComparedValue],
     return [grid for grid in found if grid is not None]
 
 
-def pooled_alone(run: RunData, records: Sequence[Record]) -> list[Record]:
+def without_pooled(run: RunData, records: Sequence[Record]) -> list[Record]:
     """Leave out the scenarios that a pool stands for."""
     pooled = pooled_scenarios(run)
     return [record for record in records if record.scenario not in pooled]

@@ -1,5 +1,104 @@
-"""What a report tells of single images."""
+"""What a report tells of trials of single images."""
 
-from reports.kinds.single_image.report import REPORT
+from __future__ import annotations
 
-__all__ = ["REPORT"]
+import math
+from collections.abc import Iterable, Iterator
+
+from pydantic import ValidationError
+
+from reports.kinds import Content, ReportKind, Tables
+from reports.kinds.designs import REPORT as DESIGN_REPORT
+from reports.kinds.single_image.figures import image_figures
+from reports.kinds.single_image.sensitivity import mesh_variants, sensitivity_grid
+from reports.kinds.single_image.tradeoff import trade_grid
+from reports.published import Comparison
+from reports.run.data import RunData
+from reports.schema.grid import Grid
+from reports.schema.named_figure import NamedFigure
+from reports.schema.records import CONTROL, DERIVED, Record
+from reports.schema.tables import unit_of
+from reports.statistics.consistency import consistency_grid
+from reports.statistics.paired import paired_grid
+from reports.statistics.roc import outlier_grid
+from reports.tables import detail_grid, diagnostic_grid, pose_grids, reference_grid, timing_grid
+from reports.verdicts import comparison_grid
+from scenarios.spec.camera import CameraSpec
+
+
+def derived_records(run: RunData, radius_m: float) -> tuple[Record, ...]:
+    """Work out, for each scenario, what one pixel on the boresight amounts to at the median range of its trials.
+
+    ``pixel_scale_m`` on the near side of a ball of that radius; ``pixel_rotation_deg``, the turn of the ball that moves
+    its near side by a pixel; ``pixel_displacement_m``, the camera's own displacement in the body frame that looks the
+    same (Rowell et al. 2015, sections 4.2 and 4.3).
+    """
+    records: list[Record] = []
+    for name, scenario in run.manifest.scenarios.items():
+        try:
+            camera = CameraSpec.model_validate(scenario.get("camera", {})).camera()
+        except (AttributeError, ValidationError):
+            continue
+        rows = run.rows[run.rows["scenario"] == name]
+        if rows["range_m"].notna().any():
+            records += _of_a_pixel(str(name), camera.pixel_angle_rad, float(rows["range_m"].median()), radius_m)
+    return tuple(records)
+
+
+def _of_a_pixel(scenario: str, angle_rad: float, range_m: float, radius_m: float) -> list[Record]:
+    scale_m = angle_rad * (range_m - radius_m)
+    values = {
+        "pixel_scale_m": scale_m,
+        "pixel_rotation_deg": math.degrees(scale_m / radius_m),
+        "pixel_displacement_m": scale_m / radius_m * range_m,
+    }
+    return [
+        Record(scenario, "", DERIVED, "", name, unit_of(name), "value", value, value, value, 1, 1)
+        for name, value in values.items()
+    ]
+
+
+def records(run: RunData, comparison: Comparison | None) -> Iterator[Record]:
+    """Yield what follows from the scenario alone, where the paper names the body's radius."""
+    if comparison is not None and comparison.radius_m:
+        yield from derived_records(run, comparison.radius_m)
+
+
+def tables(content: Content) -> Tables:
+    """List the tables of single images, or of the grid that their scenarios are."""
+    measured, run = content.records, content.run
+    if run.manifest.grid is not None:
+        return DESIGN_REPORT.tables(content)
+    return (
+        *pose_grids(measured, run),
+        reference_grid(measured, run),
+        comparison_grid(content.compared),
+        trade_grid(run),
+        detail_grid(measured),
+        diagnostic_grid(measured),
+        paired_grid(measured),
+        consistency_grid(measured),
+        sensitivity_grid(measured, mesh_variants(run)),
+        outlier_grid(measured),
+        timing_grid(measured),
+    )
+
+
+def pose_brief(content: Content) -> list[Grid]:
+    """List the errors of poses for the terminal."""
+    several = len({r.estimator for r in content.records if r.estimator and r.stage != CONTROL}) > 1
+    counted = (*(["estimator"] if several else []), "stage", "solved", "success")
+    return [grid.keep(*counted, "position m", "attitude deg") for grid in pose_grids(content.records, content.run)]
+
+
+def brief(content: Content) -> Tables:
+    """List what the terminal shows."""
+    return pose_brief(content) if content.run.manifest.grid is None else DESIGN_REPORT.brief(content)
+
+
+def figures(content: Content) -> Iterable[NamedFigure]:
+    """Draw the figures of single images, or of the grid that their scenarios are."""
+    return image_figures(content) if content.run.manifest.grid is None else DESIGN_REPORT.figures(content)
+
+
+REPORT = ReportKind(records=records, tables=tables, brief=brief, figures=figures)

@@ -20,16 +20,16 @@ from reports.figures import (
     draw_roc,
     draw_trade_off,
 )
-from reports.kinds.kind import Content
+from reports.kinds import Content
 from reports.kinds.single_image.tradeoff import ATTITUDE, POSITION, costs, prior_medians
 from reports.run.data import RunData, select
-from reports.run.stages import errors_by_stage, final_stage
+from reports.run.outcomes import errors_by_stage, final_stage
 from reports.schema.labels import stage_label
 from reports.schema.named_figure import NamedFigure, file_stem
 from reports.schema.records import CONTROL
 from reports.statistics.intervals import FloatArray
 from reports.statistics.measured import MEDIAN
-from reports.statistics.roc import DEFINITIONS, Detection, area, detections, roc_curve
+from reports.statistics.roc import DEFINITIONS, OutlierScore, area, outlier_scores, roc_curve
 
 
 def image_figures(content: Content) -> Iterator[NamedFigure]:
@@ -104,7 +104,7 @@ def landmark_figures(content: Content, scenario: str, estimator: str) -> Iterato
 
 def _outlier_figures(content: Content, scenario: str, estimator: str) -> Iterator[NamedFigure]:
     run = content.run
-    found = [d for d in detections(run) if (d.scenario, d.estimator) == (scenario, estimator)]
+    found = [d for d in outlier_scores(run) if (d.scenario, d.estimator) == (scenario, estimator)]
     if found:
         title = f"What tells bad solutions, {scenario}, {estimator}"
         yield NamedFigure(
@@ -116,7 +116,7 @@ def _outlier_figures(content: Content, scenario: str, estimator: str) -> Iterato
         )
 
 
-def _curves(found: Sequence[Detection]) -> dict[str, list[Curve]]:
+def _curves(found: Sequence[OutlierScore]) -> dict[str, list[Curve]]:
     """Choose the scores whose area is farthest from chance, for each definition of bad."""
     curves: dict[str, list[Curve]] = {}
     for one in found:

@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 
 from reports.run.clusters import clusters_of
-from reports.run.data import Product, RunData, select
-from reports.run.success import succeeded
+from reports.run.data import RunData, StoredProduct, select
+from reports.run.outcomes import succeeded
 from reports.schema.grid import NO_VALUE, Grid, number
 from reports.schema.records import CONTROL
 from reports.statistics.measured import MEDIAN, Measured, measure, share_of
-from reports.tables.cells import interval
+from reports.tables import interval
 
 POSITION, ATTITUDE = "position_error_m", "attitude_error_deg"
 _IMAGE_STAGES = ("image", "stored_image")
@@ -120,7 +120,7 @@ def _seconds(run: RunData, ok: pd.DataFrame) -> Measured:
     return measure(total["seconds"].to_numpy(dtype=np.float64), clusters_of(run, total), (MEDIAN,))[0]
 
 
-def _mean_of(products: Sequence[Product], count: Callable[[Product], int | None]) -> int | None:
+def _mean_of(products: Sequence[StoredProduct], count: Callable[[StoredProduct], int | None]) -> int | None:
     """Add a count up over the products of a data base, and take the mean over several data bases."""
     known = [number for number in map(count, products) if number is not None]
     return round(sum(known) / len({product.database for product in products})) if known else None

@@ -24,7 +24,7 @@ from hostile import recipes
 from hostile.target import Target
 from reports.run.clusters import clusters_of, pools
 from reports.run.data import read_run
-from reports.run.known import known_lines
+from reports.run.limits import known_lines
 from reports.schema.tables import schema
 from scenarios.checksums import checksum_text
 from scenarios.errors import BoresightError

@@ -1,21 +1,42 @@
-"""The tables of a run of single images, and those that every run has."""
+"""Tables that several kinds of trial share: pose errors, diagnostics, times and failures."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from reports.run.data import RunData
-from reports.run.known import short_line
-from reports.run.reasons import unsolved
-from reports.run.success import MEANING
-from reports.schema.grid import NO_VALUE, Grid, counts, value_of
+from reports.run.limits import short_line
+from reports.run.outcomes import MEANING, unsolved
+from reports.schema.grid import NO_VALUE, Grid, counts, number, value_of
 from reports.schema.labels import stage_label
 from reports.schema.records import CONTROL, DIAGNOSTICS, FAILURES_AT_PRIOR, Record, find
 from reports.schema.tables import measure_label, measures
-from reports.statistics.measured import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE
+from reports.statistics.measured import MEAN, MEDIAN, P95, RMS, ROOT_MEDIAN_SQUARE, Measured
 from scenarios.known import correlated
 
 _POSE_HEADS = ("position m", "RMS", "95th", "x", "y", "z", "attitude deg", "RMS", "95th")
+
+_SMALL_P = 1e-3
+
+
+def interval(measured: Measured, scale: float = 1.0) -> str:
+    """Print a value with its 95 % interval, in units of 1 / ``scale``."""
+    if measured.value is None:
+        return NO_VALUE
+    value = _bounded(scale * measured.value)
+    if measured.low is None or measured.high is None:
+        return value
+    return f"{value} [{_bounded(scale * measured.low)}, {_bounded(scale * measured.high)}]"
+
+
+def _bounded(value: float) -> str:
+    return "∞" if math.isinf(value) else number(value)
+
+
+def chance(p: float | None) -> str:
+    """Print the p of a test."""
+    return f"< {_SMALL_P:g}" if p is not None and p < _SMALL_P else number(p)
 
 
 def pose_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
@@ -40,7 +61,7 @@ def pose_grids(records: Sequence[Record], run: RunData) -> list[Grid]:
 
 
 def _pose_lines(own: Sequence[Record]) -> list[Record]:
-    """Choose the lines of one scenario: the prior, which all share, once; failures at the prior where there are any."""
+    """Choose the lines of one scenario: the common prior once; failures at the prior where there are any."""
     priors = [r for r in own if r.stage == CONTROL]
     later = [r for r in own if r.stage != CONTROL]
     failed = {r.estimator for r in later if r.n_ok < r.n}
@@ -100,7 +121,7 @@ def reference_grid(records: Sequence[Record], run: RunData) -> Grid | None:
 
 
 def detail_grid(records: Sequence[Record]) -> Grid | None:
-    """Tabulate improvement trial by trial, landmarks and data base; None if nothing of it was measured."""
+    """Tabulate the improvement of each trial, landmarks and data base; None if none of them was measured."""
     listed = {name for name, measure in measures().items() if measure.detail}
     chosen = [r for r in records if r.measure in listed and r.stage != DIAGNOSTICS]
     heads = ("scenario", "estimator", "quantity", "statistic", "value [95 %]", "unit", "ok")
@@ -115,7 +136,7 @@ def detail_grid(records: Sequence[Record]) -> Grid | None:
 
 
 def diagnostic_grid(records: Sequence[Record]) -> Grid | None:
-    """Tabulate the numbers that estimators report beside the pose; None if there are none."""
+    """Tabulate the numbers that estimators report in addition to the pose; None if there are none."""
     lines = [r for r in records if r.stage == DIAGNOSTICS and r.statistic == MEDIAN.name]
     heads = ("scenario", "estimator", "number", "median [95 %]", "mean", "RMS", "95th percentile", "unit", "trials")
 

@@ -15,13 +15,13 @@ from reports.statistics.roc import (
     MEASURE,
     THRESHOLD,
     TRUE_POSITIVES,
-    Detection,
+    OutlierScore,
     area,
-    detections,
     large_sample_area,
     measured_area,
     operating_point,
     outlier_records,
+    outlier_scores,
     roc_curve,
 )
 
@@ -34,8 +34,8 @@ def sample(seed, good=300, bad=60, shift=1.2, digits=8):
     return score, np.repeat([False, True], [good, bad])
 
 
-def detection(score, bad):
-    return Detection("scene", "estimator", "score", ABOVE_PRIOR, score, bad, np.arange(len(score)))
+def outlier_score(score, bad):
+    return OutlierScore("scene", "estimator", "score", ABOVE_PRIOR, score, bad, np.arange(len(score)))
 
 
 @pytest.mark.parametrize("digits", [8, 1, 0], ids=["no ties", "some ties", "many ties"])
@@ -63,7 +63,7 @@ def test_two_normal_laws_have_the_area_of_the_closed_form():
 
 def test_the_interval_is_as_wide_as_that_of_hanley_and_mcneil():
     score, bad = sample(4)
-    found = measured_area(detection(score, bad))
+    found = measured_area(outlier_score(score, bad))
     a, n_bad, n_good = found.value, 60, 300
     q1, q2 = a / (2.0 - a), 2.0 * a * a / (1.0 + a)
     variance = (a * (1 - a) + (n_bad - 1) * (q1 - a * a) + (n_good - 1) * (q2 - a * a)) / (n_bad * n_good)
@@ -74,7 +74,7 @@ def test_the_interval_is_as_wide_as_that_of_hanley_and_mcneil():
 def test_the_operating_point_flags_five_percent_of_the_good():
     score, bad = sample(5, good=2000, bad=2000)
     for sign in (1.0, -1.0):
-        found = detection(sign * score, bad)
+        found = outlier_score(sign * score, bad)
         assert found.low_is_bad is (sign < 0)
         true, threshold = operating_point(found)
         beyond = sign * found.score >= sign * threshold
@@ -100,7 +100,7 @@ def run(builder):
 
 
 def test_scores_are_judged_over_the_solutions(run):
-    found = list(detections(read_run(run)))
+    found = list(outlier_scores(read_run(run)))
     assert [(d.name, d.definition) for d in found] == [
         (name, definition) for name in ("centroid_residual_px", "chance") for definition in (ABOVE_PRIOR, ABOVE_MEDIANS)
     ]
@@ -120,12 +120,12 @@ def test_too_few_bad_solutions_are_not_judged(builder):
         builder.trial(trial, PRIOR, (BAD_ERROR if trial < 4 else GOOD_ERROR, 0.5))
         key = {"trial": trial, "scenario": "itokawa", "estimator": "landmark-harris"}
         builder.add("diagnostics", **key, name="chi2", value=float(trial))
-    assert list(detections(read_run(builder.write()))) == []
+    assert list(outlier_scores(read_run(builder.write()))) == []
 
 
 def test_the_report_shows_table_and_figure(run):
     files = write_report(run)
-    assert "Bad solutions, and what tells them" in files.markdown.read_text()
+    assert "Bad solutions, and the numbers that indicate them" in files.markdown.read_text()
     table = pd.read_csv(files.folder / "table.csv")
     assert {AUC, TRUE_POSITIVES, THRESHOLD, BAD} <= set(table["statistic"])
     assert any(path.name.startswith("outliers_") for path in files.figures)
@@ -137,7 +137,7 @@ def test_the_interval_of_many_trials_is_that_of_their_bootstrap():
     bad = rng.random(2000) < 0.2
     score = rng.normal(size=2000) + bad
     low, high = large_sample_area(score, bad)
-    resampled = measured_area(Detection("s", "e", "n", "d", score, bad, np.arange(2000)))
+    resampled = measured_area(OutlierScore("s", "e", "n", "d", score, bad, np.arange(2000)))
     assert low == pytest.approx(resampled.low, abs=0.004)
     assert high == pytest.approx(resampled.high, abs=0.004)
     assert low < norm.cdf(np.sqrt(0.5)) < high

@@ -12,10 +12,9 @@ from reports.compare.metrics import Metric
 from reports.compare.subjects import compared
 from reports.figures.designs import CurvePanel, Effect, Points, draw_curves, draw_effects
 from reports.figures.matrix import Matrix, draw_matrix
-from reports.kinds.designs.tables import ATTITUDE, POSITION, DesignData, Outcome, design_grids, outcomes
-from reports.kinds.kind import Content, ReportKind
-from reports.run.data import DesignAxis, RunData
-from reports.schema.grid import Grid, number
+from reports.kinds.designs.tables import ATTITUDE, POSITION, DesignData, Outcome, outcomes
+from reports.run.data import GridAxis, RunData
+from reports.schema.grid import number
 from reports.schema.labels import stage_label
 from reports.schema.named_figure import NamedFigure, file_stem
 from reports.schema.records import CONTROL, SEQUENCE
@@ -145,7 +144,7 @@ def _level_effects(data: DesignData, names: list[str], outcome: Outcome) -> list
     return effects
 
 
-def _lines(data: DesignData, names: list[str], axis: DesignAxis, group: list[Outcome]) -> dict[str, Points]:
+def _lines(data: DesignData, names: list[str], axis: GridAxis, group: list[Outcome]) -> dict[str, Points]:
     """Points of each outcome along an axis: the reference and the scenarios that vary this axis alone."""
     reference = data.levels(names[0])
     along = {}
@@ -194,16 +193,3 @@ def _effects(data: DesignData, base: str, names: list[str], estimator: str) -> I
         " 95 % interval; 1 is no effect.",
         f"Points with intervals for {', '.join(panels)}.",
     )
-
-
-def brief(content: Content) -> list[Grid]:
-    """List the tables of a grid for the terminal, without changes from level to level."""
-    grids = design_grids(content.run)
-    return [grid.keep(*(column for column in grid.columns if column != "change")) for grid in grids]
-
-
-REPORT = ReportKind(
-    tables=lambda content: design_grids(content.run),
-    brief=brief,
-    figures=lambda content: design_figures(content.run),
-)

@@ -1,5 +1,0 @@
-"""What a report tells of data bases of landmarks: what it does of single images, as far as the trials have it."""
-
-from reports.kinds.single_image.report import REPORT
-
-__all__ = ["REPORT"]

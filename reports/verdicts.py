@@ -1,0 +1,302 @@
+"""Comparison of our values with published ones by one rule, and its tables.
+
+The rule is the same for all values; the file of each paper states what was known of our values when its tolerances and
+bounds were chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal
+
+from reports.published import Comparison, PublishedClaim, PublishedValue, Term
+from reports.schema.common import POSE_COLUMNS
+from reports.schema.grid import NO_VALUE, Grid, counts, value_of, value_of_ended
+from reports.schema.labels import stage_label
+from reports.schema.records import CONTROL, DERIVED, RATIO, REDUCTION, SEQUENCE, Record, find
+from reports.schema.tables import measure_label
+from reports.statistics.intervals import wilson
+
+_OF_RUNS = frozenset({SEQUENCE, REDUCTION, RATIO, "orbit"})
+"""Stages of whole runs, of which those that do not end have no error; elsewhere counts are of other things."""
+_WITHOUT_OTHERS = " of the runs that ended"
+_NONE_DUE = frozenset({"context", "not measured"})
+
+Verdict = Literal[
+    "reproduced", "better", "differs", "differs (lower)", "differs (higher)", "undecided", "context", "not measured"
+]
+
+VERDICT_RULE = (
+    "reproduced: the whole 95 % interval lies within the tolerance; differs (lower, higher): the whole interval lies "
+    "outside it, below or above, even where ours is the better value, because a method of the paper with other results "
+    "is not the same method; better: the same on the better side, of a method that the paper does not have; undecided: "
+    "the interval reaches across an edge of the tolerance, or there is none, so that more trials, or sets of images, "
+    "are needed; context: no verdict is given, because conditions differ or no tolerance was set. Where the paper says "
+    "'more than', or names an order, the intervals must agree with it, and stay below an upper bound where the words "
+    "set one ('somewhat broader')."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedValue:
+    """A published value, ours (None if the run does not measure it) and the verdict."""
+
+    scenario: str
+    estimator: str
+    published: PublishedValue
+    ours: Record | None
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedClaim:
+    """A statement of the paper in words, our values in the stated order, and the verdict."""
+
+    scenario: str
+    claim: PublishedClaim
+    ours: tuple[Record | None, ...]
+    verdict: Verdict
+
+
+def compare(records: Sequence[Record], comparison: Comparison) -> tuple[ComparedValue, ...]:
+    """Compare each published value with ours, for every scenario that it is for and every estimator but the control.
+
+    A value of ours that belongs to a scenario alone is used for each of its estimators.
+    """
+    pairs = dict.fromkeys((r.scenario, r.estimator) for r in records if r.estimator not in ("", CONTROL))
+    compared = []
+    for scenario, estimator in pairs:
+        for published in comparison.values:
+            if published.scenario not in ("", scenario) or published.estimator not in ("", estimator):
+                continue
+            ours = _ours(records, scenario, estimator, published) or _ours(records, scenario, "", published)
+            if ours is None and published.stage == DERIVED:
+                continue
+            own = bool(published.estimator) or estimator in comparison.methods
+            due = value_verdict(ours, published, own) if comparison.verdicts else "context"
+            compared.append(ComparedValue(scenario, estimator, published, ours, due))
+    return tuple(compared)
+
+
+def _ours(records: Sequence[Record], scenario: str, estimator: str, published: PublishedValue) -> Record | None:
+    return find(
+        records,
+        scenario=scenario,
+        estimator=estimator,
+        stage=published.stage,
+        measure=published.measure,
+        statistic=published.statistic,
+        reference=published.against,
+    )
+
+
+def compare_claims(records: Sequence[Record], comparison: Comparison) -> tuple[ComparedClaim, ...]:
+    """Compare each statement of the paper with our values, scenario by scenario."""
+    scenarios = tuple(dict.fromkeys(r.scenario for r in records))
+    return tuple(
+        _due(_compared_claim(records, scenario, claim), comparison)
+        for claim in comparison.claims
+        for scenario in (("",) if claim.unmeasured or any(term.scenario for term in claim.order) else scenarios)
+        if claim.scenario in ("", scenario)
+    )
+
+
+def _due(item: ComparedClaim, comparison: Comparison) -> ComparedClaim:
+    """Replace the verdict by "context" where the comparison or the statement has none."""
+    due = comparison.verdicts and not item.claim.unjudged
+    return item if due or item.verdict == "not measured" else replace(item, verdict="context")
+
+
+def _compared_claim(records: Sequence[Record], scenario: str, claim: PublishedClaim) -> ComparedClaim:
+    if claim.solves:
+        ours = _of_claim(records, scenario, claim, Term(estimator=claim.solves))
+        return ComparedClaim(scenario, claim, (ours,), solved_verdict(ours, claim.share))
+    values = tuple(_of_claim(records, scenario, claim, term) for term in claim.order)
+    return ComparedClaim(scenario, claim, values, order_verdict(values) if values else "not measured")
+
+
+def _of_claim(records: Sequence[Record], scenario: str, claim: PublishedClaim, term: Term) -> Record | None:
+    return find(
+        records,
+        scenario=term.scenario or scenario,
+        estimator=term.estimator or claim.estimator,
+        stage=term.stage or claim.stage,
+        measure=term.measure or claim.measure,
+        statistic=term.statistic or claim.statistic,
+        reference=term.against or claim.against,
+    )
+
+
+def solved_verdict(ours: Record | None, share: float = 0.9) -> Verdict:
+    """Judge whether the share of solved trials is reached, by its 95 % Wilson interval; of "all" none may fail."""
+    if ours is None or not ours.n:
+        return "not measured"
+    if share == 1:
+        return "reproduced" if ours.n_ok == ours.n else "differs (lower)"
+    low, high = wilson(ours.n_ok, ours.n)
+    if low > share:
+        return "reproduced"
+    return "differs (lower)" if high < share else "undecided"
+
+
+def order_verdict(ascending: Sequence[Record | None]) -> Verdict:
+    """Judge whether values ascend as stated: their intervals must not overlap, in the stated order or in another."""
+    bounds: list[tuple[float, float]] = []
+    for record in ascending:
+        if record is None or record.value is None:
+            return "not measured"
+        if record.low is None or record.high is None:
+            return "undecided"
+        bounds.append((record.low, record.high))
+    if all(first[1] < second[0] for first, second in pairwise(bounds)):
+        return "reproduced"
+    return "differs" if any(first[0] > second[1] for first, second in pairwise(bounds)) else "undecided"
+
+
+def value_verdict(ours: Record | None, published: PublishedValue, own: bool = True) -> Verdict:
+    """Apply `VERDICT_RULE` to one value; ``own``: whether the paper has the method itself."""
+    if ours is None or ours.value is None:
+        return "not measured"
+    if published.relation != "about":
+        verdict = _side_verdict(ours, published)
+        beyond = published.better == {"above": "higher", "below": "lower"}[published.relation]
+        return "better" if verdict == "reproduced" and beyond and not own else verdict
+    if published.tolerance is None:
+        return "context"
+    if ours.low is None or ours.high is None:
+        return "undecided"
+    lowest, highest = published.value - published.tolerance, published.value + published.tolerance
+    if ours.high < lowest or ours.low > highest:
+        side = "lower" if ours.high < lowest else "higher"
+        if side == published.better and not own:
+            return "better"
+        return "differs (lower)" if side == "lower" else "differs (higher)"
+    return "reproduced" if lowest <= ours.low and ours.high <= highest else "undecided"
+
+
+def _side_verdict(ours: Record, published: PublishedValue) -> Verdict:
+    """Judge whether the whole interval lies on the side of the printed number that the words name."""
+    if ours.low is None or ours.high is None:
+        return "undecided"
+    least, most = published.value, published.at_most
+    if published.relation == "below":
+        least, most = -float("inf"), published.value
+    if ours.high < least:
+        return "differs (lower)"
+    if most is not None and ours.low > most:
+        return "differs (higher)"
+    return "reproduced" if ours.low > least and (most is None or ours.high <= most) else "undecided"
+
+
+def comparison_grid(compared: Sequence[ComparedValue]) -> Grid | None:
+    """Tabulate published values and ours; None if the campaign is compared with nothing."""
+    if not compared:
+        return None
+    heads = (
+        "quantity",
+        "stage",
+        "statistic",
+        "paper",
+        "ours [95 %]",
+        "ok",
+        "tolerance",
+        "verdict",
+        "place in the paper",
+    )
+    several = len({(c.scenario, c.estimator) for c in compared}) > 1
+    rows = tuple(_compared_cells(c, several) for c in compared)
+    return Grid("Beside the published values", heads, rows, frozenset({0, 1, 2, 7, 8}), VERDICT_RULE)
+
+
+def verdict_grid(compared: Sequence[ComparedValue]) -> Grid | None:
+    """Tabulate the same in few columns, without times; None if the campaign is compared with nothing."""
+    several = len({(c.scenario, c.estimator) for c in compared}) > 1
+    rows = []
+    for item in compared:
+        if item.published.measure != "seconds":
+            quantity, stage, statistic, paper, ours, _, _, verdict, _ = _compared_cells(item, several)
+            rows.append((f"{quantity}, {stage}, {statistic}", paper, ours, verdict))
+    heads = ("quantity", "paper", "ours [95 %]", "verdict")
+    # Words of the paper may wrap, or a terminal has no room for the verdicts.
+    text = {0, 3} | ({1} if any('"' in row[1] for row in rows) else set())
+    return Grid("Beside the published values", heads, tuple(rows), frozenset(text)) if rows else None
+
+
+def _compared_cells(compared: ComparedValue, several: bool) -> tuple[str, ...]:
+    published, ours = compared.published, compared.ours
+    quantity = measure_label(published.measure)
+    judged = compared.verdict != "context" and published.tolerance is not None
+    return (
+        f"{compared.scenario}, {compared.estimator}: {quantity}" if several else quantity,
+        stage_label(published.stage, timed=published.measure == "seconds"),
+        published.statistic,
+        published.quoted,
+        (value_of_ended if ours is not None and ours.stage in _OF_RUNS else value_of)(ours, interval=True),
+        counts(ours),
+        f"± {published.tolerance:g}" if judged else NO_VALUE,
+        verdict_of(compared.verdict, (ours,)),
+        published.place,
+    )
+
+
+def verdict_of(verdict: Verdict, ours: Sequence[Record | None]) -> str:
+    """Print a verdict; where some runs have no value, say that it is of the runs that ended."""
+    left_out = any(record is not None and record.n_ok < record.n and _needs_an_end(record) for record in ours)
+    return f"{verdict}{_WITHOUT_OTHERS}" if left_out and verdict not in _NONE_DUE else verdict
+
+
+def _needs_an_end(record: Record) -> bool:
+    """Whether a trial must end to have this value; counts of other things need no end."""
+    return record.stage in _OF_RUNS or record.measure in POSE_COLUMNS
+
+
+def claim_grid(claims: Sequence[ComparedClaim]) -> Grid | None:
+    """Tabulate orders that the paper states in words; None if it states none."""
+    heads = ("the paper says", "scenario", "ours [95 %], in that order", "verdict", "place in the paper")
+    rows = tuple(
+        (
+            item.claim.text,
+            item.scenario,
+            claim_values(item),
+            verdict_of_claim(item),
+            item.claim.place,
+        )
+        for item in claims
+    )
+    return Grid("Beside what the paper says in words", heads, rows, frozenset({0, 1, 2, 3, 4})) if rows else None
+
+
+def claim_values(item: ComparedClaim) -> str:
+    """Print our side of a claim: values in its order, how many are solved, or why it is not measured."""
+    if item.claim.solves and item.ours and item.ours[0]:
+        return f"{item.claim.solves} solves {counts(item.ours[0])}"
+    names = [term.label for term in item.claim.order]
+    values = item.claim.unmeasured or ordered_values(item.ours, names)
+    return f"{values}; {item.claim.unjudged}" if item.claim.unjudged else values
+
+
+def verdict_of_claim(item: ComparedClaim) -> str:
+    """Print the verdict of a statement; a share of solved runs counts all of them."""
+    return item.verdict if item.claim.solves else verdict_of(item.verdict, item.ours)
+
+
+def ordered_values(ours: Sequence[Record | None], names: Sequence[str]) -> str:
+    """Print values in the order of a claim, with the relation that holds between neighbours; ``-`` for none."""
+    parts: list[str] = []
+    for before, record, name in zip((None, *ours), ours, names, strict=False):
+        parts += [_relation(before, record)] if parts else []
+        parts.append(_named(record, name) if record else NO_VALUE)
+    return " ".join(parts) or NO_VALUE
+
+
+def _named(record: Record, name: str) -> str:
+    unit = "" if record.unit == "s" else record.unit  # a time is printed with its own
+    return f"{name} {value_of(record, interval=True)} {unit}".strip()
+
+
+def _relation(before: Record | None, after: Record | None) -> str:
+    if before is None or after is None or before.value is None or after.value is None:
+        return "?"
+    return "<" if before.value < after.value else ">" if before.value > after.value else "="

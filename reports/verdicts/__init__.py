@@ -1,1 +1,0 @@
-"""Our numbers beside published ones."""
