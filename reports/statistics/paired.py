@@ -1,9 +1,8 @@
 """Comparisons over common trials: differences of estimators, sign test, failure rates, and main effects of factors.
 
 The first estimator that a campaign names, after the control, is what the others are compared with. Differences are
-those of trials that both solved. The null hypothesis of the
-sign test is that either of a pair is better with equal chance; the noise
-realisations of one real image count as one, by the sign of their median.
+those of trials that both solved. The null hypothesis of the sign test is that either of a pair is better with
+equal chance; the noise realisations of one real image count as one, by the sign of their median.
 """
 
 from __future__ import annotations
