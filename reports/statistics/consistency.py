@@ -34,12 +34,12 @@ _UNITS = {"position": "m", "attitude": "deg"}
 
 _NOTE = (
     "NEES: the squared error weighted by the inverse of the estimator's own covariance; NIS: the squared"
-    " innovation weighted by the inverse of the covariance that the filter predicts for it. Where covariances are true,"
-    " 95 % of the means of as many trials lie in the band; a mean above it indicates a covariance that is too small."
-    " Within 95 %: share of the trials inside the central 95 % of the distribution. The last columns are the RMS error"
-    " over the one that the covariance predicts, and over the Cramer-Rao bound of the estimator's own observations: 1 is"
-    " the best that these allow. The covariance of the paper's method, which uses no prior, is that bound itself, under the"
-    " covariances that its data base gives the landmarks."
+    " innovation weighted by the inverse of the covariance that the filter predicts for it. Where covariances are"
+    " true, 95 % of the means of as many trials lie in the band; a mean above it indicates a covariance that is"
+    " too small. Within 95 %: share of the trials inside the central 95 % of the distribution. The last columns"
+    " are the RMS error over the one that the covariance predicts, and over the Cramer-Rao bound of the"
+    " estimator's own observations: 1 is the best that these allow. The covariance of the paper's method, which"
+    " uses no prior, is that bound itself, under the covariances that its data base gives the landmarks."
 )
 
 NEES, NIS = "nees", "innovation"
