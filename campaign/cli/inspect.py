@@ -48,7 +48,7 @@ def _look(arguments: argparse.Namespace) -> int:
     from campaign.inspection.case import Choice
     from campaign.inspection.look import look_of
     from campaign.inspection.recompute import reopened
-    from reports.pages.look import write_look
+    from reports.pages.look import write_view3d
     from reports.pages.look_recording import write_recording
     from reports.run.data import read_run
     from reports.schema.named_figure import file_stem
@@ -62,7 +62,7 @@ def _look(arguments: argparse.Namespace) -> int:
     written = []
     if arguments.look:
         written.append((arguments.out or folder.path / "inspect") / f"{file_stem('look', look.title)}.html")
-        write_look(look, written[-1])
+        write_view3d(look, written[-1])
     if arguments.rerun is not None:
         try:
             write_recording(look, arguments.rerun)

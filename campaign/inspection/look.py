@@ -6,12 +6,12 @@ from campaign.inspection.case import CONTROLS, Choice, unknown
 from campaign.inspection.show import Scene, show_of
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
-from reports.pages.look import Look
+from reports.pages.look import View3D
 from reports.run.data import RunData
 from scenarios.errors import BoresightError
 
 
-def look_of(campaign: ResolvedCampaign, folder: RunFolder, run: RunData, choice: Choice) -> Look:
+def look_of(campaign: ResolvedCampaign, folder: RunFolder, run: RunData, choice: Choice) -> View3D:
     """Collect what is to be seen of one scenario and estimator.
 
     Raises

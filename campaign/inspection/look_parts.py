@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from campaign.inspection.case import Case, Choice
 from campaign.inspection.ranking import worst_cases
 from campaign.inspection.show import Scene
-from reports.pages.look import BAD, FAILED, GOOD, Cameras
+from reports.pages.look import BAD, FAILED, GOOD, CameraSet
 from reports.run.data import select
 
 FloatArray = NDArray[np.float64]
@@ -32,7 +32,7 @@ def nearer(places_m: FloatArray, radius_m: float) -> tuple[float, str]:
 
 def camera_sets(
     rows: pd.DataFrame, badness: FloatArray, told: Callable[[float], str], places: Callable[[int], FloatArray]
-) -> list[Cameras]:
+) -> list[CameraSet]:
     """Divide the cameras of trials into good ones, bad ones (above the median badness) and those without an estimate.
 
     Parameters
@@ -59,7 +59,7 @@ def camera_sets(
             text = f"trial {trial}<br>" + (told(value) if status == "ok" else f"{status}: {reason}")
             texts += [text] * len(points[-1])
         if texts:
-            found.append(Cameras(name, colour, np.concatenate(points), texts))
+            found.append(CameraSet(name, colour, np.concatenate(points), texts))
     return found
 
 

@@ -18,7 +18,7 @@ from campaign.resolved import ResolvedCampaign
 from campaign.runs.worker import opened
 from campaign.store import RunFolder
 from campaign.trial.kind import module_of
-from reports.pages.look import Look
+from reports.pages.look import View3D
 from reports.run.data import RunData
 from reports.schema.named_figure import NamedFigure
 from scenarios.geometry import Pose
@@ -89,7 +89,7 @@ class Show:
 
     draw: Callable[[Recomputed], Drawn | None] = lambda again: None
     kept: Callable[[object], Kept] = lambda shown: Kept()
-    look: Callable[[Scene], Look] | None = None
+    look: Callable[[Scene], View3D] | None = None
     examples: Callable[[ResolvedCampaign, RunFolder], Iterator[NamedFigure]] = lambda campaign, folder: iter(())
     posed: Callable[[object, Case], PosedFrames | None] | None = None
     trajectory: Callable[[ResolvedCampaign, RunFolder, Case], Sequence[PosedFrame]] | None = None

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.compare.looks import colours, credits_of, groups, titled
+from reports.compare.looks import credit_lines, figure_title, subject_colours, subjects_by_group
 from reports.compare.subjects import RunComparison, Subject
-from reports.figures.comparison import Claim, draw_calibration
+from reports.figures.comparison import CoverageCurve, draw_coverage
 from reports.run.data import TRIAL_KEY
 from reports.schema.grid import Grid, number
 from reports.schema.named_figure import NamedFigure, file_stem
@@ -22,7 +22,7 @@ from reports.tables.cells import interval
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Claims:
+class _NormalisedErrors:
     """What a subject claims of one kind: (n,) weighed errors, their degrees of freedom and what is independent."""
 
     subject: Subject
@@ -36,7 +36,7 @@ class _Claims:
         return judge(self.ratios, self.degrees, self.expected, self.clusters)
 
 
-def _claims(found: RunComparison) -> Iterator[_Claims]:
+def _normalised_errors(found: RunComparison) -> Iterator[_NormalisedErrors]:
     """Yield the claims of every subject, kind by kind; the control's are those of the scenario."""
     kinds: dict[str, int] = {}
     tables: dict[str, list[pd.DataFrame]] = {}
@@ -50,13 +50,13 @@ def _claims(found: RunComparison) -> Iterator[_Claims]:
             own = found.of(subject)[[*TRIAL_KEY, "run", "cluster"]].merge(weighed_rows, on=[*TRIAL_KEY, "run"])
             if len(own) and subject.estimator != CONTROL:
                 ratios, degrees = (own[name].to_numpy(dtype=np.float64) for name in ("ratio", "degrees"))
-                yield _Claims(subject, kind, expected, ratios, degrees, own["cluster"].to_numpy())
+                yield _NormalisedErrors(subject, kind, expected, ratios, degrees, own["cluster"].to_numpy())
 
 
-def claims_grid(found: RunComparison) -> Grid | None:
+def consistency_grid(found: RunComparison) -> Grid | None:
     """Tabulate NEES and NIS beside their bands; None where no subject claims a covariance."""
     rows = []
-    for one in _claims(found):
+    for one in _normalised_errors(found):
         judged = one.judged()
         rows.append(
             (
@@ -80,10 +80,10 @@ def claims_grid(found: RunComparison) -> Grid | None:
     return Grid("Covariances", heads, tuple(rows), text, note) if rows else None
 
 
-def claims_table(found: RunComparison) -> pd.DataFrame:
+def consistency_table(found: RunComparison) -> pd.DataFrame:
     """Tabulate the same as numbers."""
     rows = []
-    for one in _claims(found):
+    for one in _normalised_errors(found):
         row: dict[str, object] = dict(zip(found.factors, one.subject.names, strict=True))
         row |= {"weighed": one.kind, "expected": one.expected, "n": one.subject.n}
         for name, value in asdict(one.judged()).items():
@@ -97,20 +97,20 @@ def claims_table(found: RunComparison) -> pd.DataFrame:
 
 def consistency_figures(found: RunComparison) -> Iterator[NamedFigure]:
     """Draw, for each kind of weighed error, how many trials lie within the share that the covariance claims."""
-    claims = list(_claims(found))
+    claims = list(_normalised_errors(found))
     for kind in dict.fromkeys(one.kind for one in claims):
-        for group, subjects in groups(found).items():
+        for group, subjects in subjects_by_group(found).items():
             labels = {one.names: label for label, one in subjects.items()}
             own = [one for one in claims if one.kind == kind and one.subject.names in labels]
             if own:
                 yield _consistency_figure(found, group, {labels[one.subject.names]: one for one in own})
 
 
-def _consistency_figure(found: RunComparison, group: str, claims: Mapping[str, _Claims]) -> NamedFigure:
-    own = colours(found)
+def _consistency_figure(found: RunComparison, group: str, claims: Mapping[str, _NormalisedErrors]) -> NamedFigure:
+    own = subject_colours(found)
     kind = next(iter(claims.values())).kind
     drawn = [
-        Claim(
+        CoverageCurve(
             f"{label} (n = {len(one.ratios)})",
             own[one.subject.names],
             one.ratios * one.degrees / one.expected,
@@ -119,10 +119,10 @@ def _consistency_figure(found: RunComparison, group: str, claims: Mapping[str, _
         )
         for label, one in claims.items()
     ]
-    title = titled(found, weighed_label(kind), group)
+    title = figure_title(found, weighed_label(kind), group)
     return NamedFigure(
         file_stem("consistency", kind, group) if group else file_stem("consistency", kind),
-        draw_calibration(drawn, title, credits_of(found)),
+        draw_coverage(drawn, title, credit_lines(found)),
         f"{title}: share of the trials whose weighed square is within the share of its distribution that the covariance"
         " claims; on the diagonal it is true, below it too small. Grey: where 95 % of curves of as many independent"
         " trials as the fewest lie at each abscissa.",

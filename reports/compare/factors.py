@@ -15,7 +15,7 @@ from reports.run.data import RunData
 from scenarios.errors import BoresightError
 
 ESTIMATOR, SCENARIO, RUN = "estimator", "scenario", "run"
-NAMED = (ESTIMATOR, SCENARIO, RUN)
+NAME_FACTORS = (ESTIMATOR, SCENARIO, RUN)
 _NAMES = ("name", "description")
 _DRAWN = ("viewpoint", "lighting", "pose_error", "images", "sequence")
 _MISSING = object()
@@ -30,14 +30,14 @@ def check_factors(factors: Sequence[str], runs: Sequence[RunData]) -> None:
         The first such factor, and what there is in its place.
     """
     for factor in factors:
-        if factor in NAMED:
+        if factor in NAME_FACTORS:
             continue
         for run in runs:
             for name, spec in run.manifest.scenarios.items():
                 if value_at(spec, factor) is _MISSING:
                     sections = ", ".join(key for key in spec if key not in _NAMES)
                     raise BoresightError(
-                        f"--by {factor}: the scenario {name} of {run.folder} has no such key: give {', '.join(NAMED)}"
+                        f"--by {factor}: the scenario {name} of {run.folder} has no such key: give {', '.join(NAME_FACTORS)}"
                         f" or a key of the scenarios ({sections})"
                     )
 
@@ -52,7 +52,7 @@ def value_at(spec: Mapping[str, Any], key: str) -> object:
     return value
 
 
-def level(spec: Mapping[str, Any], factor: str) -> str:
+def level_text(spec: Mapping[str, Any], factor: str) -> str:
     """Print a scenario's value of a key: a section by its kind, and by what is set in it beside."""
     value = value_at(spec, factor)
     if not isinstance(value, Mapping):
@@ -72,9 +72,9 @@ def remainder(spec: Mapping[str, Any], factors: Sequence[str]) -> str:
     if SCENARIO in factors:
         return ""
     left = {key: value for key, value in spec.items() if key not in _NAMES}
-    for factor in (factor for factor in factors if factor not in NAMED):
+    for factor in (factor for factor in factors if factor not in NAME_FACTORS):
         left = _without(left, factor.split("."))
-    return _plain(left)
+    return _json(left)
 
 
 def _without(spec: Mapping[str, Any], path: Sequence[str]) -> dict[str, Any]:
@@ -84,7 +84,7 @@ def _without(spec: Mapping[str, Any], path: Sequence[str]) -> dict[str, Any]:
     return {**left, first: _without(inner, further)} if further else left
 
 
-def draws(spec: Mapping[str, Any]) -> str:
+def drawn_settings(spec: Mapping[str, Any]) -> str:
     """Write all of a scenario that what chance decides in its trials depends on.
 
     The camera is part of it where views or priors are drawn in its pixels, the body where landmarks or views are.
@@ -95,12 +95,12 @@ def draws(spec: Mapping[str, Any]) -> str:
     in_pixels = in_sight or pose_error.get("position_cam_px") is not None or bool(sequence)
     on_body = in_sight or (bool(sequence) and sequence.get("sphere_radius_m") is None)
     names = (*_DRAWN, *(["camera"] if in_pixels else []), *(["body"] if on_body else []))
-    return _plain({name: spec.get(name) for name in names})
+    return _json({name: spec.get(name) for name in names})
 
 
-def difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+def first_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
     """Say in which key the draws of two scenarios differ first; '' where in none."""
-    pair = (json.loads(draws(one)), json.loads(draws(other)))
+    pair = (json.loads(drawn_settings(one)), json.loads(drawn_settings(other)))
     return next(_differences(*pair), "")
 
 
@@ -109,8 +109,8 @@ def _differences(one: object, other: object, path: str = "") -> Iterator[str]:
         for key in dict.fromkeys([*one, *other]):
             yield from _differences(one.get(key), other.get(key), f"{path}.{key}" if path else key)
     elif one != other:
-        yield f"{path} is {_plain(one)} and {_plain(other)}"
+        yield f"{path} is {_json(one)} and {_json(other)}"
 
 
-def _plain(value: object) -> str:
+def _json(value: object) -> str:
     return json.dumps(value, sort_keys=True)

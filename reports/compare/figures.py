@@ -9,21 +9,21 @@ import pandas as pd
 
 from reports.compare.conditions import (
     ATTITUDE,
-    Split,
-    binned,
-    frames_of,
-    label_of,
-    split_of_frames,
-    split_of_trials,
+    ConditionTables,
+    axis_label,
+    binned_errors,
+    frames_by_condition,
+    prepare_frames,
+    trials_by_condition,
 )
 from reports.compare.consistency import consistency_figures
-from reports.compare.grids import changed
-from reports.compare.looks import colours, credits_of, groups, titled
+from reports.compare.grids import differing_level
+from reports.compare.looks import credit_lines, figure_title, subject_colours, subjects_by_group
 from reports.compare.metrics import Metric
 from reports.compare.subjects import RunComparison, Subject
-from reports.figures.comparison import draw_binned
+from reports.figures.comparison import draw_binned_errors
 from reports.figures.pose import draw_cumulative_errors
-from reports.figures.standings import Standing, draw_standings
+from reports.figures.standings import SubjectSummary, draw_summaries
 from reports.run.data import TRIAL_KEY
 from reports.schema.labels import as_title
 from reports.schema.named_figure import NamedFigure, file_stem
@@ -39,11 +39,11 @@ def comparison_figures(found: RunComparison) -> Iterator[NamedFigure]:
 
 
 def _figures(found: RunComparison) -> Iterator[NamedFigure]:
-    yield standings_figure(found)
+    yield summary_figure(found)
     yield from consistency_figures(found)
-    for name, subjects in groups(found).items():
+    for name, subjects in subjects_by_group(found).items():
         yield cumulative_figure(found, name, subjects)
-        split = _split(found, subjects)
+        split = _tables_by_condition(found, subjects)
         if split is not None and split.conditions:
             yield conditions_figure(found, name, split)
 
@@ -54,12 +54,12 @@ def cumulative_figure(found: RunComparison, group: str, subjects: Mapping[str, S
     panels = {"value": found.metric.axis}
     if found.metric.name != ATTITUDE and any(table[ATTITUDE].notna().any() for table in tables.values()):
         panels[ATTITUDE] = "attitude error, deg"
-    own = colours(found)
-    title = titled(found, "Cumulative error", group)
+    own = subject_colours(found)
+    title = figure_title(found, "Cumulative error", group)
     return NamedFigure(
         file_stem("cumulative", group) if group else "cumulative",
         draw_cumulative_errors(
-            {label: (table, len(table)) for label, table in tables.items()}, title, credits_of(found), panels,
+            {label: (table, len(table)) for label, table in tables.items()}, title, credit_lines(found), panels,
             {label: own[one.names] for label, one in subjects.items()},
         ),
         f"{title}: share of all trials with an error below the abscissa; a curve ends at the share of trials with an"
@@ -68,15 +68,15 @@ def cumulative_figure(found: RunComparison, group: str, subjects: Mapping[str, S
     )  # fmt: skip
 
 
-def _split(found: RunComparison, subjects: Mapping[str, Subject]) -> Split | None:
+def _tables_by_condition(found: RunComparison, subjects: Mapping[str, Subject]) -> ConditionTables | None:
     """Choose what is split: frames of sequences, else trials; None where there is nothing to split."""
     estimating = {label: one for label, one in subjects.items() if one.estimator != CONTROL and one.n_ok}
     if not estimating:
         return None
     if all(run.table("epochs").empty for run in found.runs):
-        return split_of_trials({label: found.of(one) for label, one in estimating.items()}, found.metric)
+        return trials_by_condition({label: found.of(one) for label, one in estimating.items()}, found.metric)
     tables = {label: frames_of_subject(found, one) for label, one in estimating.items()}
-    return split_of_frames(tables) if all(len(table) for table in tables.values()) else None
+    return frames_by_condition(tables) if all(len(table) for table in tables.values()) else None
 
 
 def frames_of_subject(found: RunComparison, subject: Subject) -> pd.DataFrame:
@@ -87,37 +87,39 @@ def frames_of_subject(found: RunComparison, subject: Subject) -> pd.DataFrame:
         if {"true_x_m", "radial_m"} <= set(run.table("epochs").columns):
             own = trials.loc[trials["run"] == run.folder.name, [*TRIAL_KEY, "cluster"]]
             parts.append(run.table("epochs").merge(own, on=TRIAL_KEY))
-    return frames_of(pd.concat(parts, ignore_index=True)) if parts else pd.DataFrame()
+    return prepare_frames(pd.concat(parts, ignore_index=True)) if parts else pd.DataFrame()
 
 
-def conditions_figure(found: RunComparison, group: str, split: Split) -> NamedFigure:
+def conditions_figure(found: RunComparison, group: str, split: ConditionTables) -> NamedFigure:
     """Draw errors against conditions."""
-    own = colours(found)
-    subjects = groups(found)[group]
+    own = subject_colours(found)
+    subjects = subjects_by_group(found)[group]
     frames = "frame" in next(iter(split.tables.values()))
     metric = Metric("position_error_m") if frames else found.metric
     panels = {
-        (label_of(error, metric), label_of(condition, metric)): dict(binned(split, error, condition))
+        (axis_label(error, metric), axis_label(condition, metric)): dict(binned_errors(split, error, condition))
         for error in split.errors
         for condition in split.conditions
     }
-    title = titled(found, "Errors by conditions", group)
+    title = figure_title(found, "Errors by conditions", group)
     over = "at most 60 frames of each trial, the intervals of whole trials" if frames else "the solved trials"
     return NamedFigure(
         file_stem("conditions", group) if group else "conditions",
-        draw_binned(panels, {label: own[subjects[label].names] for label in split.tables}, title, credits_of(found)),
+        draw_binned_errors(
+            panels, {label: own[subjects[label].names] for label in split.tables}, title, credit_lines(found)
+        ),
         f"{title}: medians over {over} in bins of as many each, with 95 % intervals; success: share of all trials of a"
         " bin.",
         f"Binned errors of {', '.join(split.tables)} against {', '.join(dict.fromkeys(key[1] for key in panels))}.",
     )
 
 
-def standings_figure(found: RunComparison) -> NamedFigure:
+def summary_figure(found: RunComparison) -> NamedFigure:
     """Draw errors, success and differences of all subjects."""
-    own = colours(found)
-    bases = _bases(found)
+    own = subject_colours(found)
+    bases = _reference_differences(found)
     standings = [
-        Standing(
+        SubjectSummary(
             found.label(one.names),
             own[one.names],
             one.solved,
@@ -131,8 +133,12 @@ def standings_figure(found: RunComparison) -> NamedFigure:
     title = ", ".join(filter(None, (as_title(found.metric.label), found.shared)))
     return NamedFigure(
         "compare",
-        draw_standings(
-            standings, found.metric.axis, against.pop() if len(against) == 1 else "the first", title, credits_of(found)
+        draw_summaries(
+            standings,
+            found.metric.axis,
+            against.pop() if len(against) == 1 else "the first",
+            title,
+            credit_lines(found),
         ),
         f"{title}: median with its 95 % interval, RMS and percentiles over the solved trials, the median of all trials"
         " with failures counted, success rates, and the median difference trial by trial to the first of those that"
@@ -141,10 +147,10 @@ def standings_figure(found: RunComparison) -> NamedFigure:
     )
 
 
-def _bases(found: RunComparison) -> dict[tuple[str, ...], tuple[str, Measured]]:
+def _reference_differences(found: RunComparison) -> dict[tuple[str, ...], tuple[str, Measured]]:
     """Find for every subject the first one that it is held against: what differs in it, and the difference."""
     order = {one.names: place for place, one in enumerate(found.subjects)}
     held: dict[tuple[str, ...], tuple[str, Measured]] = {}
     for one in sorted(found.contrasts, key=lambda contrast: order[contrast.second]):
-        held.setdefault(one.first, (changed(one), one.median))
+        held.setdefault(one.first, (differing_level(one), one.median))
     return held

@@ -26,7 +26,7 @@ from reports.statistics.resampling import RESAMPLES, content_rng
 from reports.tables.cells import interval
 
 _KEY = ("trial", "scenario")
-_CIRCUMSTANCES = ("image", "range_m", "phase_deg", "latitude_deg", "view_deg", "sun_deg", "epipolar_offset_px")
+_CONDITIONS = ("image", "range_m", "phase_deg", "latitude_deg", "view_deg", "sun_deg", "epipolar_offset_px")
 _RESULTS = (
     "rows", "stages", "landmarks", "diagnostics", "epochs", "vision", "crater_matches", "detections", "orbits",
     "navigation", "surveyed_images", "surveyed_craters",
@@ -36,7 +36,7 @@ FIRST, TOTAL, RANK = "first-order index", "total index", "rank correlation"
 
 
 @dataclass(frozen=True, slots=True)
-class Varied:
+class VariedKey:
     """A key of the scenarios with the bounds between which it is varied."""
 
     key: str
@@ -72,7 +72,7 @@ class Sensitivity:
     unmoved: tuple[str, ...]
 
 
-def outcome(run: RunData, metric: Metric, statistic: Statistic, scenario: str, estimator: str) -> float:
+def outcome_of(run: RunData, metric: Metric, statistic: Statistic, scenario: str, estimator: str) -> float:
     """Evaluate a statistic over the trials of a scenario; NaN or infinite where too few have a value.
 
     A failure counts with its prior's error. Where there are no priors it counts in medians and percentiles, as worse
@@ -98,15 +98,15 @@ def _results(table: pd.DataFrame, scenario: str, estimator: str) -> pd.DataFrame
     own = table[(table["scenario"] == scenario) & (table["estimator"] == estimator)]
     if "stage" in own:
         own = own[own["stage"] != CONTROL]
-    about = [name for name in own if name in (*_KEY, *_CIRCUMSTANCES) or str(name).startswith(("prior_", "true_"))]
+    about = [name for name in own if name in (*_KEY, *_CONDITIONS) or str(name).startswith(("prior_", "true_"))]
     return own.drop(columns=about).reset_index(drop=True)
 
 
-def sobol_shares(varied: Sequence[Varied], outcomes: FloatArray, seed: int) -> dict[str, tuple[Measured, ...]]:
+def sobol_shares(varied: Sequence[VariedKey], outcomes: FloatArray, seed: int) -> dict[str, tuple[Measured, ...]]:
     """Estimate Sobol's indices with their 95 % bootstrap intervals; none where the outcomes (n,) are all the same."""
     if float(np.ptp(outcomes)) == 0.0:
         return {}
-    found = sobol.analyze(problem(varied), outcomes, calc_second_order=False, conf_level=LEVEL, seed=seed)
+    found = sobol.analyze(salib_problem(varied), outcomes, calc_second_order=False, conf_level=LEVEL, seed=seed)
     return {
         name: tuple(
             Measured(float(x), float(x - c), float(x + c)) for x, c in zip(found[s], found[f"{s}_conf"], strict=True)
@@ -129,12 +129,12 @@ def rank_shares(samples: FloatArray, outcomes: FloatArray) -> dict[str, tuple[Me
     return {RANK: tuple(found)}
 
 
-def problem(varied: Sequence[Varied]) -> dict[str, object]:
+def salib_problem(varied: Sequence[VariedKey]) -> dict[str, object]:
     """Describe what is varied as SALib wants it."""
     return {"num_vars": len(varied), "names": [v.key for v in varied], "bounds": [[v.low, v.high] for v in varied]}
 
 
-def sensitivity_grid(found: Sequence[Sensitivity], varied: Sequence[Varied], metric: Metric, statistic: str) -> Grid:
+def sensitivity_grid(found: Sequence[Sensitivity], varied: Sequence[VariedKey], metric: Metric, statistic: str) -> Grid:
     """Tabulate the indices of every estimator and key."""
     names = list(dict.fromkeys(name for one in found for name in one.shares))
     unit = f", {metric.unit}" if metric.unit else ""

@@ -23,7 +23,7 @@ _WORDS = {SOLVED: "solved", FAILURES_AT_PRIOR: "failures at prior", FAILURES_WOR
 _HEADS = ("median", "RMS", "75th", "95th", "99th")
 
 
-def lines_of(found: RunComparison, subject: Subject) -> list[tuple[str, tuple[Measured, ...], int]]:
+def subject_lines(found: RunComparison, subject: Subject) -> list[tuple[str, tuple[Measured, ...], int]]:
     """List the lines of a subject: how failures count, the statistics and the trials behind them."""
     lines = [(SOLVED, subject.solved, subject.n_ok)]
     if subject.n_ok < subject.n and found.metric.is_error:
@@ -40,7 +40,7 @@ def subject_grid(found: RunComparison) -> Grid:
     rows = []
     for subject in found.subjects:
         before = [number(_prior(found, subject)) for _ in prior]
-        for how, values, n in lines_of(found, subject):
+        for how, values, n in subject_lines(found, subject):
             success = interval(subject.success, 100.0) if how == SOLVED and not _is_control(subject) else NO_VALUE
             told = (_WORDS[how], f"{n}/{subject.n}", success, *before)
             rows.append((*found.levels(subject.names), *told, *map(interval, values)))
@@ -108,7 +108,7 @@ def _of_numbers(grid: Grid) -> Grid:
     return replace(kept, columns=tuple(name.replace("better", "less") for name in kept.columns))
 
 
-def changed(one: Contrast) -> str:
+def differing_level(one: Contrast) -> str:
     """Name what a subject is held against by the one level that differs."""
     return next(b for a, b in zip(one.first, one.second, strict=True) if a != b)
 
@@ -117,7 +117,7 @@ def _cells(found: RunComparison, one: Contrast) -> tuple[str, ...]:
     counts = f"{one.n_both}/{one.n}" if one.paired else f"{one.n_both} and {one.n}, unpaired"
     return (
         *found.levels(one.first),
-        changed(one),
+        differing_level(one),
         counts,
         interval(one.median),
         interval(one.mean),
@@ -138,7 +138,7 @@ def subject_table(found: RunComparison) -> pd.DataFrame:
         key = dict(zip(found.factors, subject.names, strict=True)) | {"metric": found.metric.name}
         success = {"trials": "all", "statistic": "success rate", "unit": "", **asdict(subject.success)}
         rows.append(key | success | {"n_ok": subject.n_ok, "n": subject.n})
-        for how, values, n_ok in lines_of(found, subject):
+        for how, values, n_ok in subject_lines(found, subject):
             for statistic, measured in zip(STATISTICS, values, strict=True):
                 about = {"trials": how, "statistic": statistic.name, "unit": found.metric.unit, **asdict(measured)}
                 rows.append(key | about | {"n_ok": n_ok, "n": subject.n})

@@ -9,7 +9,7 @@ from reports.figures.style import GREY, SERIES_COLOURS
 from reports.schema.records import CONTROL
 
 
-def colours(found: RunComparison) -> dict[tuple[str, ...], str]:
+def subject_colours(found: RunComparison) -> dict[tuple[str, ...], str]:
     """Give each subject a colour: that of its estimator where each is of one, else one of its own; grey the control."""
     keys = [one.estimator or found.label(one.names) for one in found.subjects]
     named = [key for key in dict.fromkeys(keys) if key != CONTROL]
@@ -18,12 +18,12 @@ def colours(found: RunComparison) -> dict[tuple[str, ...], str]:
     return {one.names: own.get(key, GREY) for one, key in zip(found.subjects, keys, strict=True)}
 
 
-def credits_of(found: RunComparison) -> list[str]:
+def credit_lines(found: RunComparison) -> list[str]:
     """Credit lines of all runs, each once."""
     return list(dict.fromkeys(line for run in found.runs for line in run.manifest.credits))
 
 
-def groups(found: RunComparison) -> dict[str, dict[str, Subject]]:
+def subjects_by_group(found: RunComparison) -> dict[str, dict[str, Subject]]:
     """Gather the subjects that differ in the estimator alone: name of the group, and label to subject.
 
     Where estimators are pooled, all subjects are one group.
@@ -40,6 +40,6 @@ def groups(found: RunComparison) -> dict[str, dict[str, Subject]]:
     return gathered
 
 
-def titled(found: RunComparison, what: str, group: str) -> str:
+def figure_title(found: RunComparison, what: str, group: str) -> str:
     """Write the title of a figure of one group."""
     return ", ".join(filter(None, (what, group, found.shared if ESTIMATOR in found.varied else "")))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from reports.compare.craters import THERE, crater_numbers
+from reports.compare.craters import N_FINDABLE, crater_numbers
 from reports.run.data import TRIAL_KEY, RunData, in_order_of
 from reports.schema.common import COMPONENTS, POSE_COLUMNS, POSE_METRICS
 from reports.schema.kinds.orbit_determination import ORBIT_COLUMNS
@@ -136,7 +136,7 @@ def nothing_to_find(run: RunData, metric: Metric) -> pd.Series:
     table = crater_numbers(run).get(metric.name)
     if table is None:
         return pd.Series(False, index=run.rows.index)
-    nothing = _laid_on(run.rows, table, THERE) == 0.0
+    nothing = _laid_on(run.rows, table, N_FINDABLE) == 0.0
     return nothing & (run.rows["status"] != "error") & metric_values(run, metric).isna()
 
 

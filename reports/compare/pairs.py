@@ -68,12 +68,12 @@ def holm(chances: Sequence[float]) -> list[float]:
     order = np.argsort(chances, kind="stable")
     factors = np.arange(len(chances), 0, -1)
     ascending = np.minimum(np.maximum.accumulate(np.asarray(chances)[order] * factors), 1.0)
-    corrected = np.empty(len(chances))
-    corrected[order] = ascending
-    return [float(p) for p in corrected]
+    adjusted = np.empty(len(chances))
+    adjusted[order] = ascending
+    return [float(p) for p in adjusted]
 
 
-def corrected(contrasts: Sequence[Contrast]) -> list[Contrast]:
+def holm_corrected(contrasts: Sequence[Contrast]) -> list[Contrast]:
     """Correct the p of all tests of a table, those over the trials that both solved and those over all trials."""
     tests = [(i, name) for i, one in enumerate(contrasts) for name in ("p", "p_of_all")]
     known = [(i, name) for i, name in tests if getattr(contrasts[i], name) is not None]
@@ -84,13 +84,15 @@ def corrected(contrasts: Sequence[Contrast]) -> list[Contrast]:
     return [replace(one, **found.get(i, {})) for i, one in enumerate(contrasts)]  # type: ignore[arg-type]
 
 
-def contrast(names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, other: pd.DataFrame) -> Contrast | None:
+def paired_contrast(
+    names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, other: pd.DataFrame
+) -> Contrast | None:
     """Compare two subjects trial by trial; None where they share no trial."""
     both = one.merge(other, on=KEY, suffixes=("", "_other"))
     if both.empty:
         return None
     difference = (both["value"] - both["value_other"]).to_numpy(dtype=np.float64)
-    clusters = coarser(both["cluster"], both["cluster_other"])
+    clusters = coarser_clusters(both["cluster"], both["cluster_other"])
     solved = np.isfinite(difference)
     median, mean = measure(difference[solved], clusters[solved], (MEDIAN, MEAN))
     better, chance, _ = sign_test(difference[solved], clusters[solved])
@@ -102,7 +104,7 @@ def contrast(names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, 
     )  # fmt: skip
 
 
-def coarser(one: pd.Series, other: pd.Series) -> NDArray[np.generic]:
+def coarser_clusters(one: pd.Series, other: pd.Series) -> NDArray[np.generic]:
     """Return the labels of the side of which less is independent: one may rest on few data bases, the other on none."""
     return (one if one.nunique() <= other.nunique() else other).to_numpy()
 
@@ -122,7 +124,7 @@ def independent_contrast(
     names: tuple[tuple[str, ...], tuple[str, ...]], one: pd.DataFrame, other: pd.DataFrame
 ) -> Contrast:
     """Compare two subjects as independent samples, by the test of Mann and Whitney."""
-    samples = [_solved(table) for table in (one, other)]
+    samples = [_solved_values(table) for table in (one, other)]
     median, mean = _differences(samples)
     better, p = _superiority(*(_by_cluster(*sample) for sample in samples))
     worst = float(max((values.max() for values, _ in samples if len(values)), default=0.0)) + 1.0
@@ -138,7 +140,7 @@ def independent_contrast(
     )  # fmt: skip
 
 
-def _solved(table: pd.DataFrame) -> tuple[FloatArray, NDArray[np.generic]]:
+def _solved_values(table: pd.DataFrame) -> tuple[FloatArray, NDArray[np.generic]]:
     known = table["value"].notna()
     return table.loc[known, "value"].to_numpy(dtype=np.float64), table.loc[known, "cluster"].to_numpy()
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from reports.compare.factors import ESTIMATOR, SCENARIO, check_factors
 from reports.compare.metrics import Metric, choose_metric
-from reports.compare.pairs import Contrast, contrast, corrected, independent_contrast, without_failures
+from reports.compare.pairs import Contrast, holm_corrected, independent_contrast, paired_contrast, without_failures
 from reports.compare.trials import all_factors, check_pairs, tabulate_trials
 from reports.run.data import RunData, read_run
 from reports.schema.records import CONTROL
@@ -171,7 +171,7 @@ def compared(
     pairs = [_contrast(trials, own, pair, unpaired) for pair in _pairs(subjects)]
     known = [one for one in pairs if one is not None]
     contrasts = known if chosen.is_error else [without_failures(one) for one in known]
-    return RunComparison(runs, chosen, own, trials, subjects, tuple(corrected(contrasts)))
+    return RunComparison(runs, chosen, own, trials, subjects, tuple(holm_corrected(contrasts)))
 
 
 def _in_order(trials: pd.DataFrame, factors: Sequence[str], runs: Sequence[RunData]) -> list[tuple[str, ...]]:
@@ -212,7 +212,7 @@ def _contrast(
     second, first = pair
     names = (first.names, second.names)
     tables = [_of(trials, factors, one) for one in names]
-    found = contrast(names, *tables)
+    found = paired_contrast(names, *tables)
     return independent_contrast(names, *tables) if found is None and unpaired else found
 
 

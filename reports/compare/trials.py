@@ -9,7 +9,16 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.compare.factors import ESTIMATOR, NAMED, RUN, difference, draws, level, remainder, short_levels
+from reports.compare.factors import (
+    ESTIMATOR,
+    NAME_FACTORS,
+    RUN,
+    drawn_settings,
+    first_difference,
+    level_text,
+    remainder,
+    short_levels,
+)
 from reports.compare.metrics import Metric, metric_values, nothing_to_find, prior_values
 from reports.run.clusters import clusters_of
 from reports.run.data import RunData
@@ -36,7 +45,7 @@ def tabulate_trials(runs: Sequence[RunData], metric: Metric, factors: Sequence[s
         has none), ``failed``, ``cluster`` (what is independent), and what is known of the trial's conditions.
     """
     table = pd.concat([_of_run(run, metric, factors) for run in runs], ignore_index=True)
-    for factor in (factor for factor in factors if factor not in NAMED):
+    for factor in (factor for factor in factors if factor not in NAME_FACTORS):
         table[factor] = table[factor].map(short_levels(list(table[factor].unique())))
     return table
 
@@ -46,7 +55,7 @@ def _of_run(run: RunData, metric: Metric, factors: Sequence[str]) -> pd.DataFram
     prior, value = prior_values(run, metric), metric_values(run, metric)
     posed = rows[f"prior_{POSE_COLUMNS[0]}"].notna().to_numpy()
     seed = str(run.manifest.seed)
-    drawn = {name: draws(spec) for name, spec in specs.items()}
+    drawn = {name: drawn_settings(spec) for name, spec in specs.items()}
     rest = {name: remainder(spec, factors) for name, spec in specs.items()}
     beside = "" if "estimator" in factors else rows["estimator"]
     table = pd.DataFrame(
@@ -64,8 +73,8 @@ def _of_run(run: RunData, metric: Metric, factors: Sequence[str]) -> pd.DataFram
             "cluster": np.char.add(f"{seed}:", clusters_of(run, rows).astype(str)),
         }
     )
-    for factor in (factor for factor in factors if factor not in NAMED):
-        table[factor] = rows["scenario"].map({name: level(spec, factor) for name, spec in specs.items()})
+    for factor in (factor for factor in factors if factor not in NAME_FACTORS):
+        table[factor] = rows["scenario"].map({name: level_text(spec, factor) for name, spec in specs.items()})
     for name in CONDITIONS:
         table[name] = rows[name].astype(float) if name in rows else np.nan
     for name in (LATERAL, BORESIGHT, POSE_COLUMNS[1]):
@@ -108,8 +117,8 @@ def _why_different(one: RunData, other: RunData) -> str:
     if seeds[0] != seeds[1]:
         return f"their seeds are {seeds[0]} and {seeds[1]}"
     ours, theirs = one.manifest.scenarios, other.manifest.scenarios
-    differences = [difference(a, b) for a in ours.values() for b in theirs.values()]
+    differences = [first_difference(a, b) for a in ours.values() for b in theirs.values()]
     if all(differences):
-        named = [difference(ours[name], theirs[name]) for name in ours if name in theirs]
+        named = [first_difference(ours[name], theirs[name]) for name in ours if name in theirs]
         return f"the views, priors or tracks of their scenarios differ: {(named or differences)[0]}"
     return "" if set(one.rows["trial"]) & set(other.rows["trial"]) else "they have no trial in common"

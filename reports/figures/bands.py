@@ -11,7 +11,7 @@ from reports.statistics.intervals import is_told
 SHARES = (0.05, 0.95)
 
 
-def band(values: pd.Series, over: pd.Series) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def percentile_band(values: pd.Series, over: pd.Series) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the ends of the band of 5 to 95 % of ``values`` at each of ``over``; of all where there are too few."""
     groups = values.groupby(over)
     told = groups.count().map(lambda n: is_told(n, SHARES[0])).to_numpy()
@@ -19,6 +19,6 @@ def band(values: pd.Series, over: pd.Series) -> tuple[NDArray[np.float64], NDArr
     return np.where(told, low, groups.min()), np.where(told, high, groups.max())
 
 
-def band_of(trials: int) -> str:
+def band_label(trials: int) -> str:
     """Say of which trials the band is."""
     return "the band of 5 to 95 % of them" if is_told(trials, SHARES[0]) else "the band of all of them"

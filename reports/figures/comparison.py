@@ -24,7 +24,7 @@ _POINTS = np.linspace(0.0, 1.0, 201)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Claim:
+class CoverageCurve:
     """One curve.
 
     Parameters
@@ -45,7 +45,7 @@ class Claim:
 
 
 @styled
-def draw_calibration(claims: Sequence[Claim], title: str, credit_lines: Sequence[str] = ()) -> Figure:
+def draw_coverage(claims: Sequence[CoverageCurve], title: str, credit_lines: Sequence[str] = ()) -> Figure:
     """Draw the share of trials within each claimed share of the chi-square distribution.
 
     Parameters
@@ -75,7 +75,9 @@ def draw_calibration(claims: Sequence[Claim], title: str, credit_lines: Sequence
 
 
 @styled
-def draw_binned(panels: Panels, colours: Mapping[str, str], title: str, credit_lines: Sequence[str] = ()) -> Figure:
+def draw_binned_errors(
+    panels: Panels, colours: Mapping[str, str], title: str, credit_lines: Sequence[str] = ()
+) -> Figure:
     """Draw binned curves with their intervals.
 
     Parameters
@@ -96,7 +98,7 @@ def draw_binned(panels: Panels, colours: Mapping[str, str], title: str, credit_l
     for row, error in zip(places, errors, strict=True):
         for axes, condition in zip(row, conditions, strict=True):
             for label, points in panels[error, condition].items():
-                _draw(axes, points, colours[label], LINE_STYLES[lines.index(label) % len(LINE_STYLES)])
+                _draw_points(axes, points, colours[label], LINE_STYLES[lines.index(label) % len(LINE_STYLES)])
         _share_ordinate(list(row), error)
     for axes, condition in zip(places[-1], conditions, strict=True):
         axes.set_xlabel(condition)
@@ -110,7 +112,7 @@ def draw_binned(panels: Panels, colours: Mapping[str, str], title: str, credit_l
     return figure
 
 
-def _draw(axes: Axes, points: Points, colour: str, style: str | tuple[int, tuple[int, ...]]) -> None:
+def _draw_points(axes: Axes, points: Points, colour: str, style: str | tuple[int, tuple[int, ...]]) -> None:
     axes.errorbar(
         points.x, points.y, yerr=np.abs(points.low_high.T - points.y), color=colour, linestyle=style, marker="o",
         markersize=3, linewidth=1.2, elinewidth=0.9, capsize=2,

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from reports.figures.craters import draw_rims
-from reports.figures.looks import colour_of, looks
+from reports.figures.looks import colour_of, plot_styles
 from reports.figures.style import (
     GREY,
     LINE_STYLES,
@@ -143,7 +143,7 @@ def draw_shares(curves: Sequence[ShareCurve], label: str) -> Figure:
     figure, axes = grid_figure(1, 2, height_in=3.2)
     places = list(dict.fromkeys(name for curve in curves for name in curve.labels))
     for panel, name, title in zip(axes[0], ("recall", "wrong"), ("recall, %", "wrong matches, %"), strict=True):
-        drawn = looks(curve.name for curve in curves)
+        drawn = plot_styles(curve.name for curve in curves)
         for k, curve in enumerate(curves):
             at = np.array([places.index(one) for one in curve.labels]) + 0.06 * (k - 0.5 * (len(curves) - 1))
             values = getattr(curve, name)

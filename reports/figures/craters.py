@@ -26,7 +26,7 @@ def draw_rims(axes: Axes, ellipses: Ellipses, colour: str, width: float = 1.0, d
         )
 
 
-def _shown(axes: Axes, image: NDArray[np.float32], title: str) -> None:
+def _show_titled(axes: Axes, image: NDArray[np.float32], title: str) -> None:
     show_image(axes, image)
     height, width = image.shape
     axes.set(xlim=(0, width), ylim=(height, 0))
@@ -51,12 +51,12 @@ def draw_stages(
         Grouped edges, each (n, 2) pixels, under ``shaded`` and ``lit``.
     """
     figure, panels = grid_figure(2, 2, width_in=9.0, height_in=7.2)
-    _shown(panels[0, 0], image, "a  image")
-    _shown(panels[0, 1], np.where(edges, 0.0, 1.0).astype(np.float32), "b  edges of both passes")
-    _shown(panels[1, 0], image, "c  convex rim edges: shaded side blue, lit side orange")
+    _show_titled(panels[0, 0], image, "a  image")
+    _show_titled(panels[0, 1], np.where(edges, 0.0, 1.0).astype(np.float32), "b  edges of both passes")
+    _show_titled(panels[1, 0], image, "c  convex rim edges: shaded side blue, lit side orange")
     for side, colour in (("shaded", BLUE), ("lit", ORANGE)):
         panels[1, 0].add_collection(LineCollection(list(arcs[side]), colors=colour, linewidths=1.0))
-    _shown(panels[1, 1], image, f"d  {len(detected)} detected craters")
+    _show_titled(panels[1, 1], image, f"d  {len(detected)} detected craters")
     draw_rims(panels[1, 1], detected, GREEN)
     return figure
 
@@ -67,7 +67,7 @@ def draw_detections(
 ) -> Figure:
     """Draw detected rims over an image (figure 3), and dashed and named those where craters were expected."""
     figure, (axes,) = new_figure(1, width_in=8.0, height_in=6.4)
-    _shown(axes, image, title)
+    _show_titled(axes, image, title)
     draw_rims(axes, detected, GREEN)
     draw_rims(axes, predicted, VERMILION, dashed=True)
     for name, centre, radius in zip(names, predicted.centre_px, predicted.radius_px, strict=True):

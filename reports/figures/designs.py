@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from reports.figures.log_axis import mark_decades
-from reports.figures.looks import looks
+from reports.figures.looks import plot_styles
 from reports.figures.style import BLUE, GREY, FloatArray, new_figure, styled
 
 _PANELS_A_ROW = 3
@@ -36,7 +36,7 @@ class Effect:
 @styled
 def draw_effects(panels: Mapping[str, Sequence[Effect]], title: str) -> Figure:
     """Draw a panel of factors for each outcome, on one logarithmic scale about 1; an arrow is a factor beyond it."""
-    bounds = _bounds([effect for effects in panels.values() for effect in effects])
+    bounds = _factor_limits([effect for effects in panels.values() for effect in effects])
     most = max(len(effects) for effects in panels.values())
     figure, places = new_figure(len(panels), 3.2 + 2.2 * len(panels), 1.2 + 0.3 * most)
     for axes, (outcome, effects) in zip(places, panels.items(), strict=True):
@@ -65,7 +65,7 @@ def draw_effects(panels: Mapping[str, Sequence[Effect]], title: str) -> Figure:
     return figure
 
 
-def _bounds(effects: Sequence[Effect]) -> tuple[float, float]:
+def _factor_limits(effects: Sequence[Effect]) -> tuple[float, float]:
     """Choose limits that hold all factors but wild ones, wide enough for small effects to look small."""
     known = [x for effect in effects for x in (effect.value, effect.low, effect.high) if np.isfinite(x)]
     return min([0.7, *(x / 1.05 for x in known)]), min(max([1.4, *(x * 1.05 for x in known)]), _MOST)
@@ -97,7 +97,7 @@ def draw_curves(panels: Sequence[CurvePanel], ordinate: str, title: str) -> Figu
     FigureCanvasAgg(figure)
     places = list(figure.subplots(down, across, squeeze=False, sharey=True).ravel())
     for axes, panel in zip(places, panels, strict=False):
-        _draw(axes, panel)
+        _draw_curve_panel(axes, panel)
     mark_decades(places[0].yaxis)
     for axes in places[len(panels) :]:
         axes.set_axis_off()
@@ -108,8 +108,8 @@ def draw_curves(panels: Sequence[CurvePanel], ordinate: str, title: str) -> Figu
     return figure
 
 
-def _draw(axes: Axes, panel: CurvePanel) -> None:
-    drawn = looks(panel.lines)
+def _draw_curve_panel(axes: Axes, panel: CurvePanel) -> None:
+    drawn = plot_styles(panel.lines)
     for label, points in panel.lines.items():
         order = np.argsort(points.x)
         x, y, low_high = points.x[order], points.y[order], points.low_high[order]
@@ -128,11 +128,11 @@ def _draw(axes: Axes, panel: CurvePanel) -> None:
         )
     axes.set_yscale("log")
     ticks = np.unique(np.concatenate([points.x for points in panel.lines.values()]))
-    _scale(axes, ticks)
+    _scale_abscissa(axes, ticks)
     axes.set_xlabel(panel.label)
 
 
-def _scale(axes: Axes, ticks: FloatArray) -> None:
+def _scale_abscissa(axes: Axes, ticks: FloatArray) -> None:
     """Choose a scale on which the values lie apart: logarithmic over a decade, with a place for 0; marked at them."""
     positive = ticks[ticks > 0]
     if np.all(ticks >= 0) and len(positive) and positive.max() >= 8 * positive.min():

@@ -37,7 +37,7 @@ class Overlay:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+class FitPanels:
     """What the figure shows of one recognition, all of it in pixels of the image.
 
     Parameters
@@ -65,7 +65,7 @@ class Fit:
 
 
 @styled
-def draw_fit_panels(fit: Fit, title: str, credit_lines: Sequence[str] = ()) -> Figure:
+def draw_fit_panels(fit: FitPanels, title: str, credit_lines: Sequence[str] = ()) -> Figure:
     """Draw the initial fit, the rendered mesh and the converged fit, cropped alike to the body.
 
     Parameters
@@ -86,7 +86,7 @@ def draw_fit_panels(fit: Fit, title: str, credit_lines: Sequence[str] = ()) -> F
 
 
 @styled
-def draw_alignment_panels(fit: Fit, title: str, credit_lines: Sequence[str] = ()) -> Figure:
+def draw_alignment_panels(fit: FitPanels, title: str, credit_lines: Sequence[str] = ()) -> Figure:
     """Draw the initial fit, the rendered mesh and the fit after the alignment of the centroids (the paper's figure 3).
 
     Parameters
@@ -106,9 +106,9 @@ def draw_alignment_panels(fit: Fit, title: str, credit_lines: Sequence[str] = ()
     return figure
 
 
-def _panels(fit: Fit, last: str) -> tuple[Figure, list[Axes]]:
+def _panels(fit: FitPanels, last: str) -> tuple[Figure, list[Axes]]:
     """Show image, mesh and image again, cropped alike to the body."""
-    (left, right), (top, bottom) = _window(fit)
+    (left, right), (top, bottom) = _overlay_window(fit)
     height_in = 1.25 + 3.35 * min((bottom - top) / (right - left), 2.0)
     figure, panels = new_figure(3, width_in=10.5, height_in=height_in)
     names = ("(a) initial fit", "(b) mesh rendered for the first iteration", last)
@@ -120,7 +120,7 @@ def _panels(fit: Fit, last: str) -> tuple[Figure, list[Axes]]:
     return figure, panels
 
 
-def _draw_initial(axes: Axes, fit: Fit) -> None:
+def _draw_initial(axes: Axes, fit: FitPanels) -> None:
     _draw_edges(axes, fit.before)
     if fit.before.covariances_px2 is not None:
         axes.add_collection(_ellipses(axes, fit.before.landmarks_px, fit.before.covariances_px2))
@@ -129,7 +129,7 @@ def _draw_initial(axes: Axes, fit: Fit) -> None:
         axes.plot(u, v, "o", markersize=6, color=colour, markeredgecolor="white", markeredgewidth=0.9, zorder=5)
 
 
-def _draw_final(axes: Axes, fit: Fit) -> None:
+def _draw_final(axes: Axes, fit: FitPanels) -> None:
     _draw_edges(axes, fit.after)
     free, matched = fit.corners_px[~fit.matched], fit.corners_px[fit.matched]
     axes.plot(*free.T, "D", markersize=3.4, markerfacecolor="none", markeredgecolor=VERMILION, markeredgewidth=0.8)
@@ -195,7 +195,7 @@ def _add_legend(figure: Figure, handles: Sequence[Line2D], credit_lines: Sequenc
     )
 
 
-def _window(fit: Fit) -> tuple[tuple[float, float], tuple[float, float]]:
+def _overlay_window(fit: FitPanels) -> tuple[tuple[float, float], tuple[float, float]]:
     """Bounds (left, right), (top, bottom) in pixels: the drawn overlays with a margin, within the image."""
     height, width = fit.image.shape
     points = np.concatenate([fit.before.edges_px.reshape(-1, 2), fit.after.edges_px.reshape(-1, 2), fit.corners_px])

@@ -11,14 +11,14 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from reports.figures.style import BLUE, GREEN, GREY, ORANGE, VERMILION, FloatArray, grid_figure, new_figure, styled
-from reports.figures.turns import mark_turns
+from reports.figures.turns import mark_revolutions
 
 SIGMAS = 3.0
 _COMPONENTS = ("radial", "along-track", "cross-track")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Followed:
+class TrajectoryErrors:
     """A trajectory that was estimated frame by frame, and the true one.
 
     Parameters
@@ -45,7 +45,7 @@ class Followed:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TrackLives:
+class TrackLifetimes:
     """The tracks of a sequence, each by its number.
 
     Parameters
@@ -71,7 +71,7 @@ class TrackLives:
 
 
 @styled
-def draw_trajectory(followed: Followed, title: str) -> Figure:
+def draw_trajectory(followed: TrajectoryErrors, title: str) -> Figure:
     """Draw the trajectory in the plane of the orbit and seen along it, errors magnified so that they can be seen."""
     figure, (plane, edge) = new_figure(2, width_in=9.0, height_in=4.6)
     scale = _magnification(followed)
@@ -81,7 +81,7 @@ def draw_trajectory(followed: Followed, title: str) -> Figure:
         scaled = np.array([1e-3, unit])
         true, estimated = (points_m[:, [0, which]] * scaled for points_m in (followed.true_m, shown))
         axes.plot(*true.T, color=GREEN, linewidth=1.6, label="truth")
-        axes.plot(*estimated.T, color=BLUE, linewidth=1.0, linestyle="--", label=_label(scale))
+        axes.plot(*estimated.T, color=BLUE, linewidth=1.0, linestyle="--", label=_estimate_label(scale))
         axes.plot(*true[:1].T, "o", color=GREEN, markersize=5, label="first frame")
         axes.plot(*estimated[-1:].T, "s", color=BLUE, markersize=5, label="last estimate")
         axes.set(xlabel="towards the first position, km", ylabel=label)
@@ -95,11 +95,11 @@ def draw_trajectory(followed: Followed, title: str) -> Figure:
     return figure
 
 
-def _label(scale: float) -> str:
+def _estimate_label(scale: float) -> str:
     return "estimate" if scale == 1.0 else f"estimate, error x {scale:g}"
 
 
-def _magnification(followed: Followed) -> float:
+def _magnification(followed: TrajectoryErrors) -> float:
     """Choose a round factor at which the largest error is a sixth of the orbit's radius or less."""
     largest = float(np.linalg.norm(followed.error_m, axis=1).max(initial=0.0))
     room = float(np.linalg.norm(followed.true_m, axis=1).max(initial=1.0)) / 6.0
@@ -107,7 +107,7 @@ def _magnification(followed: Followed) -> float:
 
 
 @styled
-def draw_error_bands(followed: Followed, title: str) -> Figure:
+def draw_error_bands(followed: TrajectoryErrors, title: str) -> Figure:
     """Draw each component of the error over the anomaly, in the band of three standard deviations."""
     figure, panels = grid_figure(3, 1, width_in=7.5, height_in=6.0)
     for k, (axes, name) in enumerate(zip(panels[:, 0], _COMPONENTS, strict=True)):
@@ -124,7 +124,7 @@ def draw_error_bands(followed: Followed, title: str) -> Figure:
         share = f": {100.0 * outside / known.sum():.0f} % of frames outside" if known.any() else ": no covariance"
         axes.set_title(f"{name}{share}", loc="left")
         axes.set_ylabel("error, m")
-        mark_turns(axes, followed.anomaly_deg)
+        mark_revolutions(axes, followed.anomaly_deg)
     panels[0, 0].legend(loc="upper left", ncols=2)
     panels[-1, 0].set_xlabel("anomaly, deg")
     figure.suptitle(title, fontsize=9.5)
@@ -132,7 +132,7 @@ def draw_error_bands(followed: Followed, title: str) -> Figure:
 
 
 @styled
-def draw_tracks(lives: TrackLives, title: str) -> Figure:
+def draw_tracks(lives: TrackLifetimes, title: str) -> Figure:
     """Draw the life of every track, coloured by its landmark's error, wrong sightings, and the tracks of each frame."""
     figure, panels = grid_figure(2, 1, width_in=7.5, height_in=6.4)
     above, below = panels[:, 0]

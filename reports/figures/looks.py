@@ -60,7 +60,7 @@ _COLOURS: Mapping[str, str] = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class PlotStyle:
     """How an estimator is drawn: Matplotlib's colour, line style and marker."""
 
     colour: str
@@ -68,20 +68,20 @@ class Look:
     marker: str
 
 
-def looks(labels: Iterable[str]) -> dict[str, Look]:
+def plot_styles(labels: Iterable[str]) -> dict[str, PlotStyle]:
     """Give the estimators of a figure their looks, by label.
 
     The colour is that of the method whose name the label is or begins with (``ba-slam-5`` is a ``ba-slam``), of an
     unknown one always the same by its name. Neighbours differ in line style too, for print in grey, and labels of one
     colour do; no two have the same marker.
     """
-    found: dict[str, Look] = {}
+    found: dict[str, PlotStyle] = {}
     for place, label in enumerate(dict.fromkeys(labels)):
         colour = colour_of(label)
         taken = {look.line for look in found.values() if look.colour == colour}
         lines = LINE_STYLES[place % len(LINE_STYLES) :] + LINE_STYLES[: place % len(LINE_STYLES)]
         line = next((line for line in lines if line not in taken), lines[0])
-        found[label] = Look(colour, line, MARKERS[place % len(MARKERS)])
+        found[label] = PlotStyle(colour, line, MARKERS[place % len(MARKERS)])
     return found
 
 

@@ -13,7 +13,7 @@ from reports.figures.style import FloatArray, new_figure, styled
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Matrix:
+class HeatMap:
     """A heat map: (R, C) values, NaN where there is none, and the text of each cell."""
 
     title: str
@@ -24,12 +24,12 @@ class Matrix:
 
 
 @styled
-def draw_matrix(matrices: Sequence[Matrix], rows_label: str, columns_label: str, title: str) -> Figure:
+def draw_heat_maps(matrices: Sequence[HeatMap], rows_label: str, columns_label: str, title: str) -> Figure:
     """Draw heat maps side by side, each on a colour scale of its own from 0 on."""
     down, across = matrices[0].values.shape
     figure, panels = new_figure(len(matrices), 1.3 + len(matrices) * (0.5 + 0.85 * across), 1.5 + 0.62 * down)
     for axes, matrix in zip(panels, matrices, strict=True):
-        _draw(axes, matrix)
+        _draw_heat_map(axes, matrix)
         axes.set_xlabel(columns_label)
     for axes in panels[1:]:
         axes.set_yticklabels([])
@@ -38,7 +38,7 @@ def draw_matrix(matrices: Sequence[Matrix], rows_label: str, columns_label: str,
     return figure
 
 
-def _draw(axes: Axes, matrix: Matrix) -> None:
+def _draw_heat_map(axes: Axes, matrix: HeatMap) -> None:
     finite = matrix.values[np.isfinite(matrix.values)]
     high = float(finite.max()) if len(finite) else 1.0
     # From 0 on, so that what differs little looks alike.

@@ -21,10 +21,10 @@ from reports.figures.style import (
     styled,
 )
 
-_LEGEND_INSIDE = 4
+_METHODS_INSIDE = 4
 _LEGEND_TITLE = "median (share beyond the axis)"
 _SHARE_TOLD = 1.0
-_PANELS = (
+_METHOD_PANELS = (
     ("attitude_error_deg", "attitude error, deg", "frequency per degree"),
     ("position_error_m", "position error, m", "frequency per metre"),
 )
@@ -50,7 +50,7 @@ def draw_method_errors(
         len(groups), 2, height_in=0.5 + sum(_row_height_in(len(methods)) for methods in groups.values())
     )
     labels = list(dict.fromkeys(label for methods in groups.values() for label in methods))
-    for column, (name, label, frequency) in enumerate(_PANELS):
+    for column, (name, label, frequency) in enumerate(_METHOD_PANELS):
         samples = {
             row: {method: np.asarray(errors[name].dropna(), dtype=np.float64) for method, errors in methods.items()}
             for row, methods in groups.items()
@@ -69,7 +69,7 @@ def draw_method_errors(
 
 def _row_height_in(methods: int) -> float:
     """Leave room for a legend below the panels, where it is too long to stand in them."""
-    return 2.9 if methods <= _LEGEND_INSIDE else 2.9 + 0.18 * methods
+    return 2.9 if methods <= _METHODS_INSIDE else 2.9 + 0.18 * methods
 
 
 def _common_edges(samples: Sequence[FloatArray]) -> FloatArray:
@@ -91,7 +91,7 @@ def _draw_methods(axes: Axes, methods: Mapping[str, FloatArray], labels: Sequenc
         beyond = f" ({share:.0f} %)" if share >= _SHARE_TOLD else ""
         step_histogram(axes, sample, edges, label=f"{method}: {median}{beyond}", **line)
     axes.set_xlim(0.0, edges[-1])
-    if len(methods) <= _LEGEND_INSIDE:
+    if len(methods) <= _METHODS_INSIDE:
         raise_top(axes, len(methods))
         legend = axes.legend(loc="upper right", title=_LEGEND_TITLE, title_fontsize=7.5, fontsize=7.5)
         legend.set_in_layout(False)

@@ -7,9 +7,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from reports.figures.bands import band
+from reports.figures.bands import percentile_band
 from reports.figures.log_axis import mark_decades
-from reports.figures.looks import looks
+from reports.figures.looks import plot_styles
 from reports.figures.style import (
     BLUE,
     GREEN,
@@ -24,7 +24,7 @@ from reports.figures.style import (
 
 
 @styled
-def draw_counts(images: pd.DataFrame, landmarks: pd.DataFrame, title: str) -> Figure:
+def draw_crater_counts(images: pd.DataFrame, landmarks: pd.DataFrame, title: str) -> Figure:
     """Draw how many craters images have (figure 8b of Cheng et al. 2003), and how many images landmarks (figure 9).
 
     Parameters
@@ -113,12 +113,12 @@ def draw_orbit_errors(errors: pd.DataFrame, title: str) -> Figure:
         Printed above.
     """
     figure, (axes,) = new_figure(1, width_in=6.0)
-    drawn = looks(map(str, errors["estimator"].unique()))
+    drawn = plot_styles(map(str, errors["estimator"].unique()))
     for name, own in errors.groupby("estimator", sort=False):
         colour = drawn[str(name)].colour
         over = own.groupby("time_days")
         median = over["position_error_m"].median()
-        low, high = band(own["position_error_m"], own["time_days"])
+        low, high = percentile_band(own["position_error_m"], own["time_days"])
         axes.plot(median.index, median, color=colour, linestyle=drawn[str(name)].line, label=str(name))
         axes.fill_between(median.index, low, high, color=colour, alpha=0.2, linewidth=0)
         axes.plot(median.index, over["position_sigma_m"].median(), color=colour, linestyle="--", linewidth=0.9)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from reports.figures.log_axis import mark_decades
-from reports.figures.looks import looks
+from reports.figures.looks import plot_styles
 from reports.figures.style import (
     BLUE,
     GREEN,
@@ -72,7 +72,7 @@ def draw_pose_errors(
             samples = _without_repeats(samples)
         medians = {name: v for (name, wanted), v in (published or {}).items() if wanted == column and name in samples}
         edges = shared_edges([*samples.values(), *(np.array([value]) for value in medians.values())])
-        beyond = _draw_stages(axes, samples, list(stages), edges, unit)
+        beyond = _draw_stage_histograms(axes, samples, list(stages), edges, unit)
         for name, value in medians.items():
             mark_on_axis(axes, value, _line(list(stages).index(name), len(stages))["color"])
         axes.set(xlabel=label + beyond, ylabel=frequency)
@@ -105,7 +105,7 @@ def _line(index: int, count: int) -> dict[str, Any]:
     return {"color": (ORANGE, GREEN)[(index - 1) % 2], "linestyle": "-.", "linewidth": 1.4}
 
 
-def _draw_stages(
+def _draw_stage_histograms(
     axes: Axes, samples: Mapping[str, FloatArray], order: Sequence[str], edges: FloatArray, unit: str
 ) -> str:
     """Draw the histograms and return what to add to the axis label."""
@@ -162,7 +162,7 @@ def draw_cumulative_errors(
     far_apart = any(_far_apart([_finite(errors[column]) for errors, _ in estimators.values()]) for column in panels)
     below = len(estimators) > _LEGEND_INSIDE or len(panels) == 1 or far_apart
     lines = -(-len(estimators) // 2) if below else 0
-    drawn = looks(estimators)
+    drawn = plot_styles(estimators)
     figure, places = new_figure(len(panels), 3.75 * max(len(panels), 1.5), 3.4 + _LINE_IN * lines)
     for axes, (column, label) in zip(places, panels.items(), strict=True):
         samples = {name: np.sort(_finite(errors[column])) for name, (errors, _) in estimators.items()}

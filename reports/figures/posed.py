@@ -28,7 +28,7 @@ _SPREAD_PERCENT = 99.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PosedLook:
+class PoseRendering:
     """The body as it lies in the image at one pose.
 
     Parameters
@@ -50,14 +50,14 @@ class PosedLook:
 
 
 @styled
-def draw_posed(
-    image: NDArray[np.floating], looks: Sequence[PosedLook], title: str, credit_lines: Sequence[str] = ()
+def draw_pose_renderings(
+    image: NDArray[np.floating], looks: Sequence[PoseRendering], title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
     """Draw the outline of the body at each pose over the image, and below it what the rendering leaves of the image.
 
     All residuals share one scale, so that their greys can be compared.
     """
-    (left, right), (top, bottom) = _window(image, looks)
+    (left, right), (top, bottom) = _body_window(image, looks)
     aspect = min(max((bottom - top) / (right - left), 0.4), 1.6)
     width_in = 3.3 * len(looks) + 0.7
     figure, panels = grid_figure(2, len(looks), width_in=width_in, height_in=2 * 3.2 * aspect + 1.0)
@@ -94,7 +94,9 @@ def _extent(image: NDArray[np.floating]) -> tuple[float, float, float, float]:
     return (0.0, float(width), float(height), 0.0)
 
 
-def _window(image: NDArray[np.floating], looks: Sequence[PosedLook]) -> tuple[tuple[float, float], tuple[float, float]]:
+def _body_window(
+    image: NDArray[np.floating], looks: Sequence[PoseRendering]
+) -> tuple[tuple[float, float], tuple[float, float]]:
     """Bounds (left, right), (top, bottom) in pixels: the body at all poses with a margin, within the image."""
     height, width = image.shape
     rows, columns = np.nonzero(np.any([look.body for look in looks], axis=0))

@@ -25,7 +25,7 @@ from reports.figures.style import (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recognised:
+class MatchedLandmarks:
     """Matched landmarks of one image.
 
     Parameters
@@ -50,8 +50,8 @@ class Recognised:
 
 
 @styled
-def draw_recognised(
-    image: NDArray[np.floating], found: Recognised, title: str, credit_lines: Sequence[str] = ()
+def draw_matched_landmarks(
+    image: NDArray[np.floating], found: MatchedLandmarks, title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
     """Draw matches with magnified residuals over the image, residuals alone, and residuals over true errors."""
     figure, (over, spread, errors) = new_figure(3, width_in=10.6, height_in=3.7)
@@ -59,7 +59,7 @@ def draw_recognised(
     scale = _magnification(image, found.residual_px)
     _draw_arrows(over, image, found, scale)
     _draw_spread(spread, found.residual_px)
-    _draw_errors(errors, found)
+    _draw_true_errors(errors, found)
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
     return figure
@@ -72,18 +72,18 @@ def _magnification(image: NDArray[np.floating], residual_px: FloatArray) -> floa
     return min((step for step in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)), key=lambda step: abs(np.log(step / wanted)))
 
 
-def _draw_arrows(axes: Axes, image: NDArray[np.floating], found: Recognised, scale: float) -> None:
+def _draw_arrows(axes: Axes, image: NDArray[np.floating], found: MatchedLandmarks, scale: float) -> None:
     axes.plot(*found.predicted_px.T, "o", markersize=4, markerfacecolor="none", markeredgecolor=ORANGE)
     axes.quiver(
         *found.predicted_px.T, *(scale * found.residual_px).T, angles="xy", scale_units="xy", scale=1.0,
         color=VERMILION, width=0.004,
     )  # fmt: skip
-    axes.set(**_window(image, found))
+    axes.set(**_landmark_window(image, found))
     axes.set_title(f"{len(found.seen_px)} landmarks: seen less predicted, x {scale:g}")
     hide_axes(axes)
 
 
-def _window(image: NDArray[np.floating], found: Recognised) -> dict[str, tuple[float, float]]:
+def _landmark_window(image: NDArray[np.floating], found: MatchedLandmarks) -> dict[str, tuple[float, float]]:
     """Limits of the axes: the landmarks with a margin, within the image."""
     height, width = image.shape
     points = np.concatenate([found.seen_px, found.predicted_px])
@@ -104,7 +104,7 @@ def _draw_spread(axes: Axes, residual_px: FloatArray) -> None:
     axes.legend(loc="upper right")
 
 
-def _draw_errors(axes: Axes, found: Recognised) -> None:
+def _draw_true_errors(axes: Axes, found: MatchedLandmarks) -> None:
     """Residual over the landmark's true error: a match that lies far off in space and not in the image is wrong."""
     known = np.isfinite(found.error_m)
     length_px = np.linalg.norm(found.residual_px, axis=1)

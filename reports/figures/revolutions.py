@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from reports.figures.log_axis import scale_ordinate
-from reports.figures.looks import Look, looks
+from reports.figures.looks import PlotStyle, plot_styles
 from reports.figures.style import new_figure, styled
 from reports.statistics.measured import MEAN, measure
 
@@ -37,12 +37,12 @@ def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa:
     every = [table for levels in errors.values() for table in levels.values()]
     shown = [name for name in AFTER_REVOLUTIONS if any(table[name].notna().any() for table in every)]
     figure, panels = new_figure(len(shown), width_in=max(6.0, 4.0 * len(shown)))
-    drawn = looks(errors)
+    drawn = plot_styles(errors)
     levels = list(dict.fromkeys(level for line in errors.values() for level in line))
     for axes, name in zip(panels, shown, strict=True):
         for i, (label, line) in enumerate(errors.items()):
             shift = _WIDTH * ((i + 0.5) / len(errors) - 0.5)
-            _draw(
+            _draw_series(
                 axes, {levels.index(level) + shift: table[[name, "cluster"]] for level, table in line.items()},
                 label, drawn[label],
             )  # fmt: skip
@@ -55,7 +55,7 @@ def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa:
     return figure
 
 
-def _draw(axes: Axes, errors: Mapping[float, pd.DataFrame], label: str, look: Look) -> None:
+def _draw_series(axes: Axes, errors: Mapping[float, pd.DataFrame], label: str, look: PlotStyle) -> None:
     colour = look.colour
     known = {x: table.dropna() for x, table in errors.items() if table.iloc[:, 0].notna().any()}
     means = []

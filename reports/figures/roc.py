@@ -24,14 +24,14 @@ MOST_CURVES = 5
 
 _LineStyle = str | tuple[int, tuple[int, ...]]
 # As many as there can be of both, so that neighbours differ in colour and in dashes.
-_LOOKS = [
+_STYLES = [
     (LINE_STYLES[i % len(LINE_STYLES)], SERIES_COLOURS[i % len(SERIES_COLOURS)])
     for i in range(len(LINE_STYLES) * len(SERIES_COLOURS))
 ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Curve:
+class RocCurve:
     """One characteristic: its name, (m,) false and true positive rates that ascend, and the area below it."""
 
     name: str
@@ -41,7 +41,7 @@ class Curve:
 
 
 @styled
-def draw_roc(panels: Mapping[str, Sequence[Curve]], title: str, credit_lines: Sequence[str] = ()) -> Figure:
+def draw_roc(panels: Mapping[str, Sequence[RocCurve]], title: str, credit_lines: Sequence[str] = ()) -> Figure:
     """Draw a panel of curves for each definition of a bad solution.
 
     Parameters
@@ -55,7 +55,7 @@ def draw_roc(panels: Mapping[str, Sequence[Curve]], title: str, credit_lines: Se
     """
     figure, axes = new_figure(len(panels), width_in=3.9 * max(1, len(panels)), height_in=4.2)
     names = dict.fromkeys(curve.name for curves in panels.values() for curve in curves)
-    looks = dict(zip(names, itertools.cycle(_LOOKS), strict=False))
+    looks = dict(zip(names, itertools.cycle(_STYLES), strict=False))
     for place, (definition, curves) in zip(axes, panels.items(), strict=True):
         _draw_panel(place, curves, looks)
         place.set_title(f"bad: {definition}")
@@ -64,7 +64,7 @@ def draw_roc(panels: Mapping[str, Sequence[Curve]], title: str, credit_lines: Se
     return figure
 
 
-def _draw_panel(axes: Axes, curves: Sequence[Curve], looks: Mapping[str, tuple[_LineStyle, str]]) -> None:
+def _draw_panel(axes: Axes, curves: Sequence[RocCurve], looks: Mapping[str, tuple[_LineStyle, str]]) -> None:
     """Draw the curves of a panel; a score looks the same in all of them."""
     axes.plot([0, 1], [0, 1], color=GREY, linewidth=0.9, linestyle=":")
     for curve in curves:

@@ -8,11 +8,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from reports.figures.bands import band
+from reports.figures.bands import percentile_band
 from reports.figures.log_axis import scale_ordinate
-from reports.figures.looks import Look, looks
+from reports.figures.looks import PlotStyle, plot_styles
 from reports.figures.style import LINE_STYLES, SERIES_COLOURS, add_credits, new_figure, styled
-from reports.figures.turns import mark_turns
+from reports.figures.turns import mark_revolutions
 
 POSITION, LANDMARKS = "position_error_m", "landmark_rmse_m"
 _PANELS = {POSITION: "camera position error, m", LANDMARKS: "RMSE of the frame's landmarks, m"}
@@ -34,7 +34,7 @@ def draw_starts(epochs: pd.DataFrame, title: str) -> Figure:
     for i, (trial, own) in enumerate(epochs.groupby("trial")):
         colour, line = SERIES_COLOURS[i % len(SERIES_COLOURS)], LINE_STYLES[i // len(SERIES_COLOURS) % len(LINE_STYLES)]
         axes.plot(own["anomaly_deg"], own["position_error_m"], color=colour, linestyle=line, linewidth=1.0, label=trial)
-    mark_turns(axes, epochs["anomaly_deg"])
+    mark_revolutions(axes, epochs["anomaly_deg"])
     axes.set(xlabel="anomaly, deg", ylabel="camera position error, m")
     axes.set_ylim(bottom=0.0)
     handles, labels = axes.get_legend_handles_labels()
@@ -68,11 +68,11 @@ def draw_traces(
     """
     shown = [name for name in panels if any(table[name].notna().any() for table in epochs.values())] or panels
     figure, places = new_figure(len(shown), width_in=4.4 * len(shown))
-    drawn = looks(epochs)
+    drawn = plot_styles(epochs)
     for axes, name in zip(places, shown, strict=True):
         for estimator, table in epochs.items():
-            _draw(axes, table, name, estimator, drawn[estimator], banded=len(epochs) <= _BANDS_AT_MOST)
-        mark_turns(axes, pd.concat([table["anomaly_deg"] for table in epochs.values()]))
+            _draw_trace(axes, table, name, estimator, drawn[estimator], banded=len(epochs) <= _BANDS_AT_MOST)
+        mark_revolutions(axes, pd.concat([table["anomaly_deg"] for table in epochs.values()]))
         axes.set(xlabel="anomaly, deg", ylabel=_PANELS[name])
         scale_ordinate(axes, [float(table[name].median()) for table in epochs.values()])
     handles, labels = places[0].get_legend_handles_labels()
@@ -82,7 +82,7 @@ def draw_traces(
     return figure
 
 
-def _draw(axes: Axes, table: pd.DataFrame, name: str, label: str, look: Look, *, banded: bool) -> None:
+def _draw_trace(axes: Axes, table: pd.DataFrame, name: str, label: str, look: PlotStyle, *, banded: bool) -> None:
     known = table.dropna(subset=[name])
     if known.empty:
         return
@@ -91,7 +91,7 @@ def _draw(axes: Axes, table: pd.DataFrame, name: str, label: str, look: Look, *,
     middle = over_trials.median()
     anomaly = middle.index.to_numpy(dtype=float)
     if banded:
-        low, high = band(known[name], known["anomaly_deg"])
+        low, high = percentile_band(known[name], known["anomaly_deg"])
         axes.fill_between(anomaly, low, high, color=colour, alpha=0.18, linewidth=0)
         first = known[known["trial"] == known["trial"].min()]
         if len(first) < len(known):

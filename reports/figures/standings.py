@@ -18,7 +18,7 @@ _MARKS = (("RMS", "D"), ("75th", "|"), ("95th", "|"), ("99th", "|"))
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class SubjectSummary:
     """One line of the figure.
 
     Parameters
@@ -42,8 +42,8 @@ class Standing:
 
 
 @styled
-def draw_standings(
-    standings: Sequence[Standing], axis: str, against: str, title: str, credit_lines: Sequence[str] = ()
+def draw_summaries(
+    standings: Sequence[SubjectSummary], axis: str, against: str, title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
     """Draw errors, success rates and differences, a line for each subject.
 
@@ -66,11 +66,11 @@ def draw_standings(
     figure, places = grid_figure(1, 1, width_in=7.5 + 1.2 * shown[2], height_in=height_in)
     places[0, 0].remove()
     panels = list(figure.subplots(1, len(widths), squeeze=False, sharey=True, width_ratios=widths)[0])
-    _errors(panels[0], standings, axis)
+    _draw_errors(panels[0], standings, axis)
     if shown[1]:
-        _success(panels[1], standings)
+        _draw_success(panels[1], standings)
     if shown[2]:
-        _differences(panels[-1], standings, axis, against)
+        _draw_differences(panels[-1], standings, axis, against)
     panels[0].set_yticks(range(len(standings)), [one.label for one in standings])
     panels[0].set_ylim(len(standings) - 0.4, -0.6)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
@@ -79,10 +79,10 @@ def draw_standings(
     return figure
 
 
-def _errors(axes: Axes, standings: Sequence[Standing], axis: str) -> None:
+def _draw_errors(axes: Axes, standings: Sequence[SubjectSummary], axis: str) -> None:
     for row, one in enumerate(standings):
         median, *further = one.solved
-        _bar(axes, row, median, one.colour)
+        _draw_interval(axes, row, median, one.colour)
         for (name, marker), measured in zip(_MARKS, further, strict=True):
             if measured.value is not None:
                 size = 4 if marker == "D" else 7 + 3 * (name == "95th") + 6 * (name == "99th")
@@ -90,7 +90,7 @@ def _errors(axes: Axes, standings: Sequence[Standing], axis: str) -> None:
         counted = one.counted[0].value
         if counted is not None and np.isfinite(counted) and counted != median.value:
             axes.plot(counted, row, "o", color=one.colour, markersize=7, markerfacecolor="none")
-    _legend(axes)
+    _add_legend(axes)
     axes.set_xlabel(axis)
     if axes.dataLim.x0 <= 0.0:  # A share of nothing at all has no place on a logarithmic axis.
         return
@@ -98,7 +98,7 @@ def _errors(axes: Axes, standings: Sequence[Standing], axis: str) -> None:
     mark_decades(axes.xaxis)
 
 
-def _legend(axes: Axes) -> None:
+def _add_legend(axes: Axes) -> None:
     """Tell the marks, whatever the colour."""
     marks = {"o": "median, 95 % interval", "D": "RMS", "|": "75th, 95th, 99th percentile"}
     for marker, label in marks.items():
@@ -106,7 +106,7 @@ def _legend(axes: Axes) -> None:
     axes.plot([], [], "o", color=GREY, markerfacecolor="none", markersize=7, label="median, failures counted")
 
 
-def _bar(axes: Axes, row: int, measured: Measured, colour: str) -> None:
+def _draw_interval(axes: Axes, row: int, measured: Measured, colour: str) -> None:
     """Draw a value as a point, and its interval as a thick bar."""
     if measured.value is None:
         return
@@ -115,20 +115,20 @@ def _bar(axes: Axes, row: int, measured: Measured, colour: str) -> None:
     axes.plot(measured.value, row, "o", color=colour, markersize=5)
 
 
-def _success(axes: Axes, standings: Sequence[Standing]) -> None:
+def _draw_success(axes: Axes, standings: Sequence[SubjectSummary]) -> None:
     for row, one in enumerate(standings):
         if one.success is not None:
-            _bar(axes, row, _scaled(one.success, 100.0), one.colour)
+            _draw_interval(axes, row, _scaled_interval(one.success, 100.0), one.colour)
     low, high = axes.get_xlim()
     axes.set_xlim(max(low, 0.0), min(high, 101.0))
     axes.set_xlabel("success, %")
 
 
-def _differences(axes: Axes, standings: Sequence[Standing], axis: str, against: str) -> None:
+def _draw_differences(axes: Axes, standings: Sequence[SubjectSummary], axis: str, against: str) -> None:
     axes.axvline(0.0, color=GREY, linewidth=1.0)
     for row, one in enumerate(standings):
         if one.difference is not None:
-            _bar(axes, row, one.difference, one.colour)
+            _draw_interval(axes, row, one.difference, one.colour)
     low, high = axes.get_xlim()
     edge = 0.06 * (max(high, 0.0) - min(low, 0.0))
     axes.set_xlim(min(low, -edge), max(high, edge))
@@ -136,5 +136,5 @@ def _differences(axes: Axes, standings: Sequence[Standing], axis: str, against: 
     axes.set_xlabel(f"median difference to\n{against}{f', {unit}' if unit else ''}")
 
 
-def _scaled(measured: Measured, scale: float) -> Measured:
+def _scaled_interval(measured: Measured, scale: float) -> Measured:
     return Measured(*(None if x is None else scale * x for x in (measured.value, measured.low, measured.high)))

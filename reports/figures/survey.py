@@ -14,7 +14,7 @@ _MOST_BARS = 60
 
 
 @styled
-def draw_counts(
+def draw_count_histogram(
     counts: NDArray[np.int64], label: str, ordinate: str, published: Mapping[str, float], title: str
 ) -> Figure:
     """Draw a histogram of counts with its mean and median, and what a paper prints as triangles on the axis.

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from reports.figures.log_axis import mark_decades
-from reports.figures.looks import looks
+from reports.figures.looks import plot_styles
 from reports.figures.style import GREY, add_credits, grid_figure, styled
 from reports.statistics.measured import Measured
 
@@ -17,7 +17,7 @@ _ERRORS = (("position_error_m", "position error, m"), ("attitude_error_deg", "at
 
 
 @dataclass(frozen=True, slots=True)
-class TradeMark:
+class TradeOffPoint:
     """One method.
 
     Parameters
@@ -37,7 +37,7 @@ class TradeMark:
 
 @styled
 def draw_trade_off(
-    marks: Mapping[str, TradeMark], prior: Mapping[str, float], title: str, credit_lines: Sequence[str] = ()
+    marks: Mapping[str, TradeOffPoint], prior: Mapping[str, float], title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
     """Draw errors of position and attitude, a row each, against time and size, a column each; all axes logarithmic.
 
@@ -57,10 +57,10 @@ def draw_trade_off(
         times = {key: 1e3 * mark.seconds for key, mark in marks.items() if mark.seconds is not None}
         sizes = {key: 1e-3 * mark.size_bytes for key, mark in marks.items() if mark.size_bytes is not None}
         for axes, costs, abscissa in zip(row, (times, sizes), ("time an image, ms", "data base, kB"), strict=True):
-            _draw(axes, {key: mark.errors[name] for key, mark in marks.items()}, costs)
+            _draw_methods(axes, {key: mark.errors[name] for key, mark in marks.items()}, costs)
             axes.axhline(prior[name], color=GREY, linestyle="--", linewidth=1.0, label="prior")
             axes.set(xlabel=abscissa, ylabel=label)
-            _logarithmic(axes)
+            _use_log_axes(axes)
         row[1].sharey(row[0])
     handles, labels = places[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))
@@ -69,8 +69,8 @@ def draw_trade_off(
     return figure
 
 
-def _draw(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str, float]) -> None:
-    drawn = looks(errors)
+def _draw_methods(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str, float]) -> None:
+    drawn = plot_styles(errors)
     for label, error in errors.items():
         if label not in costs or error.value is None:
             continue
@@ -89,7 +89,7 @@ def _draw(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str, float]
         )
 
 
-def _logarithmic(axes: Axes) -> None:
+def _use_log_axes(axes: Axes) -> None:
     """Write plain numbers, at 1, 2 and 5 of every decade where there are few."""
     axes.set_xscale("log")
     axes.set_yscale("log")

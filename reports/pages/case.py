@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from reports.figures.style import save_figure
-from reports.pages.templates import embedded, filled
+from reports.pages.templates import embed_figures, fill_template
 from reports.schema.grid import Grid
 from reports.schema.named_figure import NamedFigure
 from scenarios.atomic import write_text
@@ -57,5 +57,5 @@ def write_case(page: CasePage, figures: Sequence[NamedFigure], folder: Path) -> 
     """
     pngs = [save_figure(figure.figure, folder / figure.stem)[0].read_bytes() for figure in figures]
     path = folder / "index.html"
-    write_text(path, filled("case.html", case=page, figures=embedded(zip(figures, pngs, strict=True))))
+    write_text(path, fill_template("case.html", case=page, figures=embed_figures(zip(figures, pngs, strict=True))))
     return path

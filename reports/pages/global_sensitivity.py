@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from reports.compare.global_sensitivity import Sensitivity, Varied
+from reports.compare.global_sensitivity import Sensitivity, VariedKey
 from reports.compare.metrics import Metric
-from reports.figures.global_sensitivity import Row, draw_sensitivity
-from reports.figures.provenance import stamp
+from reports.figures.global_sensitivity import EstimatorPanels, draw_sensitivity
+from reports.figures.provenance import add_provenance
 from reports.figures.style import save_figure
 from reports.run.data import RunData
 from reports.schema.grid import Grid
@@ -21,7 +21,7 @@ def write_sensitivity(
     run: RunData,
     found: Sequence[Sensitivity],
     grid: Grid,
-    varied: Sequence[Varied],
+    varied: Sequence[VariedKey],
     samples: FloatArray,
     metric: Metric,
 ) -> Path:
@@ -41,9 +41,9 @@ def write_sensitivity(
         for key, m in zip(keys, shares, strict=True)
     ]
     pd.DataFrame(indices).to_csv(folder / "indices.csv", index=False, lineterminator="\n")
-    rows = [Row(one.estimator, one.outcomes, one.base, one.shares) for one in found]
+    rows = [EstimatorPanels(one.estimator, one.outcomes, one.base, one.shares) for one in found]
     figure = draw_sensitivity(rows, keys, samples, metric.axis, "Sensitivity")
-    stamp(figure, [run])
+    add_provenance(figure, [run])
     save_figure(figure, folder / "sensitivity")
     unmoved = [f"- {key} changes no result of {one.estimator}, bit for bit." for one in found for key in one.unmoved]
     parts = [grid.markdown(), "\n".join(unmoved), "![Indices and outcomes of each varied key](sensitivity.png)"]

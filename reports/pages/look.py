@@ -26,8 +26,8 @@ _WIDTH = 140
 """Characters of a line below the title."""
 _TOP_PX, _LINE_PX = 115, 15
 _EYE = {"x": 1.25, "y": 1.25, "z": 0.85}
-_LAMP = np.array([1.0, 0.4, 1.0]) / np.linalg.norm([1.0, 0.4, 1.0])
-_LIFT = 0.02
+_LIGHT_DIRECTION = np.array([1.0, 0.4, 1.0]) / np.linalg.norm([1.0, 0.4, 1.0])
+_RAISE = 0.02
 """Radii of the body by which landmarks are drawn above it: half of a mark on the surface would lie in it."""
 _AXIS = {
     "showspikes": False,
@@ -39,7 +39,7 @@ _AXIS = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Marks:
+class PointSet:
     """Points with a number that colours them.
 
     Parameters
@@ -64,7 +64,7 @@ class Marks:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cameras:
+class CameraSet:
     """Places of cameras of one kind, joined by a line where they are a trajectory."""
 
     name: str
@@ -75,7 +75,7 @@ class Cameras:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class View3D:
     """All that is to be seen, body axes, m.
 
     Parameters
@@ -94,15 +94,15 @@ class Look:
     note: str
     vertices_m: FloatArray
     faces: NDArray[np.int32]
-    marks: Sequence[Marks]
-    cameras: Sequence[Cameras] = field(default=())
+    marks: Sequence[PointSet]
+    cameras: Sequence[CameraSet] = field(default=())
 
 
 GOOD, BAD, FAILED = BLUE, VERMILION, "#000000"
 TRUE = GREEN
 
 
-def write_look(look: Look, path: Path) -> None:
+def write_view3d(look: View3D, path: Path) -> None:
     """Write the page with plotly's own script in it.
 
     Raises
@@ -110,10 +110,12 @@ def write_look(look: Look, path: Path) -> None:
     BoresightError
         If it cannot be written.
     """
-    lifted = [lifted_from(look, marks.points_m) for marks in look.marks]
-    traces = [_marks(marks, points, k == 0) for k, (marks, points) in enumerate(zip(look.marks, lifted, strict=True))]
-    figure = go.Figure([_body(look), *traces])
-    figure.add_traces([_cameras(cameras) for cameras in look.cameras])
+    lifted = [raised_points(look, marks.points_m) for marks in look.marks]
+    traces = [
+        _point_trace(marks, points, k == 0) for k, (marks, points) in enumerate(zip(look.marks, lifted, strict=True))
+    ]
+    figure = go.Figure([_body_trace(look), *traces])
+    figure.add_traces([_camera_trace(cameras) for cameras in look.cameras])
     note = textwrap.wrap(look.note, _WIDTH) or [""]
     figure.update_layout(
         title={"text": look.title, "subtitle": {"text": "<br>".join(note)}, "y": 0.97, "yanchor": "top"},
@@ -140,14 +142,14 @@ def _coordinates(points_m: FloatArray) -> dict[str, NDArray[np.float32]]:
     return {axis: points_m[:, k].astype(np.float32) for k, axis in enumerate("xyz")}
 
 
-def lifted_from(look: Look, points_m: FloatArray) -> FloatArray:
+def raised_points(look: View3D, points_m: FloatArray) -> FloatArray:
     """Move points (n, 3) a little outward along the normals of the nearest facets of the body."""
     if not len(points_m):
         return points_m
     corners = look.vertices_m[look.faces]
     _, nearest = cKDTree(corners.mean(axis=1)).query(points_m)
     radius_m = float(np.linalg.norm(look.vertices_m, axis=1).max())
-    return np.asarray(points_m + _LIFT * radius_m * _normals(corners)[nearest])
+    return np.asarray(points_m + _RAISE * radius_m * _normals(corners)[nearest])
 
 
 def _normals(corners_m: FloatArray) -> FloatArray:
@@ -156,13 +158,13 @@ def _normals(corners_m: FloatArray) -> FloatArray:
     return np.asarray(across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), np.finfo(float).tiny))
 
 
-def _body(look: Look) -> go.Mesh3d:
+def _body_trace(look: View3D) -> go.Mesh3d:
     """Draw the body in light that is worked out here: half of Lambert's, in which no side is black.
 
     Plotly's lamps stand in the axes of the screen and leave bodies of some hundred metres dark.
     """
     a, b, c = look.faces.T
-    light = 0.5 * (1.0 + _normals(look.vertices_m[look.faces]) @ _LAMP)
+    light = 0.5 * (1.0 + _normals(look.vertices_m[look.faces]) @ _LIGHT_DIRECTION)
     return go.Mesh3d(
         **_coordinates(look.vertices_m), i=a, j=b, k=c, color=_BODY, name="body", hoverinfo="skip", showlegend=True,
         intensity=light.astype(np.float32), intensitymode="cell", cmin=0.0, cmax=1.0, colorscale=_SHADES,
@@ -170,7 +172,7 @@ def _body(look: Look) -> go.Mesh3d:
     )  # fmt: skip
 
 
-def _marks(marks: Marks, points_m: FloatArray, shown: bool) -> go.Scatter3d:
+def _point_trace(marks: PointSet, points_m: FloatArray, shown: bool) -> go.Scatter3d:
     known = marks.values[np.isfinite(marks.values)]
     top = float(np.percentile(known, _PERCENT)) if len(known) else 1.0
     marker = {
@@ -196,7 +198,7 @@ def _marks(marks: Marks, points_m: FloatArray, shown: bool) -> go.Scatter3d:
     )  # fmt: skip
 
 
-def _cameras(cameras: Cameras) -> go.Scatter3d:
+def _camera_trace(cameras: CameraSet) -> go.Scatter3d:
     return go.Scatter3d(
         **_coordinates(cameras.points_m), mode="lines+markers" if cameras.joined else "markers",
         marker={"size": 3, "color": cameras.colour, "symbol": "circle" if cameras.joined else "diamond"},
@@ -205,7 +207,7 @@ def _cameras(cameras: Cameras) -> go.Scatter3d:
     )  # fmt: skip
 
 
-def _buttons(look: Look) -> dict[str, object]:
+def _buttons(look: View3D) -> dict[str, object]:
     """Choose which set of landmarks is shown; body and cameras stay."""
     at = range(1, 1 + len(look.marks))
     buttons = [

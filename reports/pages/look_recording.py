@@ -9,13 +9,13 @@ from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from reports.pages.look import Look, Marks
+from reports.pages.look import PointSet, View3D
 from scenarios.errors import BoresightError
 
 _GREY = (154, 160, 166)
 
 
-def write_recording(look: Look, path: Path) -> None:
+def write_recording(look: View3D, path: Path) -> None:
     """Write an ``.rrd`` with the body, landmarks and cameras, body axes, m.
 
     Raises
@@ -53,7 +53,7 @@ def write_recording(look: Look, path: Path) -> None:
     recording.disconnect()
 
 
-def _colours(marks: Marks) -> NDArray[np.uint8]:
+def _colours(marks: PointSet) -> NDArray[np.uint8]:
     known = np.isfinite(marks.values)
     top = float(np.percentile(marks.values[known], 95)) if known.any() else 1.0
     colours = np.tile(np.array(_GREY, dtype=np.uint8), (len(marks.values), 1))

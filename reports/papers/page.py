@@ -12,7 +12,7 @@ import pandas as pd
 from reports.figures import save_figure
 from reports.kinds.kind import Content
 from reports.pages.content import beside_published
-from reports.pages.templates import embedded, filled
+from reports.pages.templates import embed_figures, fill_template
 from reports.published import Comparison
 from reports.schema.grid import NO_VALUE, Grid, counts, value_of
 from reports.schema.labels import stage_label
@@ -270,10 +270,10 @@ def _markdown(page: PaperPage) -> str:
 
 
 def _html(page: PaperPage, folder: Path) -> str:
-    return filled(
+    return fill_template(
         "paper.html",
         page=page,
         tally=verdict_tally(page.lines),
         grids=[paper_grid(page.lines), *page.grids],
-        figures=embedded((figure, (folder / f"{figure.stem}.png").read_bytes()) for figure in page.figures),
+        figures=embed_figures((figure, (folder / f"{figure.stem}.png").read_bytes()) for figure in page.figures),
     )

@@ -8,7 +8,7 @@ from scipy import stats
 
 from reports.figures import (
     ClusterView,
-    Fit,
+    FitPanels,
     Overlay,
     SurfaceView,
     draw_alignment_panels,
@@ -47,7 +47,7 @@ def _fit():
     covariances = scales @ scales.transpose(0, 2, 1) + 0.1 * np.eye(2)
     image = np.zeros((200, 240), np.float32)
     image[50:150, 60:190] = np.linspace(0.2, 1.0, 130)
-    return Fit(
+    return FitPanels(
         image=image,
         mesh_image=0.5 * image,
         before=Overlay(points, covariances, edges),

@@ -12,13 +12,13 @@ from campaign.inspection.show import Drawn, Kept, Scene, Show
 from campaign.kinds.crater_detection.examples import crater_examples
 from campaign.kinds.crater_detection.trial import CraterDetection, DetectedImage
 from reports.kinds.crater_detection.figures import draw_example, ellipses_of
-from reports.pages.look import Look
+from reports.pages.look import View3D
 from reports.run.data import select
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError
 
 
-def look_at_detections(scene: Scene) -> Look:
+def look_at_detections(scene: Scene) -> View3D:
     """Show the craters by how often they are detected when they could be, and the cameras of all images.
 
     Of several worlds the first is shown.
