@@ -48,8 +48,7 @@ def _look(arguments: argparse.Namespace) -> int:
     from campaign.inspection.case import Choice
     from campaign.inspection.look import look_of
     from campaign.inspection.recompute import reopened
-    from reports.pages.look import write_view3d
-    from reports.pages.look_recording import write_recording
+    from reports.pages.view3d import write_recording, write_view3d
     from reports.run.data import read_run
     from reports.schema.named_figure import file_stem
 

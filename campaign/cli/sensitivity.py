@@ -54,10 +54,9 @@ def _sensitivity(arguments: argparse.Namespace) -> int:
     # Imported here: SALib and Matplotlib take seconds, and most commands need neither.
     from campaign.runs.sensitivity import analyse, make_design, parse_over
     from campaign.runs.until import CONTROLS, STATISTICS
-    from reports.compare.global_sensitivity import sensitivity_grid
+    from reports.compare.global_sensitivity import sensitivity_grid, write_sensitivity
     from reports.compare.metrics import choose_metric
     from reports.pages.console import rich_parts
-    from reports.pages.global_sensitivity import write_sensitivity
     from reports.run.data import read_run
     from reports.run.known import short_line
     from reports.schema.tables import kind_schema

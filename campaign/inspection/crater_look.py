@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from campaign.inspection.coarse import coarsened
 from campaign.inspection.look_parts import MOST_FACES, camera_sets, finite_or_dash, nearer
 from campaign.inspection.show import Scene
-from reports.pages.look import PointSet, View3D
+from reports.pages.view3d import PointSet, View3D
 from scenarios.geometry import TriangleMesh
 
 FloatArray = NDArray[np.float64]

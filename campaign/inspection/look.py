@@ -6,7 +6,7 @@ from campaign.inspection.case import CONTROLS, Choice, unknown
 from campaign.inspection.show import Scene, show_of
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
-from reports.pages.look import View3D
+from reports.pages.view3d import View3D
 from reports.run.data import RunData
 from scenarios.errors import BoresightError
 

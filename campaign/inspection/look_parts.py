@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from campaign.inspection.case import Case, Choice
 from campaign.inspection.ranking import worst_cases
 from campaign.inspection.show import Scene
-from reports.pages.look import BAD, FAILED, GOOD, CameraSet
+from reports.pages.view3d import BAD, FAILED, GOOD, CameraSet
 from reports.run.data import select
 
 FloatArray = NDArray[np.float64]

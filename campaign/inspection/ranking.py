@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 
 from campaign.inspection.case import CONTROLS, Case, Choice, cases_of, chosen_rows
-from reports.compare.craters import N_FINDABLE, detection_counts
-from reports.compare.metrics import Metric, choose_metric, metric_names, metric_values
+from reports.compare.metrics import N_FINDABLE, Metric, choose_metric, detection_counts, metric_names, metric_values
 from reports.run.data import TRIAL_KEY, RunData, in_order_of
 
 ORDER = "estimators that raised, then failures by their prior error, then solved trials by"

@@ -18,7 +18,7 @@ from campaign.resolved import ResolvedCampaign
 from campaign.runs.worker import opened
 from campaign.store import RunFolder
 from campaign.trial.kind import module_of
-from reports.pages.look import View3D
+from reports.pages.view3d import View3D
 from reports.run.data import RunData
 from reports.schema.named_figure import NamedFigure
 from scenarios.geometry import Pose

@@ -6,10 +6,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from reports.compare.consistency import consistency_grid, consistency_table
 from reports.compare.figures import comparison_figures
-from reports.compare.grids import contrast_grid, contrast_table, subject_grid, subject_table
 from reports.compare.subjects import RunComparison
+from reports.compare.tables import (
+    consistency_grid,
+    consistency_table,
+    contrast_grid,
+    contrast_table,
+    subject_grid,
+    subject_table,
+)
 from reports.compare.trials import is_pooled_control
 from reports.figures.provenance import add_provenance
 from reports.figures.style import save_figure

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from reports.compare.metrics import Metric
 from reports.compare.trials import CONDITIONS
-from reports.figures.designs import Points
+from reports.figures.scenario_grids import Points
 from reports.schema.common import BORESIGHT, LATERAL
 from reports.schema.kinds.crater_detection import DETECTION
 from reports.schema.kinds.crater_matching import MATCHING

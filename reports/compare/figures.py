@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 
 from reports.compare.conditions import (
@@ -16,19 +17,19 @@ from reports.compare.conditions import (
     prepare_frames,
     trials_by_condition,
 )
-from reports.compare.consistency import consistency_figures
-from reports.compare.grids import differing_level
-from reports.compare.looks import credit_lines, figure_title, subject_colours, subjects_by_group
 from reports.compare.metrics import Metric
 from reports.compare.subjects import RunComparison, Subject
-from reports.figures.comparison import draw_binned_errors
+from reports.compare.tables import NormalisedErrors, differing_level, normalised_errors
+from reports.compare.trials import ESTIMATOR
+from reports.figures.comparison import CoverageCurve, SubjectSummary, draw_binned_errors, draw_coverage, draw_summaries
 from reports.figures.pose import draw_cumulative_errors
-from reports.figures.standings import SubjectSummary, draw_summaries
+from reports.figures.style import GREY, SERIES_COLOURS, colour_of
 from reports.run.data import TRIAL_KEY
 from reports.schema.labels import as_title
 from reports.schema.named_figure import NamedFigure, file_stem
 from reports.schema.records import CONTROL
 from reports.statistics.measured import Measured
+from reports.statistics.weighed import weighed_label
 
 
 def comparison_figures(found: RunComparison) -> Iterator[NamedFigure]:
@@ -46,6 +47,41 @@ def _figures(found: RunComparison) -> Iterator[NamedFigure]:
         split = _tables_by_condition(found, subjects)
         if split is not None and split.conditions:
             yield conditions_figure(found, name, split)
+
+
+def consistency_figures(found: RunComparison) -> Iterator[NamedFigure]:
+    """Draw, for each kind of weighed error, how many trials lie within the share that the covariance claims."""
+    claims = list(normalised_errors(found))
+    for kind in dict.fromkeys(one.kind for one in claims):
+        for group, subjects in subjects_by_group(found).items():
+            labels = {one.names: label for label, one in subjects.items()}
+            own = [one for one in claims if one.kind == kind and one.subject.names in labels]
+            if own:
+                yield _consistency_figure(found, group, {labels[one.subject.names]: one for one in own})
+
+
+def _consistency_figure(found: RunComparison, group: str, claims: Mapping[str, NormalisedErrors]) -> NamedFigure:
+    own = subject_colours(found)
+    kind = next(iter(claims.values())).kind
+    drawn = [
+        CoverageCurve(
+            f"{label} (n = {len(one.ratios)})",
+            own[one.subject.names],
+            one.ratios * one.degrees / one.expected,
+            one.degrees,
+            len(np.unique(one.clusters)),
+        )
+        for label, one in claims.items()
+    ]
+    title = figure_title(found, weighed_label(kind), group)
+    return NamedFigure(
+        file_stem("consistency", kind, group) if group else file_stem("consistency", kind),
+        draw_coverage(drawn, title, credit_lines(found)),
+        f"{title}: share of the trials whose weighed square is within the share of its distribution that the covariance"
+        " claims; on the diagonal it is true, below it too small. Grey: where 95 % of curves of as many independent"
+        " trials as the fewest lie at each abscissa.",
+        f"Coverage against claimed coverage for {', '.join(claims)}.",
+    )
 
 
 def cumulative_figure(found: RunComparison, group: str, subjects: Mapping[str, Subject]) -> NamedFigure:
@@ -154,3 +190,39 @@ def _reference_differences(found: RunComparison) -> dict[tuple[str, ...], tuple[
     for one in sorted(found.contrasts, key=lambda contrast: order[contrast.second]):
         held.setdefault(one.first, (differing_level(one), one.median))
     return held
+
+
+def subject_colours(found: RunComparison) -> dict[tuple[str, ...], str]:
+    """Give each subject a colour: that of its estimator where each is of one, else one of its own; grey the control."""
+    keys = [one.estimator or found.label(one.names) for one in found.subjects]
+    named = [key for key in dict.fromkeys(keys) if key != CONTROL]
+    pooled = any(not one.estimator for one in found.subjects)
+    own = {key: SERIES_COLOURS[i % len(SERIES_COLOURS)] if pooled else colour_of(key) for i, key in enumerate(named)}
+    return {one.names: own.get(key, GREY) for one, key in zip(found.subjects, keys, strict=True)}
+
+
+def credit_lines(found: RunComparison) -> list[str]:
+    """Credit lines of all runs, each once."""
+    return list(dict.fromkeys(line for run in found.runs for line in run.manifest.credits))
+
+
+def subjects_by_group(found: RunComparison) -> dict[str, dict[str, Subject]]:
+    """Gather the subjects that differ in the estimator alone: name of the group, and label to subject.
+
+    Where estimators are pooled, all subjects are one group.
+    """
+    gathered: dict[str, dict[str, Subject]] = {}
+    for one in found.subjects:
+        named = dict(zip(found.factors, one.names, strict=True))
+        if ESTIMATOR not in found.factors:
+            gathered.setdefault("", {})[found.label(one.names)] = one
+            continue
+        label = named.pop(ESTIMATOR)
+        kept = [level for factor, level in named.items() if factor in found.varied]
+        gathered.setdefault(", ".join(kept), {})[label] = one
+    return gathered
+
+
+def figure_title(found: RunComparison, what: str, group: str) -> str:
+    """Write the title of a figure of one group."""
+    return ", ".join(filter(None, (what, group, found.shared if ESTIMATOR in found.varied else "")))

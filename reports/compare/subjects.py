@@ -12,10 +12,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.compare.factors import ESTIMATOR, SCENARIO, check_factors
 from reports.compare.metrics import Metric, choose_metric
 from reports.compare.pairs import Contrast, holm_corrected, independent_contrast, paired_contrast, without_failures
-from reports.compare.trials import all_factors, check_pairs, tabulate_trials
+from reports.compare.trials import ESTIMATOR, SCENARIO, all_factors, check_factors, check_pairs, tabulate_trials
 from reports.run.data import RunData, read_run
 from reports.schema.records import CONTROL
 from reports.statistics.intervals import FloatArray

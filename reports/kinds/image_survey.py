@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from reports.figures.survey import draw_count_histogram
+from reports.figures.orbit import draw_count_histogram
 from reports.kinds.kind import ReportKind
 from reports.published import Comparison
 from reports.run.data import RunData

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from reports.figures.axes import band_label
 from reports.figures.orbit import draw_orbit_errors, draw_residuals
 from reports.kinds.designs.report import REPORT as OF_DESIGN
 from reports.kinds.kind import Content, ReportKind, Tables

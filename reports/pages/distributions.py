@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.figures.looks import PlotStyle, plot_styles
+from reports.figures.style import PlotStyle, plot_styles
 from reports.run.data import RunData, select
 
 FloatArray = NDArray[np.float64]

@@ -19,7 +19,7 @@ from campaign.kinds.orbit_determination.show import image_sets, landmark_errors,
 from campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from estimators.craters.contract import CraterMatches
 from estimators.orbit.contract import Orbit, OrbitEstimate
-from reports.pages.look import BAD, GOOD, View3D, raised_points, write_view3d
+from reports.pages.view3d import BAD, GOOD, View3D, raised_points, write_view3d
 from scenarios.craters.pairs import CraterLook, CraterPair
 from scenarios.craters.simulated import NO_CRATER, LabelledDetections
 from scenarios.geometry import Ellipses

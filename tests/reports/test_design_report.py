@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 from stored_runs import RunBuilder, pose_error
 
-from reports.figures.designs import CurvePanel, Points, draw_curves
-from reports.figures.matrix import HeatMap, draw_heat_maps
+from reports.figures.scenario_grids import CurvePanel, HeatMap, Points, draw_curves, draw_heat_maps
 from reports.kinds.designs.report import design_figures
 from reports.kinds.designs.tables import DesignData, Outcome, design_grids, outcomes
 from reports.kinds.report import report_grids

@@ -25,8 +25,8 @@ from reports.figures import (
     save_figure,
 )
 from reports.figures.centroid import one_sigma_ellipse
-from reports.figures.fit import MATCH_SIGMAS
 from reports.figures.landmark_database import cluster_colours
+from reports.figures.recognition import MATCH_SIGMAS
 from reports.figures.style import render, shared_edges
 
 CREDIT = "ESA/Rosetta/NAVCAM, CC BY-SA IGO 3.0"

@@ -6,9 +6,8 @@ import itertools
 
 import pytest
 
-from reports.figures.log_axis import mark_decades, scale_ordinate
-from reports.figures.looks import colour_of, plot_styles
-from reports.figures.style import GREY, SERIES_COLOURS, add_footer, new_figure
+from reports.figures.axes import mark_decades, scale_ordinate
+from reports.figures.style import GREY, SERIES_COLOURS, add_footer, colour_of, new_figure, plot_styles
 
 
 @pytest.mark.parametrize("others", [(), ("ekf-slam", "batch"), ("my-own", "fixed-lag", "prior")])

@@ -12,7 +12,7 @@ from campaign.inspection.show import Drawn, Kept, Scene, Show
 from campaign.kinds.crater_detection.examples import crater_examples
 from campaign.kinds.crater_detection.trial import CraterDetection, DetectedImage
 from reports.kinds.crater_detection.figures import draw_example, ellipses_of
-from reports.pages.look import View3D
+from reports.pages.view3d import View3D
 from reports.run.data import select
 from scenarios.craters.simulated import NO_CRATER
 from scenarios.errors import BoresightError

@@ -18,8 +18,8 @@ from campaign.kinds.crater_matching.pairs import PairSource, RenderedPairs, Simu
 from campaign.kinds.crater_matching.trial import CraterMatching, MatchedPair, right_matches
 from campaign.resolved import ResolvedCampaign
 from campaign.store import RunFolder
-from reports.figures.crater_results import MatchedRims, draw_matched_pair
-from reports.pages.look import View3D
+from reports.figures.craters import MatchedRims, draw_matched_pair
+from reports.pages.view3d import View3D
 from reports.run.data import RunData, read_run, select
 from reports.schema.named_figure import NamedFigure, file_stem
 from scenarios.craters.simulated import NO_CRATER

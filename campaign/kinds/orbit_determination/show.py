@@ -15,7 +15,7 @@ from campaign.kinds.orbit_determination.score import orbit_errors, residual_reco
 from campaign.kinds.orbit_determination.trial import DeterminedOrbit
 from estimators.orbit.contract import Orbit
 from reports.figures.orbit import draw_orbit_case_errors, draw_residuals, draw_sightings_used
-from reports.pages.look import FAILED, CameraSet, PointSet, View3D
+from reports.pages.view3d import FAILED, CameraSet, PointSet, View3D
 from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError
 from scenarios.orbits.draw import OrbitTruth

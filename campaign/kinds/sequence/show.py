@@ -20,7 +20,7 @@ from campaign.runs.worker import opened
 from campaign.store import RunFolder
 from campaign.trial.kind import Record
 from estimators.slam.contract import SequenceEstimate
-from reports.figures.followed import (
+from reports.figures.trajectory import (
     TrackLifetimes,
     TrajectoryErrors,
     draw_error_bands,
@@ -28,7 +28,7 @@ from reports.figures.followed import (
     draw_tracks,
     draw_trajectory,
 )
-from reports.pages.look import TRUE, CameraSet, PointSet, View3D
+from reports.pages.view3d import TRUE, CameraSet, PointSet, View3D
 from reports.schema.named_figure import NamedFigure
 from scenarios.bodies import load_body
 from scenarios.bodies.embedded import sphere

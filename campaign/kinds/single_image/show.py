@@ -25,10 +25,9 @@ from estimators.landmark.database import LandmarkDatabase
 from estimators.landmark.recognizer import LandmarkRecognizer
 from estimators.landmark.visibility import visible_landmarks
 from renderers.mitsuba3 import BodyRenderer
-from reports.figures.fit import draw_alignment_panels, draw_fit_panels
-from reports.figures.posed import PoseRendering, draw_pose_renderings
-from reports.figures.recognised import MatchedLandmarks, draw_matched_landmarks
-from reports.pages.look import PointSet, View3D
+from reports.figures.pose_renderings import PoseRendering, draw_pose_renderings
+from reports.figures.recognition import MatchedLandmarks, draw_alignment_panels, draw_fit_panels, draw_matched_landmarks
+from reports.pages.view3d import PointSet, View3D
 from reports.run.data import select
 from reports.schema.named_figure import NamedFigure
 from scenarios.errors import BoresightError

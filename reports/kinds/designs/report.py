@@ -6,12 +6,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from reports.compare.figures import cumulative_figure, summary_figure
-from reports.compare.looks import subjects_by_group
+from reports.compare.figures import cumulative_figure, subjects_by_group, summary_figure
 from reports.compare.metrics import Metric
 from reports.compare.subjects import compared
-from reports.figures.designs import CurvePanel, Effect, Points, draw_curves, draw_effects
-from reports.figures.matrix import HeatMap, draw_heat_maps
+from reports.figures.scenario_grids import (
+    CurvePanel,
+    Effect,
+    HeatMap,
+    Points,
+    draw_curves,
+    draw_effects,
+    draw_heat_maps,
+)
 from reports.kinds.designs.tables import ATTITUDE, POSITION, DesignData, Outcome, design_grids, outcomes
 from reports.kinds.kind import Content, ReportKind
 from reports.run.data import DesignAxis, RunData

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import pandas as pd
 from matplotlib.figure import Figure
 
-from reports.figures.revolutions import AFTER_REVOLUTIONS, draw_revolutions
-from reports.figures.sequences import LANDMARKS, POSITION, draw_starts, draw_traces
+from reports.figures.axes import band_label
+from reports.figures.sequences import AFTER_REVOLUTIONS, LANDMARKS, POSITION, draw_revolutions, draw_starts, draw_traces
 from reports.kinds.designs.tables import design_grids
 from reports.kinds.sequence.contrasts import ERROR_RATIOS
 from reports.kinds.sequence.vision import vision_grid

@@ -10,9 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from reports.figures.log_axis import mark_decades
-from reports.figures.looks import plot_styles
-from reports.figures.style import BLUE, GREY, FloatArray, new_figure, styled
+from reports.figures.axes import mark_decades
+from reports.figures.style import BLUE, GREY, FloatArray, new_figure, plot_styles, styled
 
 _PANELS_A_ROW = 3
 
@@ -20,6 +19,47 @@ _TICKS = (0.01, 0.03, 0.1, 0.2, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0, 10.0, 30.0, 1
 _FEW_TICKS = (0.01, 0.1, 1.0, 10.0, 100.0)
 _WIDE = 30.0
 _MOST = 100.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeatMap:
+    """A heat map: (R, C) values, NaN where there is none, and the text of each cell."""
+
+    title: str
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    values: FloatArray
+    texts: Sequence[Sequence[str]]
+
+
+@styled
+def draw_heat_maps(matrices: Sequence[HeatMap], rows_label: str, columns_label: str, title: str) -> Figure:
+    """Draw heat maps side by side, each on a colour scale of its own from 0 on."""
+    down, across = matrices[0].values.shape
+    figure, panels = new_figure(len(matrices), 1.3 + len(matrices) * (0.5 + 0.85 * across), 1.5 + 0.62 * down)
+    for axes, matrix in zip(panels, matrices, strict=True):
+        _draw_heat_map(axes, matrix)
+        axes.set_xlabel(columns_label)
+    for axes in panels[1:]:
+        axes.set_yticklabels([])
+    panels[0].set_ylabel(rows_label)
+    figure.suptitle(title, fontsize=9.5)
+    return figure
+
+
+def _draw_heat_map(axes: Axes, matrix: HeatMap) -> None:
+    finite = matrix.values[np.isfinite(matrix.values)]
+    high = float(finite.max()) if len(finite) else 1.0
+    # From 0 on, so that what differs little looks alike.
+    axes.imshow(matrix.values, cmap="Blues", vmin=0.0, vmax=1.1 * high or 1.0, aspect="auto")
+    for (i, j), value in np.ndenumerate(matrix.values):
+        dark = np.isfinite(value) and value > 0.6 * high
+        colour = "white" if dark else "black"
+        axes.text(j, i, matrix.texts[i][j], ha="center", va="center", fontsize=6.5, color=colour)
+    axes.set_xticks(range(len(matrix.columns)), matrix.columns, rotation=20, ha="right")
+    axes.set_yticks(range(len(matrix.rows)), matrix.rows)
+    axes.grid(visible=False)
+    axes.set_title(matrix.title)
 
 
 @dataclass(frozen=True, slots=True)

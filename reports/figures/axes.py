@@ -5,13 +5,41 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import ArrayLike, NDArray
+
+from reports.statistics.intervals import is_told
 
 _FEW_DECADES = 300.0
 _FAR_APART = 20.0
 _RUNAWAY = 1e3
+
+SHARES = (0.05, 0.95)
+
+_FULL_TURN_DEG = 360.0
+
+
+def mark_revolutions(axes: Axes, anomaly_deg: ArrayLike) -> None:
+    """Draw a dotted line at every whole revolution up to the largest anomaly; none where no frame was estimated."""
+    last_deg = np.max(np.asarray(anomaly_deg, dtype=np.float64), initial=0.0)
+    for turn in range(1, int(last_deg / _FULL_TURN_DEG) + 1):
+        axes.axvline(turn * _FULL_TURN_DEG, color="black", linewidth=0.6, linestyle=":")
+
+
+def percentile_band(values: pd.Series, over: pd.Series) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the ends of the band of 5 to 95 % of ``values`` at each of ``over``; of all where there are too few."""
+    groups = values.groupby(over)
+    told = groups.count().map(lambda n: is_told(n, SHARES[0])).to_numpy()
+    low, high = (groups.quantile(share).to_numpy() for share in SHARES)
+    return np.where(told, low, groups.min()), np.where(told, high, groups.max())
+
+
+def band_label(trials: int) -> str:
+    """Say of which trials the band is."""
+    return "the band of 5 to 95 % of them" if is_told(trials, SHARES[0]) else "the band of all of them"
 
 
 def mark_decades(axis: Axis) -> None:

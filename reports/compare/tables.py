@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from reports.compare.pairs import Contrast
 from reports.compare.subjects import STATISTICS, RunComparison, Subject
+from reports.run.data import TRIAL_KEY
 from reports.run.known import short_line
 from reports.run.success import MEANING
 from reports.schema.grid import NO_VALUE, Grid, number
 from reports.schema.labels import as_title
 from reports.schema.records import CONTROL, FAILURES_AT_PRIOR
+from reports.statistics.intervals import FloatArray
 from reports.statistics.measured import Measured
+from reports.statistics.weighed import Judged, judge, weighed_errors, weighed_label
 from reports.tables.cells import chance, interval
 
 FAILURES_WORST = "failures-worst"
@@ -155,5 +161,79 @@ def contrast_table(found: RunComparison) -> pd.DataFrame:
                 row |= {name: value["value"], f"{name}_low": value["low"], f"{name}_high": value["high"]}
             elif name not in ("first", "second"):
                 row[name] = value
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalisedErrors:
+    """What a subject claims of one kind: (n,) weighed errors, their degrees of freedom and what is independent."""
+
+    subject: Subject
+    kind: str
+    expected: int
+    ratios: FloatArray
+    degrees: FloatArray
+    clusters: NDArray[np.generic]
+
+    def judged(self) -> Judged:
+        return judge(self.ratios, self.degrees, self.expected, self.clusters)
+
+
+def normalised_errors(found: RunComparison) -> Iterator[NormalisedErrors]:
+    """Yield the claims of every subject, kind by kind; the control's are those of the scenario."""
+    kinds: dict[str, int] = {}
+    tables: dict[str, list[pd.DataFrame]] = {}
+    for run in found.runs:
+        for weighed in weighed_errors(run):
+            kinds[weighed.name] = weighed.expected
+            tables.setdefault(weighed.name, []).append(weighed.table.assign(run=run.folder.name))
+    for kind, expected in kinds.items():
+        weighed_rows = pd.concat(tables[kind], ignore_index=True)
+        for subject in found.subjects:
+            own = found.of(subject)[[*TRIAL_KEY, "run", "cluster"]].merge(weighed_rows, on=[*TRIAL_KEY, "run"])
+            if len(own) and subject.estimator != CONTROL:
+                ratios, degrees = (own[name].to_numpy(dtype=np.float64) for name in ("ratio", "degrees"))
+                yield NormalisedErrors(subject, kind, expected, ratios, degrees, own["cluster"].to_numpy())
+
+
+def consistency_grid(found: RunComparison) -> Grid | None:
+    """Tabulate NEES and NIS beside their bands; None where no subject claims a covariance."""
+    rows = []
+    for one in normalised_errors(found):
+        judged = one.judged()
+        rows.append(
+            (
+                *found.levels(one.subject.names),
+                f"{weighed_label(one.kind)} ({one.expected} expected)",
+                f"{judged.n}/{one.subject.n}",
+                interval(judged.mean),
+                f"{number(judged.band.low)} to {number(judged.band.high)}",
+                interval(judged.median),
+                interval(judged.inside, 100.0),
+            )
+        )
+    heads = (*found.varied, "weighed", "trials", "mean [95 %]", "95 % band", "median [95 %]", "within 95 % [95 %]")
+    note = (
+        "Squared errors (NEES) and innovations (NIS) weighed by the covariance that the estimator itself claims. Where"
+        " it is true the mean of so many trials lies in the band 95 times of 100, and so many per cent of the trials"
+        " within the central 95 % of the distribution; a mean above the band tells a covariance that is too small. Of a"
+        " filter that gates its innovations, those that it refused are no part of the NIS."
+    )
+    text = frozenset(range(len(found.varied) + 1))
+    return Grid("Covariances", heads, tuple(rows), text, note) if rows else None
+
+
+def consistency_table(found: RunComparison) -> pd.DataFrame:
+    """Tabulate the same as numbers."""
+    rows = []
+    for one in normalised_errors(found):
+        row: dict[str, object] = dict(zip(found.factors, one.subject.names, strict=True))
+        row |= {"weighed": one.kind, "expected": one.expected, "n": one.subject.n}
+        for name, value in asdict(one.judged()).items():
+            if isinstance(value, dict):
+                row |= {name: value["value"], f"{name}_low": value["low"], f"{name}_high": value["high"]}
+            else:
+                row["n_ok"] = value
         rows.append(row)
     return pd.DataFrame(rows)
