@@ -1,4 +1,4 @@
-"""The figures of a report, drawn from plain tables and arrays."""
+"""Figures of reports, drawn from plain tables and arrays."""
 
 from reports.figures.centroid import draw_centroid_offsets
 from reports.figures.landmark_database import ClusterView, SurfaceView, draw_clusters, draw_triangulation

@@ -1,4 +1,4 @@
-"""Logarithmic axes that are marked with plain numbers."""
+"""Axes of figures: labels of logarithmic axes, marks of whole revolutions, bands of percentiles."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from reports.statistics.intervals import is_told
 
 _FEW_DECADES = 300.0
+"""Ratio of the limits below which 2 and 5 of each decade are labelled too."""
 _FAR_APART = 20.0
-_RUNAWAY = 1e3
+"""Ratio of typical values above which curves on a linear ordinate would lie on the abscissa."""
+_DIVERGED = 1e3
+"""Multiple of the largest typical value at which an ordinate is cut off."""
 
-SHARES = (0.05, 0.95)
+_BAND = (0.05, 0.95)
 
 _FULL_TURN_DEG = 360.0
 
@@ -30,20 +33,23 @@ def mark_revolutions(axes: Axes, anomaly_deg: ArrayLike) -> None:
 
 
 def percentile_band(values: pd.Series, over: pd.Series) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the ends of the band of 5 to 95 % of ``values`` at each of ``over``; of all where there are too few."""
+    """Return the 5 % and 95 % quantiles of ``values`` at each value of ``over``.
+
+    Where there are too few values for these quantiles, the band goes from the minimum to the maximum.
+    """
     groups = values.groupby(over)
-    told = groups.count().map(lambda n: is_told(n, SHARES[0])).to_numpy()
-    low, high = (groups.quantile(share).to_numpy() for share in SHARES)
-    return np.where(told, low, groups.min()), np.where(told, high, groups.max())
+    enough = groups.count().map(lambda n: is_told(n, _BAND[0])).to_numpy()
+    low, high = (groups.quantile(share).to_numpy() for share in _BAND)
+    return np.where(enough, low, groups.min()), np.where(enough, high, groups.max())
 
 
 def band_label(trials: int) -> str:
-    """Say of which trials the band is."""
-    return "the band of 5 to 95 % of them" if is_told(trials, SHARES[0]) else "the band of all of them"
+    """Name the band of `percentile_band` over this number of trials, for captions."""
+    return "the band of 5 to 95 % of them" if is_told(trials, _BAND[0]) else "the band of all of them"
 
 
 def mark_decades(axis: Axis) -> None:
-    """Mark an axis that is logarithmic and has its limits: decades, and 2 and 5 of each where there is room."""
+    """Label the decades of a logarithmic axis whose limits are set, and 2 and 5 of each where there is room."""
     low, high = axis.get_view_interval()
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -51,15 +57,16 @@ def mark_decades(axis: Axis) -> None:
 
 
 def scale_ordinate(axes: Axes, typical: Sequence[float]) -> None:
-    """Choose a logarithmic ordinate where curves would else lie upon the axis: their typical values are far apart.
+    """Make the ordinate linear from 0, or logarithmic where the typical values of the curves are far apart.
 
-    What runs away beyond them, such as a method that diverges in one frame, leaves the frame, and a note says how far.
+    It ends at 1000 times the largest typical value, so that a method that diverges in one frame does not hide the
+    other curves. If values lie beyond, it is logarithmic too, and a note in the panel gives the largest value.
     """
     known = [value for value in typical if np.isfinite(value)]
     if not known or min(known) <= 0.0:
         axes.set_ylim(bottom=0.0)
         return
-    top, limit = float(axes.dataLim.y1), _RUNAWAY * max(known)
+    top, limit = float(axes.dataLim.y1), _DIVERGED * max(known)
     if max(known) > _FAR_APART * min(known) or top > limit:
         axes.set_yscale("log")
     else:

@@ -1,4 +1,4 @@
-"""Figures of comparisons: errors against conditions, and normalised errors against chi-square."""
+"""Figures of comparisons: errors and success rates, errors against conditions, coverage of covariances."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from reports.figures.style import GREY, LINE_STYLES, FloatArray, add_credits, gr
 from reports.statistics.measured import Measured
 
 Panels = Mapping[tuple[str, str], Mapping[str, Points]]
-"""Lines by the labels of their error and their condition."""
+"""Label of the error and label of the condition to the curves of a panel, by their labels."""
 
 _POINTS = np.linspace(0.0, 1.0, 201)
 
@@ -29,18 +29,19 @@ _MARKS = (("RMS", "D"), ("75th", "|"), ("95th", "|"), ("99th", "|"))
 
 @dataclass(frozen=True, slots=True)
 class SubjectSummary:
-    """One line of the figure.
+    """Errors and success rate of one subject of a comparison, a line of the figure.
 
     Parameters
     ----------
     label, colour
-        On the axis, and of its marks.
+        Label on the ordinate; colour of the marks.
     solved, counted
-        Median, RMS and the percentiles 75, 95 and 99 over the solved trials, and over all with failures counted.
+        Median, RMS and the 75th, 95th and 99th percentiles over the solved trials, and over all trials with failures
+        counted.
     success
-        Success rate; None of a control.
+        Success rate; None for a control.
     difference
-        Median difference to the subject that it is held against; None of that itself.
+        Median difference to the reference subject; None where there is no reference.
     """
 
     label: str
@@ -53,44 +54,44 @@ class SubjectSummary:
 
 @styled
 def draw_summaries(
-    standings: Sequence[SubjectSummary], axis: str, against: str, title: str, credit_lines: Sequence[str] = ()
+    summaries: Sequence[SubjectSummary], axis: str, against: str, title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
     """Draw errors, success rates and differences, a line for each subject.
 
     Parameters
     ----------
-    standings
-        From top to bottom.
+    summaries
+        The subjects, from top to bottom.
     axis
-        What the error is, with its unit.
+        Name of the error, with its unit.
     against
-        What the differences are to; '' where there are none.
+        Name of the reference of the differences; '' where there are none.
     title
         Printed above the panels.
     credit_lines
         Credits of real images.
     """
-    shown = [True, any(one.success for one in standings), any(one.difference for one in standings)]
+    shown = [True, any(one.success for one in summaries), any(one.difference for one in summaries)]
     widths = [width for width, there in zip((2.2, 1.0, 1.4), shown, strict=True) if there]
-    height_in = 1.75 + _LINE_IN * len(standings)
+    height_in = 1.75 + _LINE_IN * len(summaries)
     figure, places = grid_figure(1, 1, width_in=7.5 + 1.2 * shown[2], height_in=height_in)
     places[0, 0].remove()
     panels = list(figure.subplots(1, len(widths), squeeze=False, sharey=True, width_ratios=widths)[0])
-    _draw_errors(panels[0], standings, axis)
+    _draw_errors(panels[0], summaries, axis)
     if shown[1]:
-        _draw_success(panels[1], standings)
+        _draw_success(panels[1], summaries)
     if shown[2]:
-        _draw_differences(panels[-1], standings, axis, against)
-    panels[0].set_yticks(range(len(standings)), [one.label for one in standings])
-    panels[0].set_ylim(len(standings) - 0.4, -0.6)
+        _draw_differences(panels[-1], summaries, axis, against)
+    panels[0].set_yticks(range(len(summaries)), [one.label for one in summaries])
+    panels[0].set_ylim(len(summaries) - 0.4, -0.6)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
     return figure
 
 
-def _draw_errors(axes: Axes, standings: Sequence[SubjectSummary], axis: str) -> None:
-    for row, one in enumerate(standings):
+def _draw_errors(axes: Axes, summaries: Sequence[SubjectSummary], axis: str) -> None:
+    for row, one in enumerate(summaries):
         median, *further = one.solved
         _draw_interval(axes, row, median, one.colour)
         for (name, marker), measured in zip(_MARKS, further, strict=True):
@@ -102,14 +103,14 @@ def _draw_errors(axes: Axes, standings: Sequence[SubjectSummary], axis: str) -> 
             axes.plot(counted, row, "o", color=one.colour, markersize=7, markerfacecolor="none")
     _add_legend(axes)
     axes.set_xlabel(axis)
-    if axes.dataLim.x0 <= 0.0:  # A share of nothing at all has no place on a logarithmic axis.
+    if axes.dataLim.x0 <= 0.0:  # Zero has no place on a logarithmic axis.
         return
     axes.set_xscale("log")
     mark_decades(axes.xaxis)
 
 
 def _add_legend(axes: Axes) -> None:
-    """Tell the marks, whatever the colour."""
+    """Explain the marks in grey, as the colour is that of the subject."""
     marks = {"o": "median, 95 % interval", "D": "RMS", "|": "75th, 95th, 99th percentile"}
     for marker, label in marks.items():
         axes.plot([], [], marker, color=GREY, label=label, markerfacecolor="white" if marker == "D" else GREY)
@@ -117,7 +118,7 @@ def _add_legend(axes: Axes) -> None:
 
 
 def _draw_interval(axes: Axes, row: int, measured: Measured, colour: str) -> None:
-    """Draw a value as a point, and its interval as a thick bar."""
+    """Draw a value as a point and its interval as a thick bar."""
     if measured.value is None:
         return
     if measured.low is not None and measured.high is not None:
@@ -125,8 +126,8 @@ def _draw_interval(axes: Axes, row: int, measured: Measured, colour: str) -> Non
     axes.plot(measured.value, row, "o", color=colour, markersize=5)
 
 
-def _draw_success(axes: Axes, standings: Sequence[SubjectSummary]) -> None:
-    for row, one in enumerate(standings):
+def _draw_success(axes: Axes, summaries: Sequence[SubjectSummary]) -> None:
+    for row, one in enumerate(summaries):
         if one.success is not None:
             _draw_interval(axes, row, _scaled_interval(one.success, 100.0), one.colour)
     low, high = axes.get_xlim()
@@ -134,9 +135,9 @@ def _draw_success(axes: Axes, standings: Sequence[SubjectSummary]) -> None:
     axes.set_xlabel("success, %")
 
 
-def _draw_differences(axes: Axes, standings: Sequence[SubjectSummary], axis: str, against: str) -> None:
+def _draw_differences(axes: Axes, summaries: Sequence[SubjectSummary], axis: str, against: str) -> None:
     axes.axvline(0.0, color=GREY, linewidth=1.0)
-    for row, one in enumerate(standings):
+    for row, one in enumerate(summaries):
         if one.difference is not None:
             _draw_interval(axes, row, one.difference, one.colour)
     low, high = axes.get_xlim()
@@ -152,16 +153,16 @@ def _scaled_interval(measured: Measured, scale: float) -> Measured:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoverageCurve:
-    """One curve.
+    """Normalised squared errors of one subject, for a curve of coverage.
 
     Parameters
     ----------
     label, colour
-        Of the curve.
+        Label and colour of the curve.
     squares, degrees
-        (n,) weighed squares and the degrees of freedom of each.
+        (n,) squared errors normalised by the covariance, and their degrees of freedom.
     independent
-        How many of them are independent.
+        How many of the n values are independent.
     """
 
     label: str
@@ -172,27 +173,27 @@ class CoverageCurve:
 
 
 @styled
-def draw_coverage(claims: Sequence[CoverageCurve], title: str, credit_lines: Sequence[str] = ()) -> Figure:
-    """Draw the share of trials within each claimed share of the chi-square distribution.
+def draw_coverage(curves: Sequence[CoverageCurve], title: str, credit_lines: Sequence[str] = ()) -> Figure:
+    """Draw the share of trials within each quantile of the chi-square distribution that the covariance claims.
 
     Parameters
     ----------
-    claims
-        The curves. The band is that of the fewest independent trials among them.
+    curves
+        The curves. The grey band is the binomial 95 % interval for the fewest independent trials among them.
     title
         Printed above the panel.
     credit_lines
         Credits of real images.
     """
-    figure, (axes,) = new_figure(1, width_in=4.6, height_in=4.4 + 0.17 * len(claims))
-    fewest = min(one.independent for one in claims)
+    figure, (axes,) = new_figure(1, width_in=4.6, height_in=4.4 + 0.17 * len(curves))
+    fewest = min(curve.independent for curve in curves)
     low, high = (binom.ppf(tail, fewest, _POINTS) / fewest for tail in (0.025, 0.975))
     axes.fill_between(_POINTS, low, high, color=GREY, alpha=0.2, linewidth=0)
     axes.plot([0.0, 1.0], [0.0, 1.0], color=GREY, linewidth=0.9)
-    for i, one in enumerate(claims):
-        reached = np.sort(chi2.cdf(one.squares, one.degrees))
+    for i, curve in enumerate(curves):
+        reached = np.sort(chi2.cdf(curve.squares, curve.degrees))
         share = np.searchsorted(reached, _POINTS, side="right") / len(reached)
-        axes.plot(_POINTS, share, color=one.colour, linestyle=LINE_STYLES[i % len(LINE_STYLES)], label=one.label)
+        axes.plot(_POINTS, share, color=curve.colour, linestyle=LINE_STYLES[i % len(LINE_STYLES)], label=curve.label)
     axes.set(xlabel="share claimed by the covariance", ylabel="share of trials within", xlim=(0, 1), ylim=(0, 1.005))
     axes.set_aspect("equal", adjustable="box")
     figure.legend(loc="outside lower center", ncols=1, fontsize=7.5)
@@ -205,14 +206,15 @@ def draw_coverage(claims: Sequence[CoverageCurve], title: str, credit_lines: Seq
 def draw_binned_errors(
     panels: Panels, colours: Mapping[str, str], title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
-    """Draw binned curves with their intervals.
+    """Draw errors and success rates in bins of a condition, with their intervals.
 
     Parameters
     ----------
     panels
-        A full grid of them; an error whose label ends in % has a linear ordinate, the others have a logarithmic one.
+        Curves of every pair of error and condition. A label that ends in % has a linear ordinate, any other a
+        logarithmic one.
     colours
-        Of the lines by their labels, in the order of the legend.
+        Label of each curve to its colour, in the order of the legend.
     title
         Printed above the panels.
     credit_lines
@@ -229,10 +231,10 @@ def draw_binned_errors(
         _share_ordinate(list(row), error)
     for axes, condition in zip(places[-1], conditions, strict=True):
         axes.set_xlabel(condition)
-    looks: list[dict[str, Any]] = [
+    styles: list[dict[str, Any]] = [
         {"color": colours[label], "linestyle": LINE_STYLES[i % len(LINE_STYLES)]} for i, label in enumerate(lines)
     ]
-    handles = [Line2D([], [], marker="o", markersize=3, **look) for look in looks]
+    handles = [Line2D([], [], marker="o", markersize=3, **style) for style in styles]
     figure.legend(handles, lines, loc="outside lower center", ncols=min(4, len(lines)))
     figure.suptitle(title, fontsize=9.5)
     add_credits(figure, credit_lines)
@@ -247,13 +249,13 @@ def _draw_points(axes: Axes, points: Points, colour: str, style: str | tuple[int
 
 
 def _share_ordinate(row: Sequence[Axes], error: str) -> None:
-    """Give the panels of a row one ordinate, told at the first."""
+    """Give the panels of a row the same limits; only the first is labelled."""
     low = min(axes.dataLim.y0 for axes in row)
     high = max(axes.dataLim.y1 for axes in row)
     for axes in row:
         axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
         if not np.isfinite([low, high]).all():
-            pass  # No panel of the row has a point: too few trials for one bin.
+            pass  # No panel of the row has a point: there are too few trials for one bin.
         elif error.endswith("%"):
             axes.set_ylim(max(low - 0.06 * (high - low) - 0.5, -2.0), 102.0)
         elif low > 0.0:

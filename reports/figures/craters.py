@@ -1,4 +1,4 @@
-"""Figures of craters: rates of detection and of matching, and two looks with what was matched."""
+"""Figures of crater detection and matching: rims over images, rates, ROC curves and matched pairs of images."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TRUE_COLOUR, FOUND_COLOUR, FALSE_COLOUR, OTHER_COLOUR = "#ffd21f", "#35c4ff", "#
 
 
 def draw_rims(axes: Axes, ellipses: Ellipses, colour: str, width: float = 1.0, dashed: bool = False) -> None:
-    """Draw rims over an image."""
+    """Draw crater rims over an image."""
     if len(ellipses):
         points, _ = ellipses.points(96)
         closed = np.concatenate([points, points[:, :1]], axis=1)
@@ -63,7 +63,7 @@ def draw_stages(
     arcs: Mapping[str, Sequence[FloatArray]],
     detected: Ellipses,
 ) -> Figure:
-    """Draw the four panels of figure 2: the image, all edges, grouped edges and detected craters.
+    """Draw the image, all edges, grouped edges and detected craters (Cheng et al. 2003, figure 2).
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def draw_stages(
 def draw_detections(
     image: NDArray[np.float32], detected: Ellipses, predicted: Ellipses, names: Sequence[str], title: str
 ) -> Figure:
-    """Draw detected rims over an image (figure 3), and dashed and named those where craters were expected."""
+    """Draw detected rims over an image, and predicted rims dashed and named (Cheng et al. 2003, figure 3)."""
     figure, (axes,) = new_figure(1, width_in=8.0, height_in=6.4)
     _show_titled(axes, image, title)
     draw_rims(axes, detected, GREEN)
@@ -101,16 +101,16 @@ def draw_detections(
 def draw_found_and_true(
     image: NDArray[np.float32], truth: Sequence[RimSet], found: Sequence[RimSet], title: str
 ) -> Figure:
-    """Draw an image, what is true of it and what was found, side by side, after figures 2 and 3 of Cheng et al. (2003).
+    """Draw an image, its true craters and its detections side by side (after Cheng et al. 2003, figures 2 and 3).
 
     Parameters
     ----------
     image
         (H, W).
     truth, found
-        Rims, each set with its colour.
+        Sets of rims, each with its colour.
     title
-        Printed above.
+        Printed above the panels.
     """
     figure, axes = new_figure(3, width_in=11.0, height_in=3.3)
     sets_of: tuple[Sequence[RimSet], ...] = ((), truth, found)
@@ -128,9 +128,10 @@ def draw_found_and_true(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConfidenceCurve:
-    """Shares (m,), %, of false alarms, detectable and clean craters found as the threshold falls.
+    """ROC curve of a detector: shares (m,), %, as the threshold on its confidence falls.
 
-    ``chosen`` is the point of the detector's own threshold, -1 where nothing reaches it.
+    ``false`` is the share of false alarms, ``detectable`` and ``clean`` those of the craters of each kind that are
+    found. ``chosen`` is the index of the detector's own threshold, -1 where no detection reaches it.
     """
 
     false: FloatArray
@@ -141,7 +142,7 @@ class ConfidenceCurve:
 
 @styled
 def draw_confidence_curves(curves: Mapping[str, ConfidenceCurve], title: str) -> Figure:
-    """Draw shares of craters found over shares of false alarms of each detector."""
+    """Draw the ROC curve of each detector: share of craters found over share of false alarms."""
     figure, axes = new_figure(1, width_in=5.2, height_in=4.2)
     (place,) = axes
     for label, curve in curves.items():
@@ -171,7 +172,7 @@ def draw_rates(panels: Mapping[str, Mapping[str, Sequence[tuple[str, float, floa
     Parameters
     ----------
     panels
-        What the bins are of, to detector, to (name of the bin, rate, low, high), %.
+        Quantity that is binned, to detector, to the bins: (name, rate, low, high), %.
     """
     figure, axes = new_figure(len(panels), width_in=3.7 * len(panels), height_in=3.4)
     for place, (what, detectors) in zip(axes, panels.items(), strict=True):
@@ -191,7 +192,7 @@ def draw_rates(panels: Mapping[str, Mapping[str, Sequence[tuple[str, float, floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShareCurve:
-    """A matcher: labels of its points, and (k, 3) value, lower and upper bound of both shares, per cent."""
+    """Recall and share of wrong matches of a matcher at k points, each (k, 3): value, lower and upper bound, %."""
 
     name: str
     labels: tuple[str, ...]
@@ -201,7 +202,7 @@ class ShareCurve:
 
 @styled
 def draw_shares(curves: Sequence[ShareCurve], label: str) -> Figure:
-    """Draw recall on the left and wrong matches on the right; ``label`` names what the points differ in."""
+    """Draw recall on the left and wrong matches on the right; ``label`` names the abscissa."""
     figure, axes = grid_figure(1, 2, height_in=3.2)
     places = list(dict.fromkeys(name for curve in curves for name in curve.labels))
     for panel, name, title in zip(axes[0], ("recall", "wrong"), ("recall, %", "wrong matches, %"), strict=True):
@@ -231,18 +232,18 @@ def draw_shares(curves: Sequence[ShareCurve], label: str) -> Figure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedRims:
-    """Rims of two looks and what a matcher made of them.
+    """Detected rims of two images and the matches between them.
 
     Parameters
     ----------
     rims
-        Of the first and of the second look.
+        Rims of the first and of the second image.
     pairs
-        (k, 2) rows of matched ones.
+        (k, 2) matched rims, by their indices in ``rims``.
     right
-        (k,) matches that join one crater.
+        (k,) True where both rims are of the same crater.
     missed
-        (m, 2) rows of craters that both show and that no right match joins.
+        (m, 2) indices of the rims of craters that both images show and that are not matched correctly.
     """
 
     rims: tuple[Ellipses, Ellipses]
@@ -255,7 +256,10 @@ class MatchedRims:
 def draw_matched_pair(
     images: tuple[NDArray[np.float32], NDArray[np.float32]], found: MatchedRims, title: str
 ) -> Figure:
-    """Draw both looks; matched craters have the same colour and number in both. An empty image draws rims alone."""
+    """Draw both images; correctly matched craters have the same colour and number in both.
+
+    Of an empty image the rims alone are drawn.
+    """
     figure, panels = new_figure(2, width_in=11.0, height_in=5.0)
     colours = colormaps["turbo"](np.linspace(0.05, 0.95, max(int(found.right.sum()), 1)))
     for side, (axes, image) in enumerate(zip(panels, images, strict=True)):

@@ -1,4 +1,4 @@
-"""Indices of varied keys, and the outcome against each of them."""
+"""Figures of sensitivity analyses: indices of the varied keys, and the outcome against each key."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from reports.statistics.measured import Measured
 
 _LONG = 18
 _SHOWN = (-1.1, 1.4)
-"""Indices that are shown; a bar of an interval that goes on beyond them says nothing more."""
+"""Limits of the axis of indices; wider intervals are cut off."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimatorPanels:
-    """One estimator: (n,) outcomes, the base's, and by the name of an index one for each key."""
+    """Results of one estimator: (n,) outcomes, that of the base, and by the name of an index its value for each key."""
 
     label: str
     outcomes: FloatArray
@@ -39,11 +39,11 @@ def draw_sensitivity(
     rows
         The estimators.
     keys
-        K names.
+        Names of the K keys.
     samples
-        (n, K) their values.
+        (n, K) values of the keys.
     axis
-        What the outcome is, with its unit.
+        Name of the outcome, with its unit.
     title
         Printed above the panels.
     """

@@ -1,4 +1,4 @@
-"""Figures of orbit determination and crater navigation over time (Cheng et al. 2003, figures 9 and 10)."""
+"""Figures of image surveys, crater navigation and orbit determination (Cheng et al. 2003, figures 8 to 10)."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ _MOST_BARS = 60
 def draw_count_histogram(
     counts: NDArray[np.int64], label: str, ordinate: str, published: Mapping[str, float], title: str
 ) -> Figure:
-    """Draw a histogram of counts with its mean and median, and what a paper prints as triangles on the axis.
+    """Draw a histogram of counts with mean and median; values that a paper prints are triangles on the axis.
 
     Parameters
     ----------
     counts
-        (n,) not negative.
+        (n,) non-negative counts.
     label, ordinate
-        Of the axes.
+        Labels of the axes.
     published
-        What is printed, to its value.
+        Name of each printed quantity to its value.
     title
         Printed above.
     """
@@ -56,8 +56,10 @@ def draw_count_histogram(
     for value in published.values():
         mark_on_axis(axes, value, "black")
     if published:
-        said = ", ".join(f"{name} {value:g}" for name, value in published.items())
-        axes.plot([], [], marker="^", color="black", markerfacecolor="white", linestyle="none", label=f"paper: {said}")
+        printed = ", ".join(f"{name} {value:g}" for name, value in published.items())
+        axes.plot(
+            [], [], marker="^", color="black", markerfacecolor="white", linestyle="none", label=f"paper: {printed}"
+        )
     axes.set(xlabel=label, ylabel=ordinate)
     axes.set_xlim(left=-0.5)
     raise_top(axes, 2)
@@ -68,7 +70,7 @@ def draw_count_histogram(
 
 @styled
 def draw_crater_counts(images: pd.DataFrame, landmarks: pd.DataFrame, title: str) -> Figure:
-    """Draw how many craters images have (figure 8b of Cheng et al. 2003), and how many images landmarks (figure 9).
+    """Draw histograms of craters per image and of images per landmark (Cheng et al. 2003, figures 8b and 9).
 
     Parameters
     ----------
@@ -97,7 +99,7 @@ def draw_crater_counts(images: pd.DataFrame, landmarks: pd.DataFrame, title: str
 
 @styled
 def draw_landmark_spans(landmarks: pd.DataFrame, title: str) -> Figure:
-    """Draw from when to when each landmark was seen, those with sightings of another crater marked.
+    """Draw the time span of each landmark; landmarks with sightings of another crater have a second colour.
 
     Parameters
     ----------
@@ -116,7 +118,7 @@ def draw_landmark_spans(landmarks: pd.DataFrame, title: str) -> Figure:
         axes.plot(own["first_days"], own.index, ".", color=colour, markersize=2.0)
     axes.set(xlabel="time after the epoch, days", ylabel="landmark, by its first image")
     axes.tick_params(axis="y", colors=GREY)
-    # Bars go from one corner to the other, so that no place within is free of them.
+    # The bars run diagonally across the panel, so the legend has to stand above it.
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
     figure.suptitle(title)
     return figure
@@ -124,12 +126,12 @@ def draw_landmark_spans(landmarks: pd.DataFrame, title: str) -> Figure:
 
 @styled
 def draw_residuals(residuals: pd.DataFrame, title: str) -> Figure:
-    """Draw residuals of columns above those of rows.
+    """Draw the column residuals above the row residuals, over time.
 
     Parameters
     ----------
     residuals
-        Columns ``time_days``, ``u_px``, ``v_px`` and ``used``; what was edited is left out.
+        Columns ``time_days``, ``u_px``, ``v_px`` and ``used``; edited sightings are left out.
     title
         Printed above.
     """
@@ -146,7 +148,7 @@ def draw_residuals(residuals: pd.DataFrame, title: str) -> Figure:
 
 @styled
 def draw_orbit_errors(errors: pd.DataFrame, title: str) -> Figure:
-    """Draw the position error over time, median and band over the trials, for each estimator.
+    """Draw median and band of the position error over the trials against time, for each estimator.
 
     Parameters
     ----------
@@ -176,7 +178,7 @@ def draw_orbit_errors(errors: pd.DataFrame, title: str) -> Figure:
 
 @styled
 def draw_orbit_case_errors(errors: pd.DataFrame, title: str) -> Figure:
-    """Draw the error of one solution: its components, and its length beside what the covariance foretells.
+    """Draw the position error of one solution: its components, and its length with the RMS by the covariance.
 
     Parameters
     ----------
@@ -195,7 +197,11 @@ def draw_orbit_case_errors(errors: pd.DataFrame, title: str) -> Figure:
     above.set(ylabel="error, m")
     below.plot(errors["time_days"], errors["position_error_m"], color=BLUE, label="position error")
     below.plot(
-        errors["time_days"], errors["position_sigma_m"], color=GREY, linestyle="--", label="RMS that it foretells"
+        errors["time_days"],
+        errors["position_sigma_m"],
+        color=GREY,
+        linestyle="--",
+        label="RMS predicted by its covariance",
     )
     below.set(xlabel="time after the epoch, days", ylabel="m", ylim=(0.0, None))
     arc = errors[~errors["predicted"].astype(bool)]
@@ -208,7 +214,7 @@ def draw_orbit_case_errors(errors: pd.DataFrame, title: str) -> Figure:
 
 @styled
 def draw_sightings_used(residuals: pd.DataFrame, title: str) -> Figure:
-    """Draw all residuals of one solution by whether the filter used them and whether they are of the right crater.
+    """Draw all residuals of one solution: used or edited by the filter, of the right crater or of a wrong one.
 
     Parameters
     ----------

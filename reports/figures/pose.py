@@ -1,4 +1,4 @@
-"""Figures of pose errors: histograms after each stage (the paper's figure 6) and cumulative shares of all trials."""
+"""Figures of pose errors: histograms by stage and method (Rowell et al. 2015, figures 5 and 6), cumulative shares."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _CURVE_POINTS = 2000
 _LEGEND_INSIDE = 8
 _LINE_IN = 0.17
 _FAR_APART = 8.0
-_TICKS = 5  # of four decimals there is no room for more
+_TICKS = 5  # labels of four decimals leave no room for more
 
 _METHODS_INSIDE = 4
 _LEGEND_TITLE = "median (share beyond the axis)"
@@ -63,8 +63,8 @@ def draw_method_errors(
     Parameters
     ----------
     groups
-        Title of each row, and its methods: label to errors with columns ``attitude_error_deg`` and
-        ``position_error_m``. All rows share their axes. A method of the same label has one colour in all rows.
+        Title of each row to its methods: label to errors with columns ``attitude_error_deg`` and
+        ``position_error_m``. All rows share their axes, and a label has the same colour in all rows.
     title
         Printed above the panels.
     credit_lines
@@ -92,12 +92,12 @@ def draw_method_errors(
 
 
 def _row_height_in(methods: int) -> float:
-    """Leave room for a legend below the panels, where it is too long to stand in them."""
+    """Return the height of a row, with room below the panels for a legend that is too long to stand in them."""
     return 2.9 if methods <= _METHODS_INSIDE else 2.9 + 0.18 * methods
 
 
 def _common_edges(samples: Sequence[FloatArray]) -> FloatArray:
-    """Choose bins in which most methods fit, so that one that fails does not flatten the others."""
+    """Choose bins for most methods, so that the errors of one that fails do not flatten the others."""
     ends = [float(np.percentile(sample, 99.0)) for sample in samples if len(sample)]
     return shared_edges([np.array([1.2 * float(np.median(ends))])] if ends else [], bins=60)
 
@@ -135,12 +135,12 @@ def draw_pose_errors(
     Parameters
     ----------
     stages
-        Label of each stage and its errors, with columns ``attitude_error_deg`` and ``position_error_m``, in order.
-        A stage that leaves the attitude of the first as it was is left out of the attitude panel.
+        Label of each stage, in order, to its errors, with columns ``attitude_error_deg`` and ``position_error_m``.
+        A stage with the same attitude errors as the first one is left out of the attitude panel.
     title
         Printed above the panels.
     published
-        Medians of a paper by (stage label, column), marked by triangles at the upper edge.
+        Medians that a paper prints, by (stage label, column); marked by triangles on the axis.
     credit_lines
         Credits of real images.
     """
@@ -166,7 +166,7 @@ def _finite(values: pd.Series) -> FloatArray:
 
 
 def _without_repeats(samples: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Drop the stages whose errors are those of the first."""
+    """Drop the stages whose errors are the same as those of the first."""
     first = next(iter(samples.values()))
     return {
         name: sample
@@ -176,7 +176,7 @@ def _without_repeats(samples: dict[str, FloatArray]) -> dict[str, FloatArray]:
 
 
 def _line(index: int, count: int) -> dict[str, Any]:
-    """Style of a stage: grey for the first, blue for the last, orange and green between them."""
+    """Return the line style of a stage: grey for the first, blue for the last, orange and green between them."""
     if index == 0:
         return {"color": GREY, "linestyle": "--", "linewidth": 1.3}
     if index == count - 1:
@@ -187,7 +187,7 @@ def _line(index: int, count: int) -> dict[str, Any]:
 def _draw_stage_histograms(
     axes: Axes, samples: Mapping[str, FloatArray], order: Sequence[str], edges: FloatArray, unit: str
 ) -> str:
-    """Draw the histograms and return what to add to the axis label."""
+    """Draw the histograms; return the note on values beyond the axis, to be added to its label."""
     beyond = 0
     for name, sample in samples.items():
         line = _line(order.index(name), len(order))
@@ -204,12 +204,12 @@ def _draw_stage_histograms(
 
 
 def _short(value: float) -> str:
-    """Print three digits, and no exponent for what people read as metres."""
+    """Print three digits, without an exponent."""
     return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
 
 
 def _thinned(ascending: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Values (m,) of a curve and its shares (m + 1,) of n; more points than the eye can tell apart are left out."""
+    """Return values (m,) of a curve and its shares (m + 1,) of n, thinned to about 2000 points to keep PDFs small."""
     stride = max(1, len(ascending) // _CURVE_POINTS)
     kept = ascending[stride - 1 :: stride]
     return kept, np.append(np.arange(len(kept)) * stride, len(ascending)) / n
@@ -223,20 +223,20 @@ def draw_cumulative_errors(
     panels: Mapping[str, str] = MappingProxyType({column: label for column, label, _, _ in _PANELS}),
     colours: Mapping[str, str] | None = None,
 ) -> Figure:
-    """Draw the share of all trials whose error is below a bound, so that failures lower the curve.
+    """Draw the share of all trials whose error is below the abscissa; failures lower the curve.
 
     Parameters
     ----------
     estimators
-        Label of each estimator, its errors where it is ok, and its number of trials.
+        Label of each estimator to its errors where it is ok, and its number of trials.
     title
         Printed above the panels.
     credit_lines
         Credits of real images.
     panels
-        Columns of the errors, with what stands on their axes.
+        Columns of the errors to the labels of their axes.
     colours
-        Of the curves by their labels; by default those of the estimators of these names.
+        Colours of the curves by their labels; by default those of the estimators of these names.
     """
     far_apart = any(_far_apart([_finite(errors[column]) for errors, _ in estimators.values()]) for column in panels)
     below = len(estimators) > _LEGEND_INSIDE or len(panels) == 1 or far_apart
@@ -271,13 +271,13 @@ def draw_cumulative_errors(
 
 
 def _far_apart(samples: Sequence[FloatArray]) -> bool:
-    """Whether the best curve would lie upon a linear ordinate."""
+    """Whether the medians are so far apart that a linear abscissa would squeeze the best curve against the ordinate."""
     medians = [float(np.median(sample)) for sample in samples if len(sample)]
     return bool(medians) and 0.0 < _FAR_APART * min(medians) < max(medians)
 
 
 def _spread(axes: Axes, samples: Sequence[FloatArray], limit: float) -> None:
-    """Choose a logarithmic abscissa for curves that are far apart."""
+    """Make the abscissa logarithmic for curves that are far apart."""
     low = min((float(np.quantile(sample, 0.02)) for sample in samples if len(sample)), default=0.0)
     if _far_apart(samples) and low > 0.0:
         axes.set(xscale="log", xlim=(low, limit))

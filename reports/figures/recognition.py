@@ -1,4 +1,4 @@
-"""The stages of one recognition, drawn over its image (the paper's figure 8)."""
+"""Figures of landmark recognition in one image: stages of the fit, matched landmarks and their residuals."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class MatchedLandmarks:
 def draw_matched_landmarks(
     image: NDArray[np.floating], found: MatchedLandmarks, title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
-    """Draw matches with magnified residuals over the image, residuals alone, and residuals over true errors."""
+    """Draw matches with magnified residuals over the image, the residuals alone, and residuals over true errors."""
     figure, (over, spread, errors) = new_figure(3, width_in=10.6, height_in=3.7)
     show_image(over, image)
     scale = _magnification(image, found.residual_px)
@@ -71,7 +71,7 @@ def draw_matched_landmarks(
 
 
 def _magnification(image: NDArray[np.floating], residual_px: FloatArray) -> float:
-    """Choose a round factor at which the median residual is a thirtieth of the image."""
+    """Choose a round factor that makes the median residual about a thirtieth of the image."""
     median = float(np.median(np.linalg.norm(residual_px, axis=1))) if len(residual_px) else 0.0
     wanted = max(image.shape) / 30.0 / max(median, 1e-6)
     return min((step for step in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)), key=lambda step: abs(np.log(step / wanted)))
@@ -89,7 +89,7 @@ def _draw_arrows(axes: Axes, image: NDArray[np.floating], found: MatchedLandmark
 
 
 def _landmark_window(image: NDArray[np.floating], found: MatchedLandmarks) -> dict[str, tuple[float, float]]:
-    """Limits of the axes: the landmarks with a margin, within the image."""
+    """Return the limits of the axes: the landmarks with a margin, within the image."""
     height, width = image.shape
     points = np.concatenate([found.seen_px, found.predicted_px])
     margin = 0.15 * float(np.ptp(points, axis=0).max()) + 10.0
@@ -110,20 +110,20 @@ def _draw_spread(axes: Axes, residual_px: FloatArray) -> None:
 
 
 def _draw_true_errors(axes: Axes, found: MatchedLandmarks) -> None:
-    """Residual over the landmark's true error: a match that lies far off in space and not in the image is wrong."""
+    """Draw residuals over true errors; a small residual with a large true error is a wrong match."""
     known = np.isfinite(found.error_m)
     length_px = np.linalg.norm(found.residual_px, axis=1)
     axes.plot(found.error_m[known], length_px[known], "o", markersize=3.5, color=BLUE)
     missed = int(np.count_nonzero(~known))
-    axes.set(xlabel="distance of what is seen from the landmark, m", ylabel="residual, px")
-    axes.set_title(f"{missed} look past the body" if missed else "")
+    axes.set(xlabel="distance of the seen surface point from the landmark, m", ylabel="residual, px")
+    axes.set_title(f"{missed} lines of sight miss the body" if missed else "")
     axes.set_xlim(left=0.0)
     axes.set_ylim(bottom=0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlay:
-    """The data base, projected into an image with one pose.
+    """Landmarks and mesh of the data base, projected into an image with one pose.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ class Overlay:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitPanels:
-    """What the figure shows of one recognition, all of it in pixels of the image.
+    """Projections and matches of one recognition, all in pixels of the image.
 
     Parameters
     ----------
@@ -170,12 +170,12 @@ class FitPanels:
 
 @styled
 def draw_fit_panels(fit: FitPanels, title: str, credit_lines: Sequence[str] = ()) -> Figure:
-    """Draw the initial fit, the rendered mesh and the converged fit, cropped alike to the body.
+    """Draw the initial fit, the rendered mesh and the converged fit (Rowell et al. 2015, figure 8).
 
     Parameters
     ----------
     fit
-        What to draw.
+        The recognition to draw.
     title
         Printed above the panels.
     credit_lines
@@ -191,12 +191,12 @@ def draw_fit_panels(fit: FitPanels, title: str, credit_lines: Sequence[str] = ()
 
 @styled
 def draw_alignment_panels(fit: FitPanels, title: str, credit_lines: Sequence[str] = ()) -> Figure:
-    """Draw the initial fit, the rendered mesh and the fit after the alignment of the centroids (the paper's figure 3).
+    """Draw the initial fit, the rendered mesh and the fit with aligned centroids (Rowell et al. 2015, figure 3).
 
     Parameters
     ----------
     fit
-        What to draw; ``after`` is the data base with the aligned pose, and its corners are not drawn.
+        The recognition to draw; ``after`` is the data base with the aligned pose. Corners are not drawn.
     title
         Printed above the panels.
     credit_lines
@@ -211,7 +211,7 @@ def draw_alignment_panels(fit: FitPanels, title: str, credit_lines: Sequence[str
 
 
 def _panels(fit: FitPanels, last: str) -> tuple[Figure, list[Axes]]:
-    """Show image, mesh and image again, cropped alike to the body."""
+    """Show the image, the mesh and the image again, all three cropped to the body."""
     (left, right), (top, bottom) = _overlay_window(fit)
     height_in = 1.25 + 3.35 * min((bottom - top) / (right - left), 2.0)
     figure, panels = new_figure(3, width_in=10.5, height_in=height_in)
@@ -245,7 +245,7 @@ def _draw_edges(axes: Axes, overlay: Overlay) -> None:
 
 
 def _ellipses(axes: Axes, centres_px: FloatArray, covariances_px2: FloatArray) -> EllipseCollection:
-    """Build the ellipses within which a corner matches (d^2 < 36)."""
+    """Build the ellipses within which a corner can match a landmark (Mahalanobis d^2 < 36)."""
     variances, vectors = np.linalg.eigh(covariances_px2)
     diameters = 2.0 * MATCH_SIGMAS * np.sqrt(np.maximum(variances, 0.0))
     angles = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
@@ -287,7 +287,7 @@ def _corner_marks(matched: NDArray[np.bool_]) -> list[Line2D]:
 
 
 def _add_legend(figure: Figure, handles: Sequence[Line2D], credit_lines: Sequence[str]) -> None:
-    """Explain the marks and print the credits below the panels, where they hide nothing."""
+    """Explain the marks and print the credits below the panels."""
     figure.legend(
         handles=list(handles),
         loc="outside lower center",
@@ -300,7 +300,7 @@ def _add_legend(figure: Figure, handles: Sequence[Line2D], credit_lines: Sequenc
 
 
 def _overlay_window(fit: FitPanels) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Bounds (left, right), (top, bottom) in pixels: the drawn overlays with a margin, within the image."""
+    """Return (left, right), (top, bottom) in pixels: the drawn overlays with a margin, within the image."""
     height, width = fit.image.shape
     points = np.concatenate([fit.before.edges_px.reshape(-1, 2), fit.after.edges_px.reshape(-1, 2), fit.corners_px])
     if len(points) == 0:

@@ -1,4 +1,4 @@
-"""Errors along the frames of sequences, from each start (Delpech et al. 2015, figures 3.1, 3.2, 5.1 and 5.2)."""
+"""Figures of sequences: errors over the frames and after whole revolutions, features found in an image."""
 
 from __future__ import annotations
 
@@ -30,22 +30,24 @@ _PANELS = {POSITION: "camera position error, m", LANDMARKS: "RMSE of the frame's
 _BANDS_AT_MOST = 3
 
 AFTER_REVOLUTIONS = {"error_after_1_m": "after 1 revolution", "error_after_2_m": "after 2 revolutions"}
-"""Columns of rows, and what they are the errors of."""
+"""Columns of rows to the words for them on the ordinate."""
 
 _WIDTH = 0.6
 
 
 @styled
 def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa: str, title: str) -> Figure:
-    """Draw the mean error over trials at each level of a series, with its interval and the deviation of the trials.
+    """Draw the mean error at each level of a series, with its interval and the standard deviation of the trials.
+
+    After figures 4.1 and 4.2 of Delpech et al. (2015).
 
     Parameters
     ----------
     errors
-        Label of each line to level to the rows of its trials, with a column ``cluster`` that tells what of them is
-        independent; a panel of which no row has a value is left out.
+        Label of each line to level to the rows of its trials. Rows of the same ``cluster`` are not independent. A
+        panel without any value is left out.
     abscissa
-        What the levels are.
+        Name of the levels.
     title
         Printed above the panels.
     """
@@ -70,8 +72,8 @@ def draw_revolutions(errors: Mapping[str, Mapping[str, pd.DataFrame]], abscissa:
     return figure
 
 
-def _draw_series(axes: Axes, errors: Mapping[float, pd.DataFrame], label: str, look: PlotStyle) -> None:
-    colour = look.colour
+def _draw_series(axes: Axes, errors: Mapping[float, pd.DataFrame], label: str, style: PlotStyle) -> None:
+    colour = style.colour
     known = {x: table.dropna() for x, table in errors.items() if table.iloc[:, 0].notna().any()}
     means = []
     for x, table in known.items():
@@ -84,20 +86,20 @@ def _draw_series(axes: Axes, errors: Mapping[float, pd.DataFrame], label: str, l
             axes.vlines(x, found.low, found.high, color=colour, linewidth=3.0)
         axes.plot(x, float(np.median(values)), marker="_", color=colour, markersize=9, linestyle="none")
     axes.plot(
-        list(known), means, marker="o", markersize=4, linewidth=1.0, linestyle=look.line, color=colour, label=label
+        list(known), means, marker="o", markersize=4, linewidth=1.0, linestyle=style.line, color=colour, label=label
     )
 
 
 @styled
 def draw_sightings(image: NDArray[np.float32], uv_px: NDArray[np.float64], title: str) -> Figure:
-    """Draw an image, with rings about features.
+    """Draw an image with rings around features (Delpech et al. 2015, figures 6.1 and 6.2).
 
     Parameters
     ----------
     image
         (H, W) any linear measure of radiance.
     uv_px
-        (n, 2) features to mark, centre of the first pixel at (0.5, 0.5); none for the image alone.
+        (n, 2) features to mark, centre of the first pixel at (0.5, 0.5); empty for the image alone.
     title
         Printed above.
     """
@@ -114,7 +116,7 @@ def draw_sightings(image: NDArray[np.float32], uv_px: NDArray[np.float64], title
 
 @styled
 def draw_starts(epochs: pd.DataFrame, title: str) -> Figure:
-    """Draw the position error of every trial against the anomaly gone through.
+    """Draw the position error of every trial against the anomaly (Delpech et al. 2015, figures 3.1 and 5.1).
 
     Parameters
     ----------
@@ -143,10 +145,10 @@ def draw_traces(
     credit_lines: Sequence[str] = (),
     panels: Sequence[str] = (POSITION, LANDMARKS),
 ) -> Figure:
-    """Draw the median error over trials against the anomaly, with the band of most of them and the first trial.
+    """Draw the median error over trials against the anomaly, with the band of 5 to 95 % and the first trial.
 
-    More estimators than three have no bands: they would hide each other.
-    A panel of which no estimator has a value, such as the landmarks of dead reckoning, is left out; with none, none is.
+    Bands are drawn for at most three estimators, as more would hide each other. A panel for which no estimator has a
+    value, such as the landmarks of dead reckoning, is left out, unless that holds for all panels.
 
     Parameters
     ----------
@@ -157,7 +159,7 @@ def draw_traces(
     credit_lines
         Credits of real images.
     panels
-        Which errors to show.
+        Columns of the errors to show.
     """
     shown = [name for name in panels if any(table[name].notna().any() for table in epochs.values())] or panels
     figure, places = new_figure(len(shown), width_in=4.4 * len(shown))
@@ -175,12 +177,12 @@ def draw_traces(
     return figure
 
 
-def _draw_trace(axes: Axes, table: pd.DataFrame, name: str, label: str, look: PlotStyle, *, banded: bool) -> None:
+def _draw_trace(axes: Axes, table: pd.DataFrame, name: str, label: str, style: PlotStyle, *, banded: bool) -> None:
     known = table.dropna(subset=[name])
     if known.empty:
         return
     over_trials = known.groupby("anomaly_deg")[name]
-    colour = look.colour
+    colour = style.colour
     middle = over_trials.median()
     anomaly = middle.index.to_numpy(dtype=float)
     if banded:
@@ -189,4 +191,4 @@ def _draw_trace(axes: Axes, table: pd.DataFrame, name: str, label: str, look: Pl
         first = known[known["trial"] == known["trial"].min()]
         if len(first) < len(known):
             axes.plot(first["anomaly_deg"], first[name], color=colour, linewidth=0.5, alpha=0.8)
-    axes.plot(anomaly, middle.to_numpy(), color=colour, linestyle=look.line, label=label)
+    axes.plot(anomaly, middle.to_numpy(), color=colour, linestyle=style.line, label=label)

@@ -1,4 +1,4 @@
-"""Accuracy of several methods against what it costs: time an image, and size of the data base."""
+"""Figure of the accuracy of methods against their costs: time per image, and size of the data base."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ _ERRORS = (("position_error_m", "position error, m"), ("attitude_error_deg", "at
 
 @dataclass(frozen=True, slots=True)
 class TradeOffPoint:
-    """One method.
+    """Accuracy and costs of one method.
 
     Parameters
     ----------
     errors
         Median errors with their intervals, by ``position_error_m`` and ``attitude_error_deg``.
     seconds
-        Time an image; None if unknown.
+        Time per image; None if unknown.
     size_bytes
-        Of its data base; None where it has none.
+        Size of its data base; None if it has none.
     """
 
     errors: Mapping[str, Measured]
@@ -36,16 +36,16 @@ class TradeOffPoint:
 
 @styled
 def draw_trade_off(
-    marks: Mapping[str, TradeOffPoint], prior: Mapping[str, float], title: str, credit_lines: Sequence[str] = ()
+    points: Mapping[str, TradeOffPoint], prior: Mapping[str, float], title: str, credit_lines: Sequence[str] = ()
 ) -> Figure:
-    """Draw errors of position and attitude, a row each, against time and size, a column each; all axes logarithmic.
+    """Draw position and attitude errors (rows) against time and size (columns), all axes logarithmic.
 
     Parameters
     ----------
-    marks
+    points
         Methods by label.
     prior
-        Median error before any of them, by the same names.
+        Median errors of the prior, by the names of `TradeOffPoint.errors`.
     title
         Printed above the panels.
     credit_lines
@@ -53,10 +53,10 @@ def draw_trade_off(
     """
     figure, places = grid_figure(2, 2, height_in=5.6)
     for row, (name, label) in zip(places, _ERRORS, strict=True):
-        times = {key: 1e3 * mark.seconds for key, mark in marks.items() if mark.seconds is not None}
-        sizes = {key: 1e-3 * mark.size_bytes for key, mark in marks.items() if mark.size_bytes is not None}
+        times = {key: 1e3 * point.seconds for key, point in points.items() if point.seconds is not None}
+        sizes = {key: 1e-3 * point.size_bytes for key, point in points.items() if point.size_bytes is not None}
         for axes, costs, abscissa in zip(row, (times, sizes), ("time an image, ms", "data base, kB"), strict=True):
-            _draw_methods(axes, {key: mark.errors[name] for key, mark in marks.items()}, costs)
+            _draw_methods(axes, {key: point.errors[name] for key, point in points.items()}, costs)
             axes.axhline(prior[name], color=GREY, linestyle="--", linewidth=1.0, label="prior")
             axes.set(xlabel=abscissa, ylabel=label)
             _use_log_axes(axes)
@@ -89,7 +89,7 @@ def _draw_methods(axes: Axes, errors: Mapping[str, Measured], costs: Mapping[str
 
 
 def _use_log_axes(axes: Axes) -> None:
-    """Write plain numbers, at 1, 2 and 5 of every decade where there are few."""
+    """Make both axes logarithmic, labelled with plain numbers."""
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.margins(0.15)
