@@ -29,7 +29,7 @@ from scenarios.errors import BoresightError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparisonFiles:
-    """Where a comparison lies, and its tables for the terminal."""
+    """Paths of a written comparison, and its tables for the terminal."""
 
     folder: Path
     markdown: Path
@@ -67,18 +67,18 @@ def write_comparison(found: RunComparison, folder: Path, command: str = "") -> C
 
 
 def comparison_grids(found: RunComparison) -> Iterator[Grid]:
-    """Yield the tables of a comparison."""
+    """Yield the tables of a comparison, those without rows left out."""
     yield subject_grid(found)
     differences = contrast_grid(found)
     if differences is not None:
         yield differences
-    claims = consistency_grid(found)
-    if claims is not None:
-        yield claims
+    consistency = consistency_grid(found)
+    if consistency is not None:
+        yield consistency
 
 
 def notes(found: RunComparison) -> Iterator[str]:
-    """Say what was compared, and what a reader must know."""
+    """Yield notes on the compared runs, and on what limits the comparison."""
     for run in found.runs:
         done, total = run.progress()
         made = f"{run.manifest.name}, seed {run.manifest.seed}, {done} of {total} trials"

@@ -1,4 +1,4 @@
-"""Errors of a comparison against the conditions of their trials: in bins, each with its interval."""
+"""Errors of a comparison in bins of the conditions of their trials, with intervals."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ _FEWEST = 5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConditionTables:
-    """What is drawn against conditions.
+    """Rows with errors and with the conditions that they are drawn against.
 
     Parameters
     ----------
     tables
-        Label of each line to its rows: conditions, errors, ``failed`` and ``cluster``.
+        Label of each subject to its rows: conditions, errors, ``failed`` and ``cluster``.
     errors, conditions
-        Columns that are known and, of conditions, differ between trials.
+        Columns of the errors that have values, and of the conditions that differ between trials.
     """
 
     tables: Mapping[str, pd.DataFrame]
@@ -61,23 +61,23 @@ class ConditionTables:
 
 
 def axis_label(name: str, metric: Metric) -> str:
-    """Name a condition or an error, with its unit."""
+    """Return the axis label of a condition or an error, with its unit."""
     if name == "value":
         return metric.axis
     return f"{_LABELS[name]}, {metric.unit}" if name == "prior" else _LABELS[name]
 
 
 def trials_by_condition(tables: Mapping[str, pd.DataFrame], metric: Metric) -> ConditionTables:
-    """Choose what the trials of single images tell."""
+    """Choose errors and conditions of the trials of single images."""
     components = (LATERAL, BORESIGHT, ATTITUDE)
     errors = components if metric.name in components else ("value", *components)
-    # How many craters a method finds or matches is no condition of its shares: they are made of it.
+    # The shares of craters found or matched are computed from their number, so it is not one of their conditions.
     given = [name for name in CONDITIONS if name != OWN_BINS or metric.name not in (*DETECTION, *MATCHING)]
     return _condition_tables(tables, errors, (*given, "prior"))
 
 
 def prepare_frames(epochs: pd.DataFrame) -> pd.DataFrame:
-    """Prepare the frames of sequences: at most 60 of each, evenly spread, which depend on each other anyway."""
+    """Prepare about 60 evenly spaced frames of each sequence; more add little, as frames of a sequence are correlated."""
     stride = max(1, int(epochs["frame"].max() + 1) // _FRAMES)
     kept = epochs[epochs["frame"] % stride == 0]
     distance = np.linalg.norm(kept[[f"true_{axis}_m" for axis in "xyz"]].to_numpy(dtype=np.float64), axis=1)
@@ -90,7 +90,7 @@ def prepare_frames(epochs: pd.DataFrame) -> pd.DataFrame:
 
 
 def frames_by_condition(tables: Mapping[str, pd.DataFrame]) -> ConditionTables:
-    """Choose what the frames of sequences tell; success belongs to whole sequences."""
+    """Choose errors and conditions of the frames of sequences; success is a property of whole sequences."""
     return _condition_tables(tables, ("value", RADIAL, TRANSVERSE), ("anomaly_deg", "distance_m", "n_landmarks"))
 
 
@@ -109,7 +109,7 @@ def _varies(values: pd.Series) -> bool:
 
 
 def bin_edges(tables: Sequence[pd.DataFrame], condition: str) -> FloatArray:
-    """Choose edges of bins (b + 1,) that hold as many rows each of the tables together."""
+    """Choose edges (b + 1,) of bins that contain equal numbers of rows of all tables together."""
     longest = max(int(table.loc[table[condition].notna(), "cluster"].nunique()) for table in tables)
     bins = int(np.clip(longest // _BIN_TRIALS, 1, _MOST_BINS))
     values = pd.concat([table[condition].dropna() for table in tables])
@@ -117,10 +117,10 @@ def bin_edges(tables: Sequence[pd.DataFrame], condition: str) -> FloatArray:
 
 
 def binned_errors(split: ConditionTables, error: str, condition: str) -> Iterator[tuple[str, Points]]:
-    """Yield the line of every subject whose condition differs between trials: medians, or rates of success, in bins.
+    """Yield medians of an error, or success rates, in bins of a condition, for each subject whose condition varies.
 
-    Each stands at the median of its condition; bins of fewer than five independent trials are left out. Bins are the
-    same for all, but those of landmarks, of which one estimator may use many more than another.
+    The abscissa of a bin is the median of its condition. Bins of fewer than five independent trials are left out. All
+    subjects have the same bins, except for the number of landmarks, which may differ widely between estimators.
     """
     varying = {label: table for label, table in split.tables.items() if _varies(table[condition])}
     for label, table in varying.items():

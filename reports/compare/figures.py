@@ -33,7 +33,7 @@ from reports.statistics.weighed import weighed_label
 
 
 def comparison_figures(found: RunComparison) -> Iterator[NamedFigure]:
-    """Draw every figure that the trials allow; captions say how many trials each subject solved, of how many."""
+    """Draw all figures for which there are data; captions give the number of solved trials of each subject."""
     counts = "; ".join(f"{found.label(one.names)} {one.n_ok}/{one.n}" for one in found.subjects)
     for figure in _figures(found):
         yield replace(figure, caption=f"{figure.caption} Solved trials: {counts}.")
@@ -50,7 +50,7 @@ def _figures(found: RunComparison) -> Iterator[NamedFigure]:
 
 
 def consistency_figures(found: RunComparison) -> Iterator[NamedFigure]:
-    """Draw, for each kind of weighed error, how many trials lie within the share that the covariance claims."""
+    """Draw, for each kind of normalised error, the coverage of the covariance that subjects claim."""
     claims = list(normalised_errors(found))
     for kind in dict.fromkeys(one.kind for one in claims):
         for group, subjects in subjects_by_group(found).items():
@@ -77,15 +77,15 @@ def _consistency_figure(found: RunComparison, group: str, claims: Mapping[str, N
     return NamedFigure(
         file_stem("consistency", kind, group) if group else file_stem("consistency", kind),
         draw_coverage(drawn, title, credit_lines(found)),
-        f"{title}: share of the trials whose weighed square is within the share of its distribution that the covariance"
-        " claims; on the diagonal it is true, below it too small. Grey: where 95 % of curves of as many independent"
-        " trials as the fewest lie at each abscissa.",
+        f"{title}: share of the trials whose normalised squared error lies within the quantile given on the abscissa of"
+        " the chi-square distribution. On the diagonal the covariance is true, below it too small. Grey: 95 % band at"
+        " each abscissa for true covariances and the smallest number of independent trials among the curves.",
         f"Coverage against claimed coverage for {', '.join(claims)}.",
     )
 
 
 def cumulative_figure(found: RunComparison, group: str, subjects: Mapping[str, Subject]) -> NamedFigure:
-    """Draw the share of all trials below each error."""
+    """Draw the share of all trials with an error below the abscissa."""
     tables = {label: found.of(one) for label, one in subjects.items()}
     panels = {"value": found.metric.axis}
     if found.metric.name != ATTITUDE and any(table[ATTITUDE].notna().any() for table in tables.values()):
@@ -105,7 +105,7 @@ def cumulative_figure(found: RunComparison, group: str, subjects: Mapping[str, S
 
 
 def _tables_by_condition(found: RunComparison, subjects: Mapping[str, Subject]) -> ConditionTables | None:
-    """Choose what is split: frames of sequences, else trials; None where there is nothing to split."""
+    """Choose frames of sequences, else trials; None where no estimator has an error or a sequence no frames."""
     estimating = {label: one for label, one in subjects.items() if one.estimator != CONTROL and one.n_ok}
     if not estimating:
         return None
@@ -116,7 +116,7 @@ def _tables_by_condition(found: RunComparison, subjects: Mapping[str, Subject]) 
 
 
 def frames_of_subject(found: RunComparison, subject: Subject) -> pd.DataFrame:
-    """Gather the frames of a subject's trials, with what is independent among them."""
+    """Gather the frames of a subject's trials; frames of the same ``cluster`` are not independent."""
     trials = found.of(subject)
     parts = []
     for run in found.runs:
@@ -138,13 +138,13 @@ def conditions_figure(found: RunComparison, group: str, split: ConditionTables) 
         for condition in split.conditions
     }
     title = figure_title(found, "Errors by conditions", group)
-    over = "at most 60 frames of each trial, the intervals of whole trials" if frames else "the solved trials"
+    over = "about 60 frames of each trial, with intervals over whole trials," if frames else "the solved trials"
     return NamedFigure(
         file_stem("conditions", group) if group else "conditions",
         draw_binned_errors(
             panels, {label: own[subjects[label].names] for label in split.tables}, title, credit_lines(found)
         ),
-        f"{title}: medians over {over} in bins of as many each, with 95 % intervals; success: share of all trials of a"
+        f"{title}: medians over {over} in bins of equal numbers, with 95 % intervals. Success: share of all trials of a"
         " bin.",
         f"Binned errors of {', '.join(split.tables)} against {', '.join(dict.fromkeys(key[1] for key in panels))}.",
     )
@@ -177,23 +177,23 @@ def summary_figure(found: RunComparison) -> NamedFigure:
             credit_lines(found),
         ),
         f"{title}: median with its 95 % interval, RMS and percentiles over the solved trials, the median of all trials"
-        " with failures counted, success rates, and the median difference trial by trial to the first of those that"
-        " differ from it in one thing.",
+        " with failures counted, success rates, and the median of the paired differences to the first subject that"
+        " differs in one factor only.",
         f"Errors, success rates and differences of {', '.join(found.label(one.names) for one in found.subjects)}.",
     )
 
 
 def _reference_differences(found: RunComparison) -> dict[tuple[str, ...], tuple[str, Measured]]:
-    """Find for every subject the first one that it is held against: what differs in it, and the difference."""
+    """Return for each subject with a reference the level that differs in the first one, and the median difference."""
     order = {one.names: place for place, one in enumerate(found.subjects)}
-    held: dict[tuple[str, ...], tuple[str, Measured]] = {}
+    references: dict[tuple[str, ...], tuple[str, Measured]] = {}
     for one in sorted(found.contrasts, key=lambda contrast: order[contrast.second]):
-        held.setdefault(one.first, (differing_level(one), one.median))
-    return held
+        references.setdefault(one.first, (differing_level(one), one.median))
+    return references
 
 
 def subject_colours(found: RunComparison) -> dict[tuple[str, ...], str]:
-    """Give each subject a colour: that of its estimator where each is of one, else one of its own; grey the control."""
+    """Return the colour of each subject: that of its estimator, or its own where estimators are pooled; control grey."""
     keys = [one.estimator or found.label(one.names) for one in found.subjects]
     named = [key for key in dict.fromkeys(keys) if key != CONTROL]
     pooled = any(not one.estimator for one in found.subjects)
@@ -202,12 +202,12 @@ def subject_colours(found: RunComparison) -> dict[tuple[str, ...], str]:
 
 
 def credit_lines(found: RunComparison) -> list[str]:
-    """Credit lines of all runs, each once."""
+    """Return the credit lines of all runs, each once."""
     return list(dict.fromkeys(line for run in found.runs for line in run.manifest.credits))
 
 
 def subjects_by_group(found: RunComparison) -> dict[str, dict[str, Subject]]:
-    """Gather the subjects that differ in the estimator alone: name of the group, and label to subject.
+    """Group the subjects that differ in the estimator alone: name of the group to label to subject.
 
     Where estimators are pooled, all subjects are one group.
     """
@@ -224,5 +224,5 @@ def subjects_by_group(found: RunComparison) -> dict[str, dict[str, Subject]]:
 
 
 def figure_title(found: RunComparison, what: str, group: str) -> str:
-    """Write the title of a figure of one group."""
+    """Return the title of a figure of one group."""
     return ", ".join(filter(None, (what, group, found.shared if ESTIMATOR in found.varied else "")))

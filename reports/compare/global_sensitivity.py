@@ -1,9 +1,9 @@
-"""How much of an outcome's variation each varied key of a scenario explains.
+"""Global sensitivity analysis: the share of an outcome's variance that each varied key of a scenario explains.
 
 Sobol's indices by the estimators of Saltelli and Jansen (A. Saltelli et al., Variance based sensitivity analysis of
-model output, Computer Physics Communications 181, 2010), as SALib has them: the first-order index is the share of the
-variance that a key explains by itself, the total index the share that is left where all others are known. Of a Latin
-hypercube, the rank correlations of the outcome with each key.
+model output, Computer Physics Communications 181, 2010), as SALib implements them: the first-order index is the share
+of the variance that a key explains by itself, the total index the share that remains when all other keys are known.
+For a Latin hypercube, the rank correlations of the outcome with each key.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _RESULTS = (
     "rows", "stages", "landmarks", "diagnostics", "epochs", "vision", "crater_matches", "detections", "orbits",
     "navigation", "surveyed_images", "surveyed_craters",
 )  # fmt: skip
-"""Tables of what methods find, of any kind of trial."""
+"""Tables of results of methods, over all kinds of trial."""
 FIRST, TOTAL, RANK = "first-order index", "total index", "rank correlation"
 
 
@@ -47,9 +47,9 @@ def write_sensitivity(
     samples: FloatArray,
     metric: Metric,
 ) -> Path:
-    """Write ``sensitivity/`` into the run folder; return the page.
+    """Write a sensitivity analysis into the folder ``sensitivity`` of a run; return the path of the page.
 
-    ``sensitivity.md``, ``samples.csv`` (every sample with its outcomes), ``indices.csv`` and the figure.
+    The files are ``sensitivity.md``, ``samples.csv`` (every sample with its outcomes), ``indices.csv`` and the figure.
     """
     folder = run.folder / "sensitivity"
     folder.mkdir(parents=True, exist_ok=True)
@@ -75,7 +75,7 @@ def write_sensitivity(
 
 @dataclass(frozen=True, slots=True)
 class VariedKey:
-    """A key of the scenarios with the bounds between which it is varied."""
+    """A key of the scenarios and the bounds between which it is varied."""
 
     key: str
     low: float
@@ -84,22 +84,22 @@ class VariedKey:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensitivity:
-    """What varied keys do to one estimator.
+    """Sensitivity of one estimator to the varied keys.
 
     Parameters
     ----------
     estimator
         Its label.
     base
-        The outcome where nothing is varied.
+        Outcome with no key varied.
     outcomes
-        (n,) of the samples.
+        (n,) outcomes of the samples.
     alone
-        By key the outcomes at its lower and upper bound, all else as it was.
+        Key to the outcomes at its lower and upper bound, with all other keys as in the base.
     shares
-        By the name of an index, one for each key; None where the outcome does not vary.
+        Name of an index to its values, one for each key; empty where the outcome does not vary.
     unmoved
-        Keys that change no result of this estimator, bit for bit, at either bound.
+        Keys that change no result of this estimator at either bound, bit for bit.
     """
 
     estimator: str
@@ -113,8 +113,8 @@ class Sensitivity:
 def outcome_of(run: RunData, metric: Metric, statistic: Statistic, scenario: str, estimator: str) -> float:
     """Evaluate a statistic over the trials of a scenario; NaN or infinite where too few have a value.
 
-    A failure counts with its prior's error. Where there are no priors it counts in medians and percentiles, as worse
-    than any error; a mean of such does not exist, and is that of the solved trials.
+    A failure counts with the error of its prior. Without priors, medians and percentiles count it as worse than any
+    error; means are then over the solved trials alone, as the mean with failures does not exist.
     """
     own = (run.rows["scenario"] == scenario) & (run.rows["estimator"] == estimator) & ~nothing_to_find(run, metric)
     values, prior = metric_values(run, metric)[own], prior_values(run, metric)
@@ -127,7 +127,7 @@ def outcome_of(run: RunData, metric: Metric, statistic: Statistic, scenario: str
 
 
 def same_results(run: RunData, one: str, other: str, estimator: str) -> bool:
-    """Whether an estimator gives the same results in two scenarios, bit for bit, whatever its trials are like."""
+    """Whether an estimator gives the same results in two scenarios, bit for bit; conditions and truth may differ."""
     tables = [table for table in (run.rows if name == "rows" else run.table(name) for name in _RESULTS) if len(table)]
     return all(_results(table, one, estimator).equals(_results(table, other, estimator)) for table in tables)
 
@@ -168,7 +168,7 @@ def rank_shares(samples: FloatArray, outcomes: FloatArray) -> dict[str, tuple[Me
 
 
 def salib_problem(varied: Sequence[VariedKey]) -> dict[str, object]:
-    """Describe what is varied as SALib wants it."""
+    """Describe the varied keys in SALib's format."""
     return {"num_vars": len(varied), "names": [v.key for v in varied], "bounds": [[v.low, v.high] for v in varied]}
 
 
@@ -195,9 +195,10 @@ def sensitivity_grid(found: Sequence[Sensitivity], varied: Sequence[VariedKey], 
             remark = "changes no result" if key.key in one.unmoved else ""
             rows.append((one.estimator, key.key, f"{key.low:g}", f"{key.high:g}", *alone, *shares, remark))
     note = (
-        f"Outcome: {statistic} of the {metric.label} over the trials of a sample, the same draws in all samples; a"
-        " failure counts with its prior's error, without priors in medians and percentiles as worse than any. At from,"
-        " at to: that key alone at its bounds. 'changes no result': at both bounds every number of the estimator is"
-        " that of the base, bit for bit. An index whose interval is wider than 1 says nothing: take more --samples."
+        f"Outcome: {statistic} of the {metric.label} over the trials of a sample, with the same draws in all samples. A"
+        " failure counts with the error of its prior; without priors, medians and percentiles count it as worse than"
+        " any error. 'at from' and 'at to': this key alone at its bounds. 'changes no result': at both bounds every"
+        " number of the estimator is that of the base, bit for bit. An index whose interval is wider than 1 says"
+        " nothing: take more --samples."
     )
     return Grid("Sensitivity", heads, tuple(rows), frozenset({0, 1, len(heads) - 1}), note)
