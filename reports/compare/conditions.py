@@ -77,7 +77,7 @@ def trials_by_condition(tables: Mapping[str, pd.DataFrame], metric: Metric) -> C
 
 
 def prepare_frames(epochs: pd.DataFrame) -> pd.DataFrame:
-    """Prepare about 60 evenly spaced frames of each sequence; more add little, as frames of a sequence are correlated."""
+    """Choose fewer than 120 evenly spaced frames of each sequence; more add little, as frames are correlated."""
     stride = max(1, int(epochs["frame"].max() + 1) // _FRAMES)
     kept = epochs[epochs["frame"] % stride == 0]
     distance = np.linalg.norm(kept[[f"true_{axis}_m" for axis in "xyz"]].to_numpy(dtype=np.float64), axis=1)

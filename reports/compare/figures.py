@@ -138,7 +138,11 @@ def conditions_figure(found: RunComparison, group: str, split: ConditionTables) 
         for condition in split.conditions
     }
     title = figure_title(found, "Errors by conditions", group)
-    over = "about 60 frames of each trial, with intervals over whole trials," if frames else "the solved trials"
+    over = (
+        "evenly spaced frames of each trial (fewer than 120), with intervals over whole trials,"
+        if frames
+        else "the solved trials"
+    )
     return NamedFigure(
         file_stem("conditions", group) if group else "conditions",
         draw_binned_errors(
@@ -193,7 +197,7 @@ def _reference_differences(found: RunComparison) -> dict[tuple[str, ...], tuple[
 
 
 def subject_colours(found: RunComparison) -> dict[tuple[str, ...], str]:
-    """Return the colour of each subject: that of its estimator, or its own where estimators are pooled; control grey."""
+    """Return the colour of each subject: that of its estimator, or its own where estimators are pooled."""
     keys = [one.estimator or found.label(one.names) for one in found.subjects]
     named = [key for key in dict.fromkeys(keys) if key != CONTROL]
     pooled = any(not one.estimator for one in found.subjects)

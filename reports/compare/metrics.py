@@ -1,4 +1,4 @@
-"""What runs are compared by: an error of each trial, and the error that a failure is counted with."""
+"""Metrics by which runs are compared: a number of each trial, and the prior's number that a failure counts with."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _TURN_DEG = 360.0
 _SAME_FRAME_DEG = 1e-6
 
 N_FINDABLE = "n_there"
-"""Craters that there were to be found, or matched."""
+"""Column: number of craters that could be found or matched."""
 
 
 def crater_numbers(run: RunData) -> Mapping[str, pd.DataFrame]:
     """Return the numbers of a run that is about craters in images, by their names; none of another run.
 
-    Each is a column of a table with a row for each trial and method (`TRIAL_KEY`), beside `N_FINDABLE`. A share of nothing
-    is NaN: that of false alarms where no detection is false or of a detectable crater, that of missed craters where
-    there are none.
+    Each is a column of a table with `N_FINDABLE` and a row for each trial and method (`TRIAL_KEY`). A share with a zero
+    denominator is NaN: that of false alarms where no detection is false or of a detectable crater, that of missed
+    craters where there are none.
     """
     if not run.table("crater_matches").empty:
         matched = run.table("crater_matches")
@@ -54,8 +54,9 @@ def detection_counts(run: RunData) -> pd.DataFrame:
     Returns
     -------
     counts
-        A row for each row of the run: `TRIAL_KEY`, `N_FINDABLE` (detectable craters), ``n_kept`` (detections), ``n_hits``
-        (detectable craters found), ``n_false`` (detections that are no crater) and `CENTRE_ERROR` of the hits.
+        A row for each row of the run: `TRIAL_KEY`, `N_FINDABLE` (detectable craters), ``n_kept`` (detections),
+        ``n_hits`` (detectable craters found), ``n_false`` (detections that are no crater) and `CENTRE_ERROR` of the
+        hits.
     """
     found = run.table("detections")[run.table("detections")["kept"].astype(bool)]
     hits = found[found["detectable"].astype(bool)]
@@ -69,7 +70,7 @@ def detection_counts(run: RunData) -> pd.DataFrame:
 
 
 def _common_centres(run: RunData) -> pd.DataFrame:
-    """Return `TRIAL_KEY`, `N_FINDABLE` (detectable craters that all methods found) and `COMMON_CENTRE_ERROR` of them."""
+    """Return `TRIAL_KEY`, `N_FINDABLE` (detectable craters found by all methods) and their `COMMON_CENTRE_ERROR`."""
     found = run.table("detections")
     hits = found[found["kept"].astype(bool) & found["detectable"].astype(bool)]
     methods = run.rows.groupby("scenario")["estimator"].nunique()
@@ -121,7 +122,7 @@ class Metric:
 
     @property
     def is_error(self) -> bool:
-        """Whether smaller is better; of what methods report, as a count of landmarks, nobody can say."""
+        """Whether smaller is better; False for numbers that methods report, such as a count of landmarks."""
         return is_error(self.name) or _AFTER.fullmatch(self.name) is not None
 
 
@@ -198,7 +199,7 @@ def prior_values(run: RunData, metric: Metric) -> pd.Series | None:
 
 
 def nothing_to_find(run: RunData, metric: Metric) -> pd.Series:
-    """Tell of which rows of a run the metric says nothing: no crater was to be found, or none was found by all."""
+    """Return which rows of a run cannot have the metric: no crater could be found, or none was found by all methods."""
     table = crater_numbers(run).get(metric.name)
     if table is None:
         return pd.Series(False, index=run.rows.index)

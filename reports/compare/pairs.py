@@ -1,8 +1,8 @@
-"""Differences between subjects: trial by trial where trials are the same, between samples where they are not.
+"""Differences between subjects: paired by trial where trials are the same, else between independent samples.
 
-Tests of many pairs find something by chance alone; Holm's correction (S. Holm, A simple sequentially rejective multiple
-test procedure, Scandinavian Journal of Statistics 6, 1979) holds the chance of a single false finding in the whole
-table at the level of one test.
+Among tests of many pairs some are significant by chance alone. Holm's correction (S. Holm, A simple sequentially
+rejective multiple test procedure, Scandinavian Journal of Statistics 6, 1979) keeps the probability of a single false
+finding in the whole table at the level of one test.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from reports.statistics.paired import rate_difference, sign_test
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """One subject against another.
+    """Difference between two subjects.
 
     Parameters
     ----------
@@ -105,17 +105,17 @@ def paired_contrast(
 
 
 def coarser_clusters(one: pd.Series, other: pd.Series) -> NDArray[np.generic]:
-    """Return the labels of the side of which less is independent: one may rest on few data bases, the other on none."""
+    """Return the cluster labels of the side with fewer clusters, as one side may share few data bases."""
     return (one if one.nunique() <= other.nunique() else other).to_numpy()
 
 
 def without_failures(one: Contrast) -> Contrast:
-    """Leave out who wins where one failed: of numbers that are no errors a failure is neither more nor less."""
+    """Remove the test over all trials: for numbers that are not errors, a failure is neither more nor less."""
     return replace(one, better_of_all=Measured(None), p_of_all=None)
 
 
 def _with_failures(difference: FloatArray, mine: NDArray[np.bool_], theirs: NDArray[np.bool_]) -> FloatArray:
-    """Let a failure lose against what did not fail, and two failures decide nothing."""
+    """Replace differences with failures: a failure is worse than any success, two failures are a tie."""
     alone = mine.astype(float) - theirs.astype(float)
     return np.where(mine | theirs, alone, np.nan_to_num(difference))
 

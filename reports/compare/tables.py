@@ -97,7 +97,7 @@ def contrast_grid(found: RunComparison) -> Grid | None:
 
 
 def _note(is_error: bool) -> str:
-    """Say how differences are to be read."""
+    """Explain the columns of the differences."""
     good = ("negative is better", "Better", "the better") if is_error else ("negative is less", "Less", "the smaller")
     return (
         f"Differences trial by trial of the same views, priors or tracks, over the trials that both solved: {good[0]}."
@@ -109,13 +109,13 @@ def _note(is_error: bool) -> str:
 
 
 def _of_numbers(grid: Grid) -> Grid:
-    """Keep what can be said of numbers of which neither more nor less is better."""
+    """Remove the columns that need an order of better and worse, and say 'less' for 'better'."""
     kept = grid.keep(*(name for name in grid.columns if "of all" not in name))
     return replace(kept, columns=tuple(name.replace("better", "less") for name in kept.columns))
 
 
 def differing_level(one: Contrast) -> str:
-    """Name what a subject is held against by the one level that differs."""
+    """Return the one level in which the second subject of a contrast differs."""
     return next(b for a, b in zip(one.first, one.second, strict=True) if a != b)
 
 
@@ -167,7 +167,7 @@ def contrast_table(found: RunComparison) -> pd.DataFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalisedErrors:
-    """What a subject claims of one kind: (n,) weighed errors, their degrees of freedom and what is independent."""
+    """Errors of a subject, normalised by its covariance: (n,) ratios, degrees of freedom and clusters."""
 
     subject: Subject
     kind: str
@@ -177,11 +177,12 @@ class NormalisedErrors:
     clusters: NDArray[np.generic]
 
     def judged(self) -> Judged:
+        """Evaluate mean, band, median and coverage."""
         return judge(self.ratios, self.degrees, self.expected, self.clusters)
 
 
 def normalised_errors(found: RunComparison) -> Iterator[NormalisedErrors]:
-    """Yield the claims of every subject, kind by kind; the control's are those of the scenario."""
+    """Yield the normalised errors of every subject, kind by kind, without the control."""
     kinds: dict[str, int] = {}
     tables: dict[str, list[pd.DataFrame]] = {}
     for run in found.runs:
@@ -198,7 +199,7 @@ def normalised_errors(found: RunComparison) -> Iterator[NormalisedErrors]:
 
 
 def consistency_grid(found: RunComparison) -> Grid | None:
-    """Tabulate NEES and NIS beside their bands; None where no subject claims a covariance."""
+    """Tabulate NEES and NIS with their bands; None where no subject claims a covariance."""
     rows = []
     for one in normalised_errors(found):
         judged = one.judged()
@@ -215,17 +216,17 @@ def consistency_grid(found: RunComparison) -> Grid | None:
         )
     heads = (*found.varied, "weighed", "trials", "mean [95 %]", "95 % band", "median [95 %]", "within 95 % [95 %]")
     note = (
-        "Squared errors (NEES) and innovations (NIS) weighed by the covariance that the estimator itself claims. Where"
-        " it is true the mean of so many trials lies in the band 95 times of 100, and so many per cent of the trials"
-        " within the central 95 % of the distribution; a mean above the band tells a covariance that is too small. Of a"
-        " filter that gates its innovations, those that it refused are no part of the NIS."
+        "Squared errors (NEES) and innovations (NIS), normalised by the covariance that the estimator itself claims. If"
+        " it is true, the mean over this number of trials lies in the band with a probability of 95 %, and 95 % of the"
+        " trials lie within the central 95 % of the distribution. A mean above the band means that the covariance is"
+        " too small. Innovations that a filter's own gate rejected are not part of the NIS."
     )
     text = frozenset(range(len(found.varied) + 1))
     return Grid("Covariances", heads, tuple(rows), text, note) if rows else None
 
 
 def consistency_table(found: RunComparison) -> pd.DataFrame:
-    """Tabulate the same as numbers."""
+    """Tabulate NEES and NIS as numbers."""
     rows = []
     for one in normalised_errors(found):
         row: dict[str, object] = dict(zip(found.factors, one.subject.names, strict=True))

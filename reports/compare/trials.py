@@ -1,4 +1,8 @@
-"""All trials of the runs that are compared, in one table."""
+"""Table of all trials of the compared runs, the factors that define subjects, and which trials are the same.
+
+Two trials are the same if they have the same seed and trial number and their scenarios agree in everything from which
+views, priors and tracks are drawn. Other differences (a reflectance, a detector, knowledge on board) are compared.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,7 @@ from reports.schema.records import CONTROL
 from scenarios.errors import BoresightError
 
 KEY = ["seed", "draws", "rest", "trial"]
-"""What is equal in two trials that are the same."""
+"""Columns that are equal in two trials that are the same."""
 
 CONDITIONS = ("range_m", "phase_deg", "latitude_deg", "n_landmarks")
 
@@ -78,7 +82,7 @@ def short_levels(levels: Sequence[str]) -> dict[str, str]:
 
 
 def remainder(spec: Mapping[str, Any], factors: Sequence[str]) -> str:
-    """Write all of a scenario that no factor tells apart; '' where its name is a factor."""
+    """Write the parts of a scenario that are not factors, as JSON; '' where its name is a factor."""
     if SCENARIO in factors:
         return ""
     left = {key: value for key, value in spec.items() if key not in _NAMES}
@@ -95,7 +99,7 @@ def _without(spec: Mapping[str, Any], path: Sequence[str]) -> dict[str, Any]:
 
 
 def drawn_settings(spec: Mapping[str, Any]) -> str:
-    """Write all of a scenario that what chance decides in its trials depends on.
+    """Write the parts of a scenario on which the random draws of its trials depend, as JSON.
 
     The camera is part of it where views or priors are drawn in its pixels, the body where landmarks or views are.
     """
@@ -109,7 +113,7 @@ def drawn_settings(spec: Mapping[str, Any]) -> str:
 
 
 def first_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
-    """Say in which key the draws of two scenarios differ first; '' where in none."""
+    """Return the first key in which the draws of two scenarios differ, with both values; '' if none."""
     pair = (json.loads(drawn_settings(one)), json.loads(drawn_settings(other)))
     return next(_differences(*pair), "")
 
@@ -177,7 +181,7 @@ def _of_run(run: RunData, metric: Metric, factors: Sequence[str]) -> pd.DataFram
 
 
 def is_pooled_control(run: RunData, factors: Sequence[str]) -> NDArray[np.bool_]:
-    """Tell the rows (n,) of the control, which estimates nothing, where it would be pooled with estimators."""
+    """Return which rows (n,) are of the control where it would be pooled with estimators; it estimates nothing."""
     control = np.asarray(run.rows["estimator"] == CONTROL)
     return np.asarray(control & (ESTIMATOR not in factors and not control.all()))
 

@@ -30,7 +30,7 @@ def html_page(content: Content, figures: Sequence[tuple[NamedFigure, bytes]]) ->
     Parameters
     ----------
     content
-        What is said.
+        Content of the report.
     figures
         Each with its PNG, which is embedded.
     """
@@ -60,7 +60,7 @@ def reproduce_command(content: Content) -> str:
 
 
 def _facts(content: Content) -> list[tuple[str, str]]:
-    """Say how the run was made, as names and values."""
+    """List campaign, trials, seed, date, commit, machine and versions of a run."""
     manifest = content.run.manifest
     done, total = content.run.progress()
     facts = [
@@ -76,14 +76,14 @@ def _facts(content: Content) -> list[tuple[str, str]]:
 
 
 def _listed(mapping: Mapping[str, object]) -> str:
-    """Write what a mapping says on one line."""
+    """Write a mapping on one line, without empty values."""
     said = {name: value for name, value in mapping.items() if value not in ("", None)}
     return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in said.items())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportFiles:
-    """Where a report lies, and what it says.
+    """Paths of a written report, and its content.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def write_report(run: Path, out: Path | None = None, extra: Iterable[NamedFigure
 
 
 def _write_all(content: Content, folder: Path, extra: Sequence[NamedFigure]) -> list[str]:
-    """Write all files into ``folder`` and list their names, the page last so that it never shows what is not there."""
+    """Write all files into ``folder`` and list their names; the page is last, so that it never shows missing files."""
     names = _write_tables(content, folder)
     figures = [*(with_trial_counts(figure, [content.run]) for figure in draw_figures(content)), *extra]
     twice = [stem for stem, count in Counter(figure.stem for figure in figures).items() if count > 1]

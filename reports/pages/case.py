@@ -15,7 +15,7 @@ from scenarios.atomic import write_text
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CasePage:
-    """What is said of a case.
+    """Content of the page of an inspected case.
 
     Parameters
     ----------
@@ -28,13 +28,13 @@ class CasePage:
     grids
         Tables below them.
     command
-        What makes the page again.
+        Command line that makes the page again.
     traceback
-        Of an estimator that raised; '' of others.
+        Traceback of an estimator that raised; '' otherwise.
     said
-        What the method wrote, by stream.
+        Stream to the text that the method wrote to it.
     credits
-        Of real images.
+        Credit lines of real images.
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""Cumulative errors of a run as inline drawings of the page, which tell the shares of trials under the pointer."""
+"""Cumulative errors of a run as interactive SVG drawings: the page shows the share of trials at the pointer."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SolvedErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Distribution:
-    """A drawing: what it is of, its markup, and the label and colour of each curve."""
+    """A drawing: title, markup, and the label and colour of each curve."""
 
     title: str
     svg: Markup

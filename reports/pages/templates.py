@@ -1,4 +1,4 @@
-"""Pages filled from the templates of this package: one environment, one style, and figures that are embedded."""
+"""HTML pages from the templates of this package, with embedded style sheet and figures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from reports.schema.named_figure import NamedFigure
 
 
 def fill_template(template: str, **values: object) -> str:
-    """Fill a template, which has the style sheet beside the values."""
+    """Fill a template with values and the style sheet."""
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
         loader=PackageLoader("reports.pages", "."),

@@ -1,4 +1,4 @@
-"""A page with a body, its landmarks and the cameras of a run in space, self-contained and without network."""
+"""Interactive 3D view of a body, its landmarks and cameras: a self-contained HTML page, or a recording for rerun."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _BODY = "#9aa0a6"
 _SHADES = ((0.0, "#5f6369"), (1.0, "#eceef0"))
 _PERCENT = 95
 _SCENE = 0.78
-"""Share of the page's width that is the drawing's; legend and colour bar stand beside it, over nothing."""
+"""Share of the width of the page for the drawing; legend and colour bar are to its right."""
 _WIDTH = 140
 """Characters of a line below the title."""
 _TOP_PX, _LINE_PX = 115, 15
 _EYE = {"x": 1.25, "y": 1.25, "z": 0.85}
 _LIGHT_DIRECTION = np.array([1.0, 0.4, 1.0]) / np.linalg.norm([1.0, 0.4, 1.0])
 _RAISE = 0.02
-"""Radii of the body by which landmarks are drawn above it: half of a mark on the surface would lie in it."""
+"""Height of landmarks above the surface, in radii of the body: on the surface, half of a mark would be hidden."""
 _AXIS = {
     "showspikes": False,
     "showbackground": False,
@@ -96,7 +96,7 @@ def _entity(name: str) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointSet:
-    """Points with a number that colours them.
+    """Points that are coloured by a number.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class PointSet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraSet:
-    """Places of cameras of one kind, joined by a line where they are a trajectory."""
+    """Positions of cameras of one kind, joined by a line if they are a trajectory."""
 
     name: str
     colour: str
@@ -132,7 +132,7 @@ class CameraSet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View3D:
-    """All that is to be seen, body axes, m.
+    """Content of a 3D view, body axes, m.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def _plain(text: str) -> str:
 
 
 def _coordinates(points_m: FloatArray) -> dict[str, NDArray[np.float32]]:
-    """Half the digits are enough for the eye, and make a page of half the size."""
+    """Return coordinates in single precision, which halves the size of the page."""
     return {axis: points_m[:, k].astype(np.float32) for k, axis in enumerate("xyz")}
 
 
@@ -215,9 +215,10 @@ def _normals(corners_m: FloatArray) -> FloatArray:
 
 
 def _body_trace(look: View3D) -> go.Mesh3d:
-    """Draw the body in light that is worked out here: half of Lambert's, in which no side is black.
+    """Draw the body with half-Lambert shading, in which no side is black.
 
-    Plotly's lamps stand in the axes of the screen and leave bodies of some hundred metres dark.
+    The shading is computed here because Plotly's lights are fixed to the screen and leave bodies of some hundred metres
+    dark.
     """
     a, b, c = look.faces.T
     light = 0.5 * (1.0 + _normals(look.vertices_m[look.faces]) @ _LIGHT_DIRECTION)

@@ -1,4 +1,4 @@
-"""One page for a whole paper: every published number beside ours, and every figure."""
+"""Page of a reproduced paper: every published number with ours, and all figures."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from reports.verdicts.tables import ordered_values, verdict_of, verdict_of_claim
 
 @dataclass(frozen=True, slots=True)
 class PaperLine:
-    """One published number or statement beside ours.
+    """One published number or statement with our numbers.
 
     Parameters
     ----------
     campaign, scenario, estimator
-        What it was held against; scenario and estimator are '' where nothing was run.
+        Source of our numbers; scenario and estimator are '' where nothing was run.
     place
-        Where it is printed.
+        Place in the paper.
     quantity, statistic
-        What it is.
+        Measured quantity and its statistic.
     printed
         The paper's number or words.
     ours
@@ -69,7 +69,7 @@ class PaperLine:
 def paper_lines(
     campaign: str, comparison: Comparison, content: Content | None, labels: Sequence[str]
 ) -> Iterator[PaperLine]:
-    """Set every number and statement of a comparison beside those of a run, or beside nothing where there is none.
+    """Pair every number and statement of a paper with those of a run, or with none if there is no run.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def paper_lines(
         claims = (ComparedClaim("", claim, (), "not measured") for claim in comparison.claims)
         yield from (_claim_line(campaign, item) for item in claims)
         return
-    # A run that was made before its campaign named published values is held against them all the same.
+    # A run made before its campaign named published values is compared with them too.
     made = content.compared, content.claims
     compared, stated = made if content.comparison else beside_published(content.run, content.records, comparison)
     told = [item for item in compared if item.estimator in labels]
